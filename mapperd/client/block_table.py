@@ -27,8 +27,6 @@ class BlockTable:
         cells: (R, 512) int8.
         counts: (R, 512) uint8; (R, 0) where none are held.
         changed_ns: (R,) int64, Unix.
-        orders: (R,) int64, of the messages that told them.
-        gone: orders of blocks that were let go, as long as something older may bring them back.
     """
 
     def __init__(self, *, counts: bool) -> None:
@@ -36,8 +34,6 @@ class BlockTable:
         self.cells = np.zeros((0, CELLS), np.int8)
         self.counts = np.zeros((0, CELLS if counts else 0), np.uint8)
         self.changed_ns = np.zeros(0, np.int64)
-        self.orders = np.zeros(0, np.int64)
-        self.gone: dict[bytes, int] = {}
         self._row_of: dict[bytes, int] = {}
         self._unused: list[int] = []
 
@@ -45,39 +41,19 @@ class BlockTable:
         """Blocks."""
         return len(self._row_of)
 
-    def put(self, blocks: BlockSet, stamp_ns: int, order: int = 0) -> NDArray[np.int32]:
-        """Take blocks, each key once; those without a known cell are let go.
-
-        Where something of a higher order was told, that stays.
-
-        Returns:
-            (N, 3), keys of those that were taken.
-        """
+    def put(self, blocks: BlockSet, stamp_ns: int) -> None:
+        """Take blocks, each key once; drop those without a known cell."""
         known = (blocks.cells != UNKNOWN).any(axis=1)
         names = names_of(blocks.keys)
-        taken = self._orders_of(names) <= order
-        for at in np.nonzero(taken & ~known)[0]:
+        for at in np.nonzero(~known)[0]:
             self._drop(names[at])
-            if order:  # below 0 there is none that could bring it back
-                self.gone[names[at]] = order
-        kept = np.nonzero(taken & known)[0]
+        kept = np.nonzero(known)[0]
         rows = np.fromiter((self._taken(names[at]) for at in kept), np.intp, len(kept))
         self.keys[rows] = blocks.keys[kept]
         self.cells[rows] = blocks.cells[kept]
         self.changed_ns[rows] = stamp_ns - blocks.ages_ms[kept].astype(np.int64) * 1_000_000
         if blocks.counts is not None:
             self.counts[rows] = blocks.counts[kept]
-        self.orders[rows] = order
-        return blocks.keys[taken]
-
-    def begin_orders(self) -> None:
-        """Whatever comes from now on is newer than what is here."""
-        self.orders[:] = 0
-        self.gone.clear()
-
-    def settle(self, order: int) -> None:
-        """Nothing below an order comes any more."""
-        self.gone = {name: gone for name, gone in self.gone.items() if gone > order}
 
     def rows(self, names: Iterable[bytes] | None = None) -> NDArray[np.intp]:
         """Rows of those blocks that are there; None is all."""
@@ -89,23 +65,12 @@ class BlockTable:
         """The row of each block, -1 where it is not there."""
         return np.fromiter((self._row_of.get(name, -1) for name in names), np.intp, len(names))
 
-    def _orders_of(self, names: list[bytes]) -> NDArray[np.int64]:
-        """The highest order that was told of each block; 0 where there was none."""
-        rows = self.row_of_each(names)
-        orders = np.zeros(len(names), np.int64)
-        orders[rows >= 0] = self.orders[rows[rows >= 0]]
-        if self.gone:
-            for at in np.nonzero(rows < 0)[0]:
-                orders[at] = self.gone.get(names[at], 0)
-        return orders
-
     def _taken(self, name: bytes) -> int:
         row = self._row_of.get(name)
         if row is None:
             if not self._unused:
                 self._grow()
             row = self._row_of[name] = self._unused.pop()
-            self.gone.pop(name, None)
         return row
 
     def _drop(self, name: bytes) -> None:
@@ -120,7 +85,6 @@ class BlockTable:
         self.cells = _longer(self.cells, rows)
         self.counts = _longer(self.counts, rows)
         self.changed_ns = _longer(self.changed_ns, rows)
-        self.orders = _longer(self.orders, rows)
         self._unused = list(range(rows - 1, held - 1, -1))
 
 

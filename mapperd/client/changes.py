@@ -35,9 +35,8 @@ class LinkStatus:
         reason: of the state, for a person.
         since_s: monotonic, when it became so.
         connects: how often it was connected.
-        bytes: received since the first connection, on all lines.
+        bytes: received since the first connection.
         faults: connections that ended because the daemon said what it may not.
-        lines: connections in use: 2 with a second line, 0 where it is not connected.
     """
 
     state: LinkState
@@ -47,7 +46,6 @@ class LinkStatus:
     connects: int = 0
     bytes: int = 0
     faults: int = 0
-    lines: int = 0
 
 
 @dataclass(frozen=True, slots=True)

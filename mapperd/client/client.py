@@ -14,7 +14,6 @@ from mapperd.client.changes import ClientChange, LinkChanged, LinkState, LinkSta
 from mapperd.client.connect import Attempts, opened, place_of, read, reason_of, send, with_hint
 from mapperd.client.errors import AskError, EndedError
 from mapperd.client.protocol import Dialogue, Wishes
-from mapperd.client.second_line import SecondDialogue, SecondLine
 from mapperd.client.state import MAX_BLOCKS, Knowledge, Known
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import Answer, Interest, Want
@@ -121,19 +120,11 @@ class MapClient(Known):
         self._bytes = self._connects = self._faults = 0
         self._link = LinkStatus("connecting", str(self._place), "", time.monotonic())
         self._attempts = Attempts()
-        self._second = SecondLine(
-            self._place,
-            tls,
-            lambda: SecondDialogue(name, self._knowledge, token),
-            self._count,
-            self._distrust,
-        )
 
     @property
     def link(self) -> LinkStatus:
         """How the connection is."""
-        lines = 1 + self._second.is_welcome if self._link.state == "connected" else 0
-        return dataclasses.replace(self._link, bytes=self._bytes, faults=self._faults, lines=lines)
+        return dataclasses.replace(self._link, bytes=self._bytes, faults=self._faults)
 
     async def __aenter__(self) -> Self:
         self._running = asyncio.create_task(self._run())
@@ -300,12 +291,11 @@ class MapClient(Known):
             self._dialogue.end()
             self._asking.lose_all()
             writer.transport.abort()
-            await self._second.close()
         return with_hint(reason, self._place, self._tls, is_greeted=self._dialogue.is_greeted)
 
     async def _converse(self, reader: asyncio.StreamReader) -> None:
         while data := await read(reader):
-            self._count(len(data))
+            self._bytes += len(data)
             try:
                 self._dialogue.receive(data)
             finally:
@@ -313,17 +303,12 @@ class MapClient(Known):
                     self._connects += 1
                     self._be("connected", "")
             self._send()
-            if self._dialogue.wants_second:
-                self._second.open()
             # A read of bytes that are there already does not let others have their turn.
             await asyncio.sleep(0)
 
     def _send(self) -> None:
         if self._writer is not None:
             send(self._writer, self._dialogue)
-
-    def _count(self, received: int) -> None:
-        self._bytes += received
 
     def _distrust(self) -> None:
         """The daemon said what it may not."""

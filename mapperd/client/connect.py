@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mapperd.client.errors import EndedError
-from mapperd.client.protocol import Line
+from mapperd.client.protocol import Dialogue
 
 __all__ = ["Attempts", "Place", "opened", "place_of", "read", "reason_of", "send", "with_hint"]
 
@@ -116,12 +116,12 @@ async def read(reader: asyncio.StreamReader) -> bytes:
         raise ConnectionError(f"nothing was heard for {SILENCE_S:g} s") from error
 
 
-def send(writer: asyncio.StreamWriter, line: Line) -> None:
+def send(writer: asyncio.StreamWriter, dialogue: Dialogue) -> None:
     """Send what is to be said."""
     if writer.is_closing():
         return
     is_read = writer.transport.get_write_buffer_size() < UNSENT_BYTES
-    if said := line.outgoing(acknowledge=is_read):
+    if said := dialogue.outgoing(acknowledge=is_read):
         writer.write(said)
 
 

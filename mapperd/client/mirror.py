@@ -69,32 +69,10 @@ class MapMirror:
         """Edge of a cell."""
         return float(self.facts.resolution_m * 2**self.interest.level)
 
-    @property
-    def forgotten(self) -> int:
-        """Blocks that are not here any more, and whose orders are remembered."""
-        return len(self._table.gone)
-
-    def put(self, blocks: BlockSet, stamp_ns: int, order: int = 0) -> NDArray[np.int32]:
-        """Take blocks as they were at a moment, each key once.
-
-        Those without a known cell are forgotten. Of what is told about a block in messages that
-        overtook each other, that of the highest order holds.
-
-        Returns:
-            (N, 3), keys of those that were taken.
-        """
+    def put(self, blocks: BlockSet, stamp_ns: int) -> None:
+        """Take blocks as they were at a moment, each key once; drop those without a known cell."""
         with self.lock:
-            return self._table.put(blocks, stamp_ns, order)
-
-    def begin_orders(self) -> None:
-        """Whatever comes from now on is newer than what is here."""
-        with self.lock:
-            self._table.begin_orders()
-
-    def settle(self, order: int) -> None:
-        """Nothing below an order comes any more."""
-        with self.lock:
-            self._table.settle(order)
+            self._table.put(blocks, stamp_ns)
 
     def forget(self) -> None:
         """Nothing is known any more."""

@@ -1,7 +1,6 @@
-"""A client's side of the map stream: bytes in, bytes out; no sockets, no clocks."""
+"""A client's side of the protocol: bytes in, bytes out; no sockets, no clocks."""
 
 import dataclasses
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -26,107 +25,13 @@ from mapperd.wire.messages import (
     Hello,
     Interest,
     Resume,
-    Status,
     Want,
     Welcome,
 )
 
-__all__ = ["Dialogue", "Line", "Wishes"]
+__all__ = ["Dialogue", "Wishes"]
 
 STREAM = "map stream"
-
-
-class Line(ABC):
-    """Greeting and hello, welcome, acknowledgements and good-bye.
-
-    Args:
-        token: that the daemon may ask for.
-
-    Attributes:
-        is_greeted: the daemon has said something on this connection, or on the one that ended.
-        is_welcome: the connection has come about.
-    """
-
-    def __init__(self, token: bytes | None) -> None:
-        self._token = token
-        self._begin_line()
-
-    def _begin_line(self) -> None:
-        """A connection is there."""
-        self._inbox = client_inbox()
-        self._acknowledged = 0
-        self._outgoing = bytearray()
-        self.is_greeted = False
-        self.is_welcome = False
-
-    def receive(self, data: bytes) -> None:
-        """Take what came in; what it changes is told on the way.
-
-        Raises:
-            StreamError: it is nothing that a daemon may say; an `EndedError` if it says good-bye.
-        """
-        for message in self._inbox.feed(data):
-            self._take(message)
-
-    def outgoing(self, *, acknowledge: bool = True) -> bytes:
-        """What is to be sent now, once."""
-        if acknowledge and self.is_welcome and self._inbox.received > self._acknowledged:
-            self._acknowledged = self._inbox.received
-            self._say(Ack(bytes=self._acknowledged))
-        said = bytes(self._outgoing)
-        self._outgoing.clear()
-        return said
-
-    @abstractmethod
-    def _hello(self, proof: str) -> Hello:
-        """The first message of ours."""
-
-    @abstractmethod
-    def _begin(self, welcome: Welcome) -> None:
-        """The connection has come about."""
-
-    @abstractmethod
-    def _take_news(self, message: FromServer) -> None:
-        """Take what is told after the welcome."""
-
-    def _say(self, message: FromClient) -> None:
-        self._outgoing += framed(message)
-
-    def _take(self, message: FromServer) -> None:
-        if isinstance(message, Bye):
-            raise EndedError(message.message or message.reason, message.reason)
-        if isinstance(message, Greeting):
-            self._take_greeting(message)
-        elif isinstance(message, Welcome):
-            self._take_welcome(message)
-        elif not self.is_welcome:
-            raise StreamError("news before a welcome", "bad_order")
-        else:
-            self._take_news(message)
-
-    def _take_greeting(self, greeting: Greeting) -> None:
-        if self.is_greeted:
-            raise StreamError("a second greeting", "bad_order")
-        self.is_greeted = True
-        if greeting.mapperd != STREAM:
-            raise EndedError(f"this is no {STREAM} but a {greeting.mapperd!r:.50}", "bad_version")
-        if VERSION not in greeting.versions:
-            spoken = ", ".join(map(str, greeting.versions[:10]))
-            raise EndedError(f"the daemon speaks versions {spoken}, not {VERSION}", "bad_version")
-        proof = ""
-        if greeting.challenge:
-            if self._token is None:
-                raise EndedError("the daemon wants a token", "needs_token")
-            proof = proof_of(self._token, greeting.challenge)
-        self._say(self._hello(proof))
-
-    def _take_welcome(self, welcome: Welcome) -> None:
-        if not self.is_greeted or self.is_welcome:
-            raise StreamError("a welcome out of turn", "bad_order")
-        if welcome.version != VERSION:
-            raise StreamError(f"a welcome to version {welcome.version}", "bad_version")
-        self._begin(welcome)
-        self.is_welcome = True
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -170,17 +75,19 @@ class Wishes:
         )
 
 
-class Dialogue(Line):
+class Dialogue:
     """One client, through all its connections.
 
     Args:
         wishes: of the first connection.
-        knowledge: takes what is told.
+        knowledge: takes what the daemon sends.
         token: that the daemon may ask for.
-        answered: is called with each answer.
+        answered: called with each answer.
 
     Attributes:
         wishes: of now.
+        is_greeted: the daemon has sent something on this connection, or on the one that ended.
+        is_welcome: the connection is established.
     """
 
     def __init__(
@@ -190,58 +97,64 @@ class Dialogue(Line):
         token: bytes | None,
         answered: Callable[[Answer], None],
     ) -> None:
-        super().__init__(token)
         self.wishes = wishes
         self._knowledge = knowledge
+        self._token = token
         self._answered = answered
         self.begin()
 
     def begin(self) -> None:
-        """A connection is there; what is known stays until the daemon says otherwise."""
-        self._begin_line()
-        self._is_second_advised = False
+        """Begin a connection; the knowledge stays until the daemon changes it."""
+        self._inbox = client_inbox()
+        self._acknowledged = 0
+        self._outgoing = bytearray()
+        self.is_greeted = False
         self._resume: Resume | None = None
         self._knowledge.wants_map = "map" in self.wishes.wants
         self.end()
 
     def end(self) -> None:
-        """The connection is gone; what is known stays."""
+        """End the connection; the knowledge stays."""
         self.is_welcome = False
         self._knowledge.is_complete = False
 
-    @property
-    def wants_second(self) -> bool:
-        """A second line would bring the map sooner."""
-        wants_map = self.is_welcome and "map" in self.wishes.wants
-        return wants_map and self._is_second_advised and self._knowledge.ticket != ""
-
     def receive(self, data: bytes) -> None:
-        """Take what came in; changes and answers are told on the way.
+        """Take received bytes; changes and answers are reported on the way.
 
         Raises:
-            StreamError: it is nothing that a daemon may say; an `EndedError` if it says good-bye.
+            StreamError: the daemon may not send that; an `EndedError` if it ends the connection.
         """
-        super().receive(data)
+        for message in self._inbox.feed(data):
+            self._take(message)
         if self.is_welcome:
             self._knowledge.used = self._inbox.received
 
+    def outgoing(self, *, acknowledge: bool = True) -> bytes:
+        """Return what is to be sent now, once."""
+        if acknowledge and self.is_welcome and self._inbox.received > self._acknowledged:
+            self._acknowledged = self._inbox.received
+            self._send(Ack(bytes=self._acknowledged))
+        data = bytes(self._outgoing)
+        self._outgoing.clear()
+        return data
+
     def ask(self, number: int, do: str, fields: Mapping[str, Any]) -> None:
-        """Have something asked by the next `outgoing`.
+        """Add a request to the next `outgoing`.
 
         Raises:
-            AskError: `too_long`, or `bad_request`: that cannot be said.
+            AskError: `too_long`, or `bad_request`: it cannot be encoded.
         """
         try:
             request = msgspec.msgpack.encode({**fields, "do": do, "id": number})
         except (TypeError, OverflowError, RecursionError) as error:
-            raise AskError("bad_request", f"that cannot be asked: {error}") from error
-        said = framed(Ask(ask=msgspec.Raw(request)))
-        if len(said) > MAX_FROM_CLIENT:
-            raise AskError("too_long", f"a request of {len(said)} bytes")
-        self._outgoing += said
+            raise AskError("bad_request", f"the request cannot be encoded: {error}") from error
+        frame = framed(Ask(ask=msgspec.Raw(request)))
+        if len(frame) > MAX_FROM_CLIENT:
+            raise AskError("too_long", f"a request of {len(frame)} bytes")
+        self._outgoing += frame
 
     def change(self, wishes: Wishes) -> None:
-        """Wish for something else."""
+        """Change the wishes."""
         before, self.wishes = self.wishes, wishes
         is_other = wishes.interest != before.interest
         self._knowledge.interest = wishes.interest
@@ -249,7 +162,7 @@ class Dialogue(Line):
             return
         self._knowledge.wants_map |= "map" in wishes.wants
         self._knowledge.is_complete &= not is_other
-        self._say(
+        self._send(
             Change(
                 wants=list(wishes.wants) if wishes.wants != before.wants else None,
                 interest=wishes.interest if is_other else None,
@@ -259,23 +172,47 @@ class Dialogue(Line):
             )
         )
 
-    def _take(self, message: FromServer) -> None:
-        if isinstance(message, Bye) and message.reason == "bad_message":
-            self._knowledge.forget_ticket()  # a daemon of before knows none
-        super()._take(message)
+    def _send(self, message: FromClient) -> None:
+        self._outgoing += framed(message)
 
-    def _hello(self, proof: str) -> Hello:
+    def _take(self, message: FromServer) -> None:
+        if isinstance(message, Bye):
+            if message.reason == "bad_message":
+                self._knowledge.forget_ticket()  # an earlier daemon knows no tickets
+            raise EndedError(message.message or message.reason, message.reason)
+        if isinstance(message, Greeting):
+            self._take_greeting(message)
+        elif isinstance(message, Welcome):
+            self._take_welcome(message)
+        elif not self.is_welcome:
+            raise StreamError("news before a welcome", "bad_order")
+        elif isinstance(message, Answer):
+            self._answered(message)
+        else:
+            self._knowledge.take(message)
+
+    def _take_greeting(self, greeting: Greeting) -> None:
+        if self.is_greeted:
+            raise StreamError("a second greeting", "bad_order")
+        self.is_greeted = True
+        if greeting.mapperd != STREAM:
+            raise EndedError(f"this is no {STREAM} but a {greeting.mapperd!r:.50}", "bad_version")
+        if VERSION not in greeting.versions:
+            spoken = ", ".join(map(str, greeting.versions[:10]))
+            raise EndedError(f"the daemon speaks versions {spoken}, not {VERSION}", "bad_version")
+        proof = ""
+        if greeting.challenge:
+            if self._token is None:
+                raise EndedError("the daemon wants a token", "needs_token")
+            proof = proof_of(self._token, greeting.challenge)
         if "map" in self.wishes.wants:
             self._resume = self._knowledge.resume()
-        return self.wishes.hello(proof, self._resume, self._knowledge.last_event)
+        self._send(self.wishes.hello(proof, self._resume, self._knowledge.last_event))
 
-    def _begin(self, welcome: Welcome) -> None:
+    def _take_welcome(self, welcome: Welcome) -> None:
+        if not self.is_greeted or self.is_welcome:
+            raise StreamError("a welcome out of turn", "bad_order")
+        if welcome.version != VERSION:
+            raise StreamError(f"a welcome to version {welcome.version}", "bad_version")
         self._knowledge.begin(welcome, self._resume)
-
-    def _take_news(self, message: FromServer) -> None:
-        if isinstance(message, Answer):
-            self._answered(message)
-            return
-        self._knowledge.take(message)
-        if isinstance(message, Status):
-            self._is_second_advised = message.link.get("second_line") is True
+        self.is_welcome = True

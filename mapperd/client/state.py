@@ -1,7 +1,6 @@
 """The state that a client holds: the newest of everything."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -35,43 +34,7 @@ from mapperd.wire.messages import (
     Welcome,
 )
 
-__all__ = ["MAX_BLOCKS", "MAX_FORGOTTEN", "Knowledge", "Known", "Orders"]
-
-MAX_FORGOTTEN = 1 << 16
-"""Blocks that are not there any more, and whose orders are remembered."""
-
-
-@dataclass(slots=True)
-class Orders:
-    """How far the lines of one connection have come.
-
-    Attributes:
-        first: the highest order on the first line, on which none goes down.
-        second: the highest order on all its second lines.
-        floor: what a second line brings of this or a lower order is of before the last reset.
-        is_beside: there is a second line, which may bring something older than what is here.
-    """
-
-    first: int = 0
-    second: int = 0
-    floor: int = -1
-    is_beside: bool = False
-
-    @property
-    def newest(self) -> int:
-        """The highest order of any message."""
-        return max(self.first, self.second)
-
-    def reset(self, order: int) -> None:
-        """The first line says that all blocks up to an order are forgotten.
-
-        Raises:
-            StreamError: of what comes after it something was told before it, and would be lost.
-        """
-        if order < self.second:
-            raise StreamError("a reset that its own blocks overtook", "bad_order")
-        self.floor = order
-
+__all__ = ["MAX_BLOCKS", "Knowledge", "Known"]
 
 MAX_BLOCKS = 1 << 20
 """That a mirror holds: half a GiB, with counts a whole one."""
@@ -125,7 +88,6 @@ class Knowledge:
         self.used = 0
         self._ticket = ""
         self._is_doubted = False
-        self._orders = Orders()
         self._path_version = 0
         self._newest = 0
         self._tell = tell
@@ -192,8 +154,6 @@ class Knowledge:
             raise StreamError("a map that was not held is gone on with", "bad_resume")
         else:
             mirror.facts = welcome.map
-            mirror.begin_orders()
-        self._orders = Orders()
         is_other = self.welcome is None or self.welcome.session != welcome.session
         self.welcome = welcome
         self._ticket, self.used = welcome.ticket, 0
@@ -208,11 +168,9 @@ class Knowledge:
         """
         check_message(news)
         if isinstance(news, Blocks):
-            self._orders.first = max(self._orders.first, news.order)
             self._take_blocks(news)
         elif isinstance(news, Reset):
             check_facts(news.map)
-            self._orders.reset(news.order)
             self.is_complete = False
             self._begin_map(news.map, news.interest or self.interest)
         elif isinstance(news, Path):
@@ -228,60 +186,6 @@ class Knowledge:
             self._tell(news)
         else:
             raise StreamError(f"a {type(news).__name__.lower()} out of turn", "bad_order")
-
-    def is_of_this(self, welcome: Welcome) -> bool:
-        """A welcome to a second line is of the daemon of the first.
-
-        It may be of another map: the reset that says so on the first may be stuck.
-        """
-        first = self.welcome
-        return first is not None and welcome.session == first.session
-
-    def begin_beside(self) -> None:
-        """From now on a second line may bring blocks that are older than what is here.
-
-        Raises:
-            EndedError: too much is remembered of one before.
-        """
-        self._orders.is_beside = True
-        self._settle()
-        self._check_beside()
-
-    def take_beside(self, news: Blocks) -> None:
-        """Take blocks of the second line.
-
-        Raises:
-            StreamError: they cannot be; an `EndedError` where this line is of no more use.
-        """
-        self._check_beside()
-        if news.order <= self._orders.floor:
-            return
-        self._orders.second = max(self._orders.second, news.order)
-        self._take_blocks(news)
-
-    def end_beside(self) -> None:
-        """Nothing comes from the second line any more.
-
-        What it told stays newer than what is still to come on the first.
-        """
-        self._orders.is_beside = False
-        self._settle()
-
-    def _check_beside(self) -> None:
-        if not self._orders.is_beside:
-            what = f"more than {MAX_FORGOTTEN} blocks were forgotten beside a second line"
-            raise EndedError(what, "too_many_forgotten")
-
-    def _settle(self) -> None:
-        """Let go of the orders of blocks that nothing can bring back."""
-        mirror = self.mirror
-        if mirror is None or not mirror.forgotten:
-            return
-        if mirror.forgotten > MAX_FORGOTTEN:
-            # Nothing is taken from the second line any more, so that these do not add up.
-            self._orders.is_beside = False
-        if not self._orders.is_beside:
-            mirror.settle(self._orders.first)
 
     def _begin_map(self, facts: MapFacts, interest: Interest) -> None:
         self._newest = 0
@@ -306,20 +210,18 @@ class Knowledge:
             self._newest = max(self._newest, news.revision)
             if news.complete is not None:
                 mirror.complete = max(mirror.complete or 0, news.complete)
-        if news.order >= self._orders.newest:
-            self.is_complete = news.complete is not None and mirror.interest == self.interest
-        self._settle()
+        self.is_complete = news.complete is not None and mirror.interest == self.interest
         # Without the mirror's lock: readers may hold it and wait for what is told.
         self._tell(MapChanged(keys, news.stamp_ns, news.left))
 
     def _put(self, mirror: MapMirror, news: Blocks) -> NDArray[np.int32]:
         blocks = decode_blocks(news.body, counts=mirror.interest.detail == "counts")
         check_blocks(blocks, mirror.interest, mirror.cell_m)
-        taken = mirror.put(blocks, news.stamp_ns, news.order)
+        mirror.put(blocks, news.stamp_ns)
         if len(mirror) > self._most_blocks:
             what = f"more than {self._most_blocks} blocks; ask for less of it, or more coarsely"
             raise EndedError(what, "too_many_blocks")
-        return taken
+        return blocks.keys
 
     def _take_path(self, news: Path) -> None:
         points = places_of(news)

@@ -12,7 +12,7 @@ from mapperd.events import Severity
 from mapperd.server.dispatch import EventFeed, operate
 from mapperd.server.resume import Parting
 from mapperd.server.session import Session
-from mapperd.server.tcp import fills_buffers, tcp_state
+from mapperd.server.tcp import tcp_state
 from mapperd.wire.auth import Limits, TokenBucket
 from mapperd.wire.control_messages import (
     Ask,
@@ -127,8 +127,6 @@ class Connection(asyncio.BufferedProtocol):
 
     Attributes:
         session, origin: as given.
-        first: the connection whose second line this is; None is a client by itself.
-        second: the client's second line; None without one.
         is_over: nothing is said any more.
         is_for_good: and that is no fault of the link.
     """
@@ -136,12 +134,9 @@ class Connection(asyncio.BufferedProtocol):
     def __init__(self, session: Session, origin: str, around: Around) -> None:
         self.session = session
         self.origin = origin
-        self.first: Connection | None = None
-        self.second: Connection | None = None
         self.is_over = self.is_for_good = False
         self._around = around
         self._transport: asyncio.Transport | None = None
-        self._fills = False
         self._timer: asyncio.TimerHandle | None = None
         self._answering: asyncio.Task[None] | None = None
         limits = around.limits
@@ -152,7 +147,6 @@ class Connection(asyncio.BufferedProtocol):
         """Greet it."""
         assert isinstance(transport, asyncio.Transport)  # noqa: S101 of a stream
         self._transport = transport
-        self._fills = fills_buffers(transport.get_extra_info("socket"))
         transport.write(self.session.greeting(self._around.clock()))
         loop = asyncio.get_running_loop()
         self._timer = loop.call_later(self._around.limits.hello_s, self._look_for_hello)
@@ -202,31 +196,6 @@ class Connection(asyncio.BufferedProtocol):
             return
         self.write(self.session.next(now_s, self._around.now_ns()))
 
-    def join(self, second: "Connection") -> None:
-        """This is the client's second line now."""
-        self.part()
-        self.second, second.first = second, self
-        self.session.join(second.session)
-
-    def part(self) -> None:
-        """There is no second line any more; if there was one it is dropped."""
-        if self.second is not None:
-            second = self.second
-            second.leave_first()
-            second.drop()
-
-    def leave_first(self) -> None:
-        """Nothing of the map is told on it any more, if it was a second line."""
-        if self.first is not None:
-            first, self.first = self.first, None
-            first.second = None
-            first.session.part()
-
-    def line(self, now_s: float) -> "Connection":
-        """The client's connection on which it is told of the map now."""
-        line = self.session.line(now_s)
-        return self if self.second is None or line is self.session else self.second
-
     def measure(self) -> None:
         """Have the pacer know how the connection stands."""
         if self.is_over or self._transport is None:
@@ -238,10 +207,9 @@ class Connection(asyncio.BufferedProtocol):
         self.session.pacer.note_link(
             self._transport.get_write_buffer_size() + state.unsent,
             state.round_trip_s,
-            self._around.clock(),
-            fills=self._fills,
-            in_network=state.in_network,
-            link_rate=state.rate,
+            state.trip_s,
+            state.in_network,
+            state.rate,
         )
 
     def write(self, data: bytes) -> None:
@@ -263,7 +231,6 @@ class Connection(asyncio.BufferedProtocol):
         if self.is_over or self._transport is None:
             self.abort()
             return
-        self.leave_first()
         self.write(self.session.bye(reason, message))
         self.is_over = True
         self._transport.close()

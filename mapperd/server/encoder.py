@@ -36,12 +36,12 @@ class Body:
 
     Attributes:
         revision: of the map then.
-        order: higher than that of all that was read before.
+        number: counts the bodies.
         data: as `Blocks` has it.
     """
 
     revision: int
-    order: int
+    number: int
     data: bytes
 
 
@@ -79,7 +79,7 @@ class BlockEncoder:
 
     def __init__(self, core: _core.VoxelMap, files: StoredBricks | None) -> None:
         self.times = Times()
-        self._order = 0
+        self._number = 0
         self._core = core
         self._files = files
         self._stamp_ns = 0
@@ -89,16 +89,11 @@ class BlockEncoder:
         self._framed: dict[int, tuple[Blocks, bytes]] = {}
 
     def begin(self, now_ns: int) -> None:
-        """The map was looked at: what was made before is not to be told any more."""
+        """Discard what was encoded before: the map was looked at again."""
         self._stamp_ns = now_ns
-        self.fence()
-
-    def fence(self) -> int:
-        """An order that all exceed that are told from now on, and nothing that was told before."""
         self._bodies.clear()
         self._messages.clear()
         self._framed.clear()
-        return self._order
 
     def blocks_in(self, most_bytes: int, level: int, detail: str) -> int:
         """How many blocks about fill so many bytes: few numbers, so that clients agree on them."""
@@ -112,7 +107,7 @@ class BlockEncoder:
         detail: str,
         numbers: Numbers,
         wanted: NDArray[np.bool_],
-        least_order: int = 0,
+        least_number: int = 0,
     ) -> Body:
         """Blocks as they are now, those that are not wanted as empty ones.
 
@@ -121,21 +116,21 @@ class BlockEncoder:
             detail: of the interest.
             numbers: of the blocks.
             wanted: which of them are told with what they hold.
-            least_order: what was read before is not told, though it was in the same look.
+            least_number: bodies of a lower number are not used: the client has newer blocks.
 
         Raises:
             StoreError: the file cannot be read.
         """
         key = (id(view), detail, numbers.tobytes(), wanted.tobytes())
         known = self._bodies.get(key)
-        if known is None or known.order < least_order:
+        if known is None or known.number < least_number:
             known = self._made(view, detail, numbers, wanted)
             _keep(self._bodies, key, known)
         return known
 
     def message(self, body: Body, left: int, complete: int | None) -> Blocks:
         """The same object for all who are told the same."""
-        key = (body.order, left, complete)
+        key = (body.number, left, complete)
         known = self._messages.get(key)
         if known is None:
             known = Blocks(
@@ -144,7 +139,6 @@ class BlockEncoder:
                 left=left,
                 complete=complete,
                 body=body.data,
-                order=body.order,
             )
             _keep(self._messages, key, known)
         return known
@@ -158,7 +152,7 @@ class BlockEncoder:
         return known[1]
 
     def _made(self, view: View, detail: str, numbers: Numbers, wanted: NDArray[np.bool_]) -> Body:
-        self._order += 1
+        self._number += 1
         keys = view.keys(numbers)
         cells = np.full((len(numbers), CELLS), UNKNOWN, np.int8)
         bits = np.zeros((len(numbers), CELLS), np.uint8)
@@ -173,7 +167,7 @@ class BlockEncoder:
             before = self._guess.get((view.level, detail), FIRST_GUESS)
             share = min(len(numbers) / 256, 1.0) / 2
             self._guess[view.level, detail] = before + (len(body) / len(numbers) - before) * share
-        return Body(revision, self._order, body)
+        return Body(revision, self._number, body)
 
     def _content(
         self, view: View, keys: NDArray[np.int32]

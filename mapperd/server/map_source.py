@@ -170,10 +170,6 @@ class MapSource:
         """About the map."""
         return self._facts
 
-    def fence(self) -> int:
-        """An order that all blocks exceed that are told from now on, and none told before."""
-        return self.teller.fence()
-
     def subscribe(self, interest: Interest, resume: Resume | None = None) -> Subscription:
         """A client comes.
 

@@ -13,7 +13,7 @@ from mapperd.server.priority_queue import Part
 from mapperd.server.resume import Parting, ResumeCache
 from mapperd.server.schedule import Rooms
 from mapperd.server.session import Beginning, Wish
-from mapperd.server.source_protocol import FIRST, SECOND, Line, MapView, Source
+from mapperd.server.source_protocol import MapView, Source
 from mapperd.server.state_feed import Feed
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import Interest, Reset, Resume, Vector
@@ -59,13 +59,7 @@ class _Order:
     view: MapView | None
     wish: Wish | None
     rooms: Rooms
-    first_rooms: Rooms = field(default_factory=Rooms)
-    second: Connection | None = None
-    has_lost_second: bool = False
-    stuck: Line | None = None
-    line: Line = FIRST
-    settled: tuple[int, int] = (0, 0)
-    fence: int = 0
+    settled: int = 0
     is_new: bool = False
     went_on: bool = False
     frames: list[Frame] = field(default_factory=list)
@@ -231,30 +225,13 @@ class MapRounds:
         return True
 
     def _order(self, client: Connection, now_s: float, *, look: bool) -> _Order | None:
-        session, second = client.session, client.second
+        session = client.session
         if session.wish is not None:
             return _Order(client, session.view, session.wish, Rooms())
-        line = FIRST if client.line(now_s) is client else SECOND
-        is_left = look or session.left or session.stuck is not None
-        rooms = session.map_rooms(now_s) if is_left else Rooms()
-        first_rooms = session.first_rooms(now_s) if is_left and line == SECOND else rooms
-        if session.view is None or not (rooms or first_rooms or session.has_lost_second):
+        rooms = session.map_rooms(now_s) if look or session.left else Rooms()
+        if session.view is None or not rooms:
             return None
-        has_lost, session.has_lost_second = session.has_lost_second, False
-        stuck, session.stuck = session.stuck, None
-        settled = session.settled, 0 if second is None else second.session.settled
-        return _Order(
-            client,
-            session.view,
-            None,
-            rooms,
-            first_rooms,
-            second,
-            has_lost_second=has_lost,
-            stuck=stuck,
-            line=line,
-            settled=settled,
-        )
+        return _Order(client, session.view, None, rooms, session.settled)
 
     def _fill(self, order: _Order) -> None:
         """In the worker."""
@@ -263,15 +240,7 @@ class MapRounds:
             return
         view, position_m = order.view, self._feed.position_m
         if view is not None:
-            view.settle(order.settled[FIRST], FIRST)
-            if order.has_lost_second:
-                view.lose_second()
-            view.settle(order.settled[SECOND], SECOND)
-            if order.stuck is not None:
-                view.tell_again(order.stuck, position_m)
-            line = view.tell_on(order.line)
-            if line != order.line:
-                order.line, order.rooms = line, order.first_rooms
+            view.settle(order.settled)
             order.frames = next_frames(view, order.rooms, position_m)
 
     def _meet(self, order: _Order, wish: Wish) -> None:
@@ -286,7 +255,7 @@ class MapRounds:
             order.went_on = order.view is not None
             if order.view is None:
                 order.view = self._source.subscribe(wish.interest, wish.resume)
-            order.is_new, order.fence = True, self._source.fence()
+            order.is_new = True
         else:
             view.change(wish.interest)
 
@@ -300,15 +269,10 @@ class MapRounds:
         session = client.session
         if view is None or session.view is not view:
             return  # it wanted something else meanwhile
-        line = client if order.line == FIRST else order.second
-        if line is not client and line is not client.second:
-            line = None  # it is gone, and all that was to be told there is told again
         if order.rooms.near and all(near_left is None for _, _, near_left in order.frames):
             session.nothing_near()
         for frame, number, near_left in order.frames:
-            session.mapped(frame, view.left, now_s, near_left)
-            if line is not None:
-                line.write(line.session.sent_of_map(frame, number, now_s))
+            client.write(session.mapped(frame, number, view.left, now_s, near_left))
         session.left = view.left
         if session.left and order.frames and session.map_rooms(now_s):
             self.wake()
@@ -324,8 +288,7 @@ class MapRounds:
         if wish is not None and wish.interest is not None and view is not None:
             # What it held when it wanted the map before may be wrong by now.
             facts, revision = beginning.facts, beginning.revision
-            interest, fence = wish.interest, order.fence
-            anew = Reset(map=facts, revision=revision, interest=interest, order=fence)
+            anew = Reset(map=facts, revision=revision, interest=wish.interest)
             client.write(session.mapped_anew(framed(anew), view, now_s))
         client.turn()
         self.wake()

@@ -17,9 +17,6 @@ from mapperd.wire.messages import WANTS, Resume, Settings
 __all__ = ["ClientOutbox"]
 
 BEAT_S = 1.0
-FIRST_RATE = 64_000
-"""Bytes a second, until more is known."""
-
 SHARES = {
     "pose": 0.08,
     "fan": 0.05,
@@ -69,7 +66,6 @@ class ClientOutbox:
 
     Attributes:
         wants: kinds of messages.
-        second_line: the client is advised to have one.
         left: blocks of the map that the client still lacks.
         skipped: messages that were never told, by kind.
         waits: something is due and lacks room, which the map is not to take.
@@ -79,7 +75,7 @@ class ClientOutbox:
         self.wants: frozenset[str] = frozenset()
         self.left = 0
         self.skipped: Counter[str] = Counter()
-        self.waits = self.second_line = False
+        self.waits = False
         self._feed = feed
         self._events = events
         self._pacer = pacer
@@ -128,7 +124,6 @@ class ClientOutbox:
             "in_flight": pacer.in_flight,
             "left": self.left,
             "skipped": dict(self.skipped),
-            "second_line": self.second_line,
         }
 
     def pieces(self, now_s: float, now_ns: int) -> Iterator[bytes]:
@@ -229,9 +224,7 @@ class ClientOutbox:
         return self._owes_status and self._may("status", len(bytes(self._feed.status)), now_s)
 
     def _rate(self) -> float:
-        rate = max(self._pacer.rate or FIRST_RATE, 1.0)
-        limit = self._pacer.bytes_per_s
-        return min(rate, limit) if limit else rate
+        return max(self._pacer.allowed_rate, 1.0)
 
 
 WANTS_IN_ORDER = tuple(kind for kind in SHARES if kind != "status")

@@ -20,8 +20,8 @@ from mapperd.server.admission import Newcomer, doubt
 from mapperd.server.outbox import ClientOutbox
 from mapperd.server.pacer import Pacer
 from mapperd.server.resume import Ends, Parting, is_ticket
-from mapperd.server.schedule import Lines, Rooms, Turns
-from mapperd.server.source_protocol import FIRST, Line, MapView
+from mapperd.server.schedule import Rooms, Turns
+from mapperd.server.source_protocol import MapView
 from mapperd.server.state_feed import Feed
 from mapperd.wire.auth import FailureLimiter, TokenBucket
 from mapperd.wire.control_messages import plain
@@ -123,11 +123,7 @@ class Session:
         asks: requests that wait.
         pacer: of what is under way.
         portions: of what it is told.
-        ticket: with which the client goes on after a break.
-        beside: ticket of the connection whose second line this is; "" is a client by itself.
-        second: its second line; None without one.
-        has_lost_second: of its view that is to be told.
-        stuck: the line on which something is stuck, of which its view is to be told.
+        ticket: with which the client resumes after a break.
     """
 
     def __init__(self, common: Common, newcomer: Newcomer, *, may_change: bool) -> None:
@@ -137,11 +133,6 @@ class Session:
         self.view: MapView | None = None
         self.asks: deque[msgspec.Raw] = deque()
         self.pacer = Pacer(common.bytes_per_s)
-        self.beside = ""
-        self.second: Session | None = None
-        self.has_lost_second = False
-        self.stuck: Line | None = None
-        self._lines = Lines(self.pacer)
         self._turns = Turns(self.pacer)
         self.portions = ClientOutbox(common.feed, common.events, self.pacer)
         self.may_change = may_change
@@ -201,32 +192,6 @@ class Session:
         if self.pacer.quiet_s(now_s) > QUIET_S:
             raise StreamError(f"nothing was acknowledged for {QUIET_S:g} s", "no_acks")
 
-    def join(self, second: "Session") -> None:
-        """This is its second line now."""
-        self.part()
-        self.second = second
-        self._lines.join(second.pacer)
-
-    def part(self) -> None:
-        """It has no second line any more; what was under way there is to be told again."""
-        self.has_lost_second |= self.second is not None
-        self.second = self.stuck = None
-        self._lines.part()
-
-    def line(self, now_s: float) -> "Session":
-        """Choose the one of its lines on which the map is told now."""
-        line, second = self, self.second
-        if second is not None and second.state == "served":
-            stuck = self._lines.choose(now_s, in_pass=self._turns.in_pass)
-            if stuck is not None:
-                self.stuck = stuck
-                self._turns.hurry()
-            line = self if self._lines.line == FIRST else second
-        other = second if line is self else self
-        self._turns.pacer = line.pacer
-        self._turns.beside = None if other is None else other.pacer
-        return line
-
     def viewed(self, view: MapView | None, beginning: Beginning) -> None:
         """Its wish for a view of the map has been met."""
         self.view = view
@@ -243,10 +208,6 @@ class Session:
         """With what it may come back."""
         before = self._resume if self._went_on else None
         return Parting(self.ticket, self.pacer.acked, self.pacer.sent, self._ends, before)
-
-    def is_of(self, ticket: str) -> bool:
-        """Whether a second line of this ticket may be its own."""
-        return not self.beside and is_ticket(ticket, self.ticket)
 
     def is_known_by(self, ticket: str) -> bool:
         """Whether whoever shows this ticket is the same client, which does not miss this one."""
@@ -275,62 +236,44 @@ class Session:
             return b""
         words, self._words = self._words, deque()  # who asks much is told less: see `asks`
         said = b"".join(self._sent(word, now_s) for word in words)
-        self.portions.second_line = self._lines.advised
         pieces = self.portions.pieces(now_s, now_ns)
         return said + b"".join(self._sent(piece, now_s) for piece in pieces)
 
     def map_rooms(self, now_s: float) -> Rooms:
-        """Bytes of the map that may be sent now, on the line that was chosen last."""
-        if self.state != "served" or self.view is None:
+        """Bytes of the map that may be sent now."""
+        if self.state != "served" or self.view is None or self.portions.waits:
             return Rooms()
-        if self.portions.waits and self._turns.pacer is self.pacer:
-            return Rooms()
-        return self._turns.rooms(now_s, self._lines.calm_room())
-
-    def first_rooms(self, now_s: float) -> Rooms:
-        """The same of this line, whichever was chosen: what begins a map is told on no other."""
-        turns = self._turns
-        chosen = turns.pacer, turns.beside
-        turns.pacer, turns.beside = self.pacer, self.second.pacer if self.second else None
-        rooms = self.map_rooms(now_s)
-        turns.pacer, turns.beside = chosen
-        return rooms
-
-    def begin_map(self) -> None:
-        """What this second line is told is of another view from here on."""
-        self._ends.begin(0, self.pacer.sent)
+        return self._turns.rooms(now_s)
 
     def nothing_near(self) -> None:
         """There was room for what is near, and nothing to tell."""
         self._turns.end_pass()
 
-    def mapped(self, frame: bytes, left: int, now_s: float, near_left: int | None = None) -> None:
-        """It is told of the map on one of its lines, which has `sent_of_map`.
+    def mapped(
+        self, frame: bytes, number: int, left: int, now_s: float, near_left: int | None = None
+    ) -> bytes:
+        """Note a message about the map, and return it as it is to be sent.
 
         Args:
-            frame: a message.
-            left: blocks.
+            frame: the message.
+            number: of the message.
+            left: blocks that are still to be sent.
             now_s: now.
-            near_left: of a pass over what is near, where the message is about such.
+            near_left: blocks that are left of a pass, if the message is about near blocks.
         """
         self.left = left
         if near_left is None:
-            self._turns.told_far()
+            self._turns.sent_far()
         else:
-            self._turns.told_near(len(frame), near_left, now_s)
-
-    def sent_of_map(self, frame: bytes, number: int, now_s: float) -> bytes:
-        """A message of the map and its number on this line, as it is to be sent."""
-        said = self._sent(frame, now_s)
+            self._turns.sent_near(len(frame), near_left, now_s)
+        sent = self._sent(frame, now_s)
         self._ends.note(number, self.pacer.sent)
-        return said
+        return sent
 
     def mapped_anew(self, frame: bytes, view: MapView, now_s: float) -> bytes:
         """A reset, as it is to be sent: a view is told from there on, and nothing before counts."""
         said = self._sent(frame, now_s)
         self._ends.begin(view.number, self.pacer.sent)
-        if self.second is not None:
-            self.second.begin_map()
         return said
 
     def _heard(self, message: FromClient, now_s: float) -> None:
@@ -339,8 +282,6 @@ class Session:
             return
         if self.state == "greeted":
             raise StreamError("the first message is hello", "no_hello")
-        if self.beside and not isinstance(message, Ack):
-            raise StreamError("a second line is only told of the map", "second_line")
         match message:
             case Ack(bytes=acked):
                 if not self.pacer.note_ack(acked, now_s):
@@ -362,11 +303,9 @@ class Session:
         fault = doubt(self._newcomer, hello.proof, self._common.failures, now_s)
         if fault is not None:
             raise StreamError(fault.message, fault.reason)
+        if hello.beside:
+            raise StreamError("a client has one connection", "no_such_connection")
         self.state, self.name = "admitted", hello.name
-        self.beside = hello.beside
-        if self.beside:
-            self.wish = Wish(None)
-            return
         self.portions.want(hello.wants)
         self._resume = hello.resume
         self._limit(hello.bytes_per_s)
@@ -377,7 +316,7 @@ class Session:
     def _welcome(self, beginning: Beginning) -> None:
         resume, view = self._resume, self.view
         same = resume is not None and resume.session == beginning.session
-        resumed = (same or bool(self.beside)) if view is None else view.resumed
+        resumed = same if view is None else view.resumed
         if resume is not None and resumed:
             self.portions.go_on(resume, same=same)
         welcome = Welcome(
@@ -390,7 +329,7 @@ class Session:
             resumed=resumed,
             reason="" if view is None else view.reason,
             may_change=self.may_change,
-            ticket="" if self.beside else self.ticket,
+            ticket=self.ticket,
         )
         self._words.appendleft(framed(welcome))
         self.state = "served"

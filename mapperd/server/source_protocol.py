@@ -1,16 +1,11 @@
 """The map as the server of the stream sees it; all of it is called in one worker thread."""
 
-from typing import Literal, Protocol
+from typing import Protocol
 
 from mapperd.server.priority_queue import Part
 from mapperd.wire.messages import Interest, MapFacts, Resume, Vector
 
-__all__ = ["FIRST", "SECOND", "Line", "MapView", "Source"]
-
-Line = Literal[0, 1]
-FIRST: Line = 0
-SECOND: Line = 1
-"""Connections of a client on which it is told of the map."""
+__all__ = ["MapView", "Source"]
 
 
 class MapView(Protocol):
@@ -24,7 +19,7 @@ class MapView(Protocol):
 
     @property
     def number(self) -> int:
-        """Of the last message, of those on the same line."""
+        """Number of the last message."""
 
     @property
     def left(self) -> int:
@@ -46,21 +41,8 @@ class MapView(Protocol):
     def change(self, interest: Interest) -> None:
         """Something else is of interest from now on."""
 
-    def settle(self, number: int, line: Line = FIRST) -> None:
-        """The client has used messages of a line up to this one."""
-
-    def tell_on(self, line: Line) -> Line:
-        """Tell the next messages on this line, if that may be.
-
-        Returns:
-            the line: the first one until the client is known to have begun with this map there.
-        """
-
-    def tell_again(self, line: Line, position_m: Vector | None) -> None:
-        """What is near the vehicle and under way on this line waits to be told once more."""
-
-    def lose_second(self) -> None:
-        """The client's second line is gone: what was under way there is told again."""
+    def settle(self, number: int) -> None:
+        """Note that the client has used the messages up to this one."""
 
     def go_on(self, interest: Interest, number: int) -> bool:
         """The client is back, and has messages up to this one; later ones are told again.
@@ -86,9 +68,6 @@ class Source(Protocol):
 
     def facts(self) -> MapFacts:
         """What is the same for all of it."""
-
-    def fence(self) -> int:
-        """An order that all blocks exceed that are told from now on, and none told before."""
 
     def look(self, now_ns: int, position_m: Vector | None = None) -> None:
         """Find what changed since the last look, nearest to the vehicle first."""

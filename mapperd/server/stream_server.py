@@ -117,7 +117,7 @@ class StreamServer:
 
     def status(self) -> dict[str, Any]:
         """Who is connected and what happened, in plain values; from any thread."""
-        clients = [one for one in [*self._clients] if not one.session.beside]
+        clients = [*self._clients]
         return {
             "listening": [door.name for door in self._doors],
             "clients": len(clients),
@@ -211,30 +211,15 @@ class StreamServer:
         self._counters[what] += 1
 
     def _admit(self, client: Connection) -> None:
-        if client.session.beside:
-            self._admit_second(client)
-            return
         wish = client.session.wish
         if wish is not None and wish.resume is not None:
             self._take_over(wish.resume.ticket, client)
-        clients = sum(not one.session.beside for one in self._clients)
+        clients = len(self._clients)
         if clients >= self._limits.clients:
             said = f"{clients} clients are connected; allowed: that many"
             raise StreamError(said, "too_many_clients")
         self._drop_newcomer(client)
         self._clients[client] = None
-
-    def _admit_second(self, second: Connection) -> None:
-        """A second line counts as nobody; another one takes its place."""
-        ticket = second.session.beside
-        found = [one for one in self._clients if one.session.is_of(ticket) and not one.is_over]
-        if not found:
-            said = "no connection has that ticket"
-            raise StreamError(said, "no_such_connection")
-        found[0].join(second)
-        self._drop_newcomer(second)
-        self._clients[second] = None
-        self._counters["second_lines"] += 1
 
     def _take_over(self, ticket: str, newcomer: Connection) -> None:
         """Who comes back may know of the break before we do."""
@@ -244,8 +229,8 @@ class StreamServer:
                 client.drop()
 
     def _heard(self, client: Connection) -> None:
-        session = (client.first or client).session
-        if client.session.wish is not None or session.left:
+        session = client.session
+        if session.wish is not None or session.left:
             self._rounds.wake()
 
     def _refused(self, client: Connection, reason: str) -> None:
@@ -256,9 +241,6 @@ class StreamServer:
     def _gone(self, client: Connection) -> None:
         self._clients.pop(client, None)
         self._drop_newcomer(client)
-        client.part()
-        if client.first is not None:
-            client.first.part()
         view, client.session.view = client.session.view, None
         if view is not None:
             self._rounds.leave(view, client.parting())

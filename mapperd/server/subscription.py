@@ -8,30 +8,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapperd.errors import StoreError
 from mapperd.server.encoder import BlockEncoder, Body
-from mapperd.server.map_index import View, distances_m, vector_of, within
-from mapperd.server.priority_queue import NEAR_M, NearestFirst, Part
-from mapperd.server.source_protocol import FIRST, SECOND, Line
+from mapperd.server.map_index import View, vector_of, within
+from mapperd.server.priority_queue import NearestFirst, Part
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import MAX_BLOCKS, Blocks, Interest, MapFacts, Reset, Vector
 
 __all__ = ["InFlight", "Source", "Subscription"]
 
 MOST_BLOCKS, MAX_MESSAGES = 1 << 17, 4096
-"""Half a MiB of a line; whoever has more on its way when its link breaks begins anew."""
+"""Half a MiB a client; one with more in flight when its link breaks begins again."""
 
 Numbers = NDArray[np.int64]
 
 
 class InFlight:
-    """Of one line of a client: its messages about the map, numbered from 1 on.
+    """One client's messages about the map that are in flight, numbered from 1 on.
 
     Attributes:
         number: of the last message.
-        settled: of the last one that was used, as far as is known.
     """
 
     def __init__(self) -> None:
-        self.number = self.settled = 0
+        self.number = 0
         self._forgotten = 0
         self._messages: deque[tuple[int, NDArray[np.uint32]]] = deque()
         self._blocks = 0
@@ -56,7 +54,6 @@ class InFlight:
 
     def settle(self, number: int) -> None:
         """The client has used messages up to this one."""
-        self.settled = max(self.settled, number)
         self._forgotten = max(self._forgotten, number)
         while self._messages and self._messages[0][0] <= number:
             self._forget()
@@ -67,10 +64,6 @@ class InFlight:
             return None
         later = [blocks for at, blocks in self._messages if at > number]
         return np.unique(np.concatenate([np.zeros(0, np.uint32), *later])).astype(np.int64)
-
-    def unsettled(self) -> Numbers | None:
-        """The blocks of all that may not be used yet; None where they are not remembered."""
-        return self.beyond(self.settled)
 
     def _forget(self) -> None:
         number, blocks = self._messages.popleft()
@@ -129,10 +122,8 @@ class Subscription:
         self.reason = reason
         self._source = source
         self._reset = self._closed = False
-        self._lines = [InFlight(), InFlight()]
-        self._line: Line = FIRST
-        self._begins_at = 1
-        self._order = 0
+        self._in_flight = InFlight()
+        self._body = 0
         self._begin(known_up_to)
 
     def _begin(self, known_up_to: int | None) -> None:
@@ -165,44 +156,12 @@ class Subscription:
 
     @property
     def number(self) -> int:
-        """Of the last message, of those on the same line."""
-        return self._lines[self._line].number
+        """Number of the last message."""
+        return self._in_flight.number
 
-    def settle(self, number: int, line: Line = FIRST) -> None:
-        """The client has used messages of a line up to this one."""
-        self._lines[line].settle(number)
-
-    def tell_on(self, line: Line) -> Line:
-        """Tell the next messages on this line, if that may be.
-
-        Returns:
-            the line: the first one until the client is known to have begun with this map there.
-        """
-        if self._reset or self._lines[FIRST].settled < self._begins_at:
-            return FIRST
-        self._line = line
-        return line
-
-    def tell_again(self, line: Line, position_m: ArrayLike | None) -> None:
-        """What is near the vehicle and under way on this line waits to be told once more."""
-        if self._reset:
-            return  # all of the map waits, and its blocks have other numbers
-        stuck = self._lines[line].unsettled()
-        if stuck is not None and (position := vector_of(position_m)) is not None:
-            away_m = distances_m(self._view.keys(stuck), self._view.block_m, position)
-            self._tell_again(stuck[away_m <= NEAR_M])
-
-    def lose_second(self) -> None:
-        """The client's second line is gone: what was under way there is told again."""
-        lost, self._lines[SECOND], self._line = self._lines[SECOND], InFlight(), FIRST
-        self._complete = None
-        if self._reset:
-            return  # all of the map waits, and its blocks have other numbers
-        numbers = lost.unsettled()
-        if numbers is None:
-            self.restart()
-        else:
-            self._tell_again(numbers)
+    def settle(self, number: int) -> None:
+        """Note that the client has used the messages up to this one."""
+        self._in_flight.settle(number)
 
     def go_on(self, interest: Interest, number: int) -> bool:
         """The client is back, and has messages up to this one; later ones are told again.
@@ -210,22 +169,16 @@ class Subscription:
         Returns:
             whether it may keep what it holds.
         """
-        numbers, beside = self._lines[FIRST].beyond(number), self._lines[SECOND].unsettled()
-        if self._reset or self._closed or interest != self.interest:
+        numbers = self._in_flight.beyond(number)
+        if self._reset or self._closed or interest != self.interest or numbers is None:
             return False
-        if numbers is None or beside is None:
-            return False
-        self._tell_again(np.union1d(numbers, beside))
-        self._lines[FIRST].settle(self._lines[FIRST].number)
-        self._lines[SECOND], self._line = InFlight(), FIRST
+        # It may still hold what they were before: that they are empty now is sent again as well.
+        self._queue.flags[numbers] |= HELD
+        self._queue.add(numbers, self._source.now_ns)
+        self._in_flight.settle(self._in_flight.number)
         self._complete = None
         self.resumed, self.reason = True, ""
         return True
-
-    def _tell_again(self, numbers: Numbers) -> None:
-        # It may still hold what they were before: that they are empty now is told again as well.
-        self._queue.flags[numbers] |= HELD
-        self._queue.add(numbers, self._source.now_ns)
 
     @property
     def left(self) -> int:
@@ -235,7 +188,7 @@ class Subscription:
     @property
     def memory_bytes(self) -> int:
         """Of what it remembers of blocks."""
-        return int(self._queue.flags.nbytes) + sum(line.memory_bytes for line in self._lines)
+        return int(self._queue.flags.nbytes) + self._in_flight.memory_bytes
 
     def changed(self, numbers: Numbers) -> None:
         """These blocks are told otherwise than before."""
@@ -287,17 +240,9 @@ class Subscription:
             return None
 
     def _reset_now(self) -> Reset:
-        """Said on the first line; what is under way on the second is known by its order."""
-        self._reset, self._line = False, FIRST
-        for line in self._lines:
-            line.note_reset()
-        self._begins_at = self._lines[FIRST].number + 1
-        return Reset(
-            map=self._source.facts(),
-            revision=self._view.looked,
-            interest=self.interest,
-            order=self._source.teller.fence(),
-        )
+        self._reset = False
+        self._in_flight.note_reset()
+        return Reset(map=self._source.facts(), revision=self._view.looked, interest=self.interest)
 
     def _next(self, most_bytes: int, part: Part) -> Blocks | None:
         teller, detail = self._source.teller, self.interest.detail
@@ -306,7 +251,7 @@ class Subscription:
             numbers, wanted = self._chosen(most, part)
             if not len(numbers):
                 return None if len(self._queue) else self._quiet()
-            body = teller.body(self._view, detail, numbers, wanted, self._order)
+            body = teller.body(self._view, detail, numbers, wanted, self._body)
             if 2 * len(body.data) <= 3 * most_bytes or len(numbers) == 1:
                 break
             most = max(min(most, len(numbers)) // 2, 1)
@@ -330,28 +275,22 @@ class Subscription:
         settled, now_ns = self._view.settled, self._source.now_ns
         if settled is None or settled == self._complete or self._view.left:
             return None
-        if not (self._is_drawn and self._is_told_on_one_line):
+        if not self._is_drawn:
             return None
         if self._complete is not None and now_ns - self._told_ns < QUIET_NS:
             return None
         nothing = np.zeros(0, np.int64)
         teller = self._source.teller
-        body = teller.body(self._view, self.interest.detail, nothing, nothing != 0, self._order)
+        body = teller.body(self._view, self.interest.detail, nothing, nothing != 0, self._body)
         return self._message(body, nothing)
 
     def _message(self, body: Body, numbers: Numbers) -> Blocks:
-        self._lines[self._line].note(numbers)
-        self._order = body.order
+        self._in_flight.note(numbers)
+        self._body = body.number
         is_all = not len(self._queue) and not self._view.left and self._is_drawn
-        complete = self._view.settled if is_all and self._is_told_on_one_line else None
+        complete = self._view.settled if is_all else None
         self._complete, self._told_ns = complete, self._source.now_ns
         return self._source.teller.message(body, self.left, complete)
-
-    @property
-    def _is_told_on_one_line(self) -> bool:
-        """Whether nothing is under way on the other one: the client may have that later."""
-        other = self._lines[SECOND if self._line == FIRST else FIRST]
-        return other.settled == other.number
 
     @property
     def _is_drawn(self) -> bool:

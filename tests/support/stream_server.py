@@ -60,8 +60,7 @@ class Served:
     versions: tuple[int, ...] = (1,)
     status_s: float = 1.0
     ticket: str = ""
-    advises_second: object = None
-    second_refusal: Bye | None = None
+    link: dict[str, object] = field(default_factory=dict)
     hellos: list[Hello] = field(default_factory=list)
     asked: list[dict[str, object]] = field(default_factory=list)
     acked: int = 0
@@ -110,7 +109,6 @@ class Connection:
         self.inbox: Inbox[FromClient] = server_inbox()
         self.interest = Interest()
         self.told = 0
-        self.is_second = False
         self.sent = self.acked = 0
         self.quiet = False
 
@@ -144,14 +142,9 @@ class Connection:
         if served.token is not None and not is_proof(hello.proof, served.token, challenge):
             self.say(Bye(reason="wrong_token", message="that is not the token"))
             return False
-        self.is_second = hello.beside != ""
-        refusal = served.second_refusal if self.is_second else served.refusal
-        if refusal is not None:
-            self.say(refusal)
+        if served.refusal is not None:
+            self.say(served.refusal)
             return False
-        if self.is_second:
-            self.say(self.welcomed(resumed=True))
-            return True
         is_resumed = served.can_resume(hello)
         held = hello.resume.revision if hello.resume and is_resumed else 0
         self.told = held or 0
@@ -177,8 +170,7 @@ class Connection:
     def hear(self, message: FromClient) -> None:
         if isinstance(message, Ack):
             self.acked = message.bytes
-            if not self.is_second:
-                self.served.acked = message.bytes
+            self.served.acked = message.bytes
         elif isinstance(message, Change) and message.interest is not None:
             self.interest = message.interest
             self.told = 0
@@ -216,10 +208,7 @@ class Connection:
 
     async def beat(self) -> None:
         while not self.quiet:
-            advice = self.served.advises_second
-            self.say(
-                Status(stamp_ns=10**18, link={} if advice is None else {"second_line": advice})
-            )
+            self.say(Status(stamp_ns=10**18, link=self.served.link))
             await asyncio.sleep(self.served.status_s)
 
 

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 
 from mapperd.client.state import Knowledge
-from mapperd.wire.blocks import CELLS, BlockSet, encode_blocks
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
 from mapperd.wire.messages import Blocks, Box, Interest, Path, Reset, Welcome
 from tests.support.stream_server import FACTS
 
@@ -85,3 +85,47 @@ def test_thresholds_and_origin_may_change_while_the_link_is_away() -> None:
     assert knowledge.mirror is not None
     assert knowledge.mirror.facts == facts
     assert len(knowledge.mirror) == 1
+
+
+def blocks_of(told: dict[int, int], **more: int) -> Blocks:
+    """Blocks by the first number of their keys, each with one value in all its cells."""
+    keys = np.zeros((len(told), 3), np.int32)
+    keys[:, 0] = list(told)
+    cells = np.repeat(np.array(list(told.values()), np.int8)[:, None], CELLS, axis=1)
+    body = encode_blocks(BlockSet(keys, np.zeros(len(told), np.uint32), cells))
+    return Blocks(stamp_ns=1, body=body, **more)
+
+
+def test_each_message_replaces_the_blocks_before() -> None:
+    knowledge = known()
+    for number in range(1, 20):
+        knowledge.take(blocks_of({number % 3: number}, revision=number, complete=number))
+        knowledge.take(blocks_of({5: number if number % 2 else UNKNOWN}, revision=number))
+        if number == 10:
+            knowledge.take(Reset(map=FACTS, revision=10))
+    assert knowledge.mirror is not None
+    held = knowledge.mirror.blocks()
+    values = dict(zip(held.keys[:, 0].tolist(), held.cells[:, 0].tolist(), strict=True))
+    assert values == {0: 18, 1: 19, 2: 17, 5: 19}
+
+
+def test_revisions_never_go_down() -> None:
+    knowledge = known()
+    knowledge.take(blocks_of({1: 1}, revision=16, complete=15))
+    knowledge.take(blocks_of({1: 2}, revision=14, complete=14))
+    resume = knowledge.resume()
+    assert resume is not None
+    assert (resume.revision, resume.newest) == (15, 16)
+
+
+def test_nothing_is_resumed_after_a_fault_although_the_connection_lives() -> None:
+    welcome = msgspec.structs.replace(WELCOME, ticket="t")
+    knowledge = known()
+    knowledge.begin(welcome, None)
+    knowledge.take(blocks_of({1: 1}, revision=1, complete=1))
+    knowledge.distrust()
+    knowledge.take(blocks_of({1: 2}, revision=2, complete=2))
+    assert knowledge.resume() is None
+    knowledge.begin(welcome, None)
+    knowledge.take(blocks_of({1: 1}, revision=1, complete=1))
+    assert knowledge.resume() is not None

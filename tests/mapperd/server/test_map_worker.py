@@ -24,12 +24,8 @@ class Sizes:
 
     near_left = number = 0
 
-    def settle(self, number: int, line: int) -> None:
+    def settle(self, number: int) -> None:
         assert number == 0
-        assert line in (0, 1)
-
-    def tell_on(self, line: int) -> int:
-        return line
 
     def next(self, _: object, most_bytes: int, part: str) -> bytes | None:
         assert part == "near"

@@ -3,13 +3,13 @@
 import pytest
 
 from mapperd.server.pacer import (
+    FIRST_RATE,
+    MAX_IN_FLIGHT,
     MAX_LEAST,
-    MAX_WINDOW,
     MIN_BURST,
     MIN_UNSENT,
     MIN_WINDOW,
     QUEUE_S,
-    SPAN_S,
     UNSENT_S,
     Pacer,
 )
@@ -21,13 +21,13 @@ CALM = pytest.mark.parametrize("calm", [True, False])
 def most_waiting_s(rate: float, round_trip_s: float, piece: int, *, calm: bool) -> float:
     """In buffers, beyond the wire.
 
-    A calm TCP has a second round trip on its way, and is given a little beyond. One that fills
-    buffers is seen to be late by `QUEUE_S` only when as much again has been sent.
+    A calm TCP has a second round trip on its way, and is given a little beyond. In the network of
+    one that fills buffers, `QUEUE_S` waits beyond the wire, or the smallest window.
     """
+    unsent_s = max(UNSENT_S, MIN_UNSENT / rate)
     if calm:
-        unsent_s = max(UNSENT_S, MIN_UNSENT / rate)
         return unsent_s + max(round_trip_s, LEAST_ON_ITS_WAY / rate) + 2 * piece / rate
-    return 2 * QUEUE_S + MIN_WINDOW / rate
+    return max(2 * QUEUE_S, MIN_WINDOW / rate) + 2 * piece / rate
 
 
 @CALM
@@ -54,11 +54,12 @@ def test_little_waits_from_the_beginning(*, calm: bool) -> None:
 
 
 @CALM
-def test_a_link_that_becomes_slower_is_learnt(*, calm: bool) -> None:
+def test_a_link_that_becomes_slower_is_noticed(*, calm: bool) -> None:
     link = Link(lambda t: 32_000 if t < 20 else 6_000, calm=calm)
     link.fill(60.0)
-    assert link.worst_wait_s(40.0, 60.0) < most_waiting_s(6_000, 0.3, 1_000, calm=calm)
-    assert link.pacer.rate == pytest.approx(6_000, rel=0.2)
+    # Of a TCP that sends all that it is given, Linux keeps the highest rate.
+    stale_s = 0.0 if calm else UNSENT_S * 32_000 / 6_000
+    assert link.worst_wait_s(40.0, 60.0) < most_waiting_s(6_000, 0.3, 1_000, calm=calm) + stale_s
 
 
 @CALM
@@ -74,7 +75,7 @@ def test_a_link_that_becomes_faster_is_used(*, calm: bool) -> None:
 def test_nothing_is_piled_up_in_a_blackout(*, calm: bool) -> None:
     link = Link(lambda t: 0 if 20 <= t < 30 else 32_000, calm=calm)
     link.fill(20.0)
-    allowed = max(1.25 * link.pacer.window, link.pacer.in_flight)
+    allowed = max(link.pacer.window + UNSENT_S * 32_000, link.pacer.in_flight)
     link.fill(29.9)
     assert link.unsent <= UNSENT_S * 1.2 * 32_000 + 1_000
     assert link.pacer.in_flight <= allowed + 1_000
@@ -89,20 +90,15 @@ def test_nothing_is_piled_up_in_a_blackout(*, calm: bool) -> None:
 @CALM
 @pytest.mark.parametrize("stall_s", [0.3, 0.9])
 def test_stalls_again_and_again_do_not_empty_it(stall_s: float, *, calm: bool) -> None:
-    """As TCP gives after each lost packet: nothing for a while, then all at once.
-
-    Long stalls of a TCP that fills buffers cost a quarter: a window that outlasts them would be a
-    queue of as long after each.
-    """
+    """As TCP gives after each lost packet: nothing for a while, then all at once."""
     link = Link(lambda _: 32_000, stalled=lambda t: t % 2.0 < stall_s, calm=calm)
     link.fill(10.0)
     before = link.delivered
     link.fill(40.0)
     used = (link.delivered - before) / (32_000 * 30)
-    assert used > (0.85 if calm or stall_s < 0.5 else 0.7)
+    assert used > 0.85
     bound_s = most_waiting_s(32_000, 0.3, 1_000, calm=calm)
-    held_s = stall_s * (1 + UNSENT_S / SPAN_S)  # what comes at once afterwards looks like a rate
-    assert link.worst_wait_s(10.0, 40.0) < held_s + bound_s
+    assert link.worst_wait_s(10.0, 40.0) < stall_s + bound_s
 
 
 @pytest.mark.parametrize("every_s", [0.1, 0.5])
@@ -122,26 +118,13 @@ def test_a_first_word_says_nothing_of_how_fast_a_link_is() -> None:
     link.send(100)
     while link.pacer.in_flight:
         link.step()
-    assert link.pacer.rate is None
+    assert link.pacer.rate == FIRST_RATE
     link.fill(5.0)
     assert link.pacer.rate == pytest.approx(32_000, rel=0.2)
 
 
-def test_a_link_that_is_empty_after_each_message_is_known_by_them() -> None:
-    """A local socket: nobody knows its round trips, and the client has all at once."""
-    pacer = Pacer()
-    for n in range(20):
-        now_s = 100 + 0.05 * n
-        pacer.note_sent(5_000, now_s)
-        pacer.note_link(0, None, now_s, fills=False)
-        assert pacer.note_ack(5_000 * (n + 1), now_s + 0.01)
-    assert pacer.rate == pytest.approx(500_000, rel=0.01)
-    assert pacer.room(200.0) > 60_000
-
-
-@CALM
-def test_the_wire_may_become_longer(*, calm: bool) -> None:
-    link = Link(lambda _: 32_000, there_s=0.02, back_s=0.02, calm=calm)
+def test_the_wire_may_become_longer() -> None:
+    link = Link(lambda _: 32_000, there_s=0.02, back_s=0.02)
     link.fill(10.0)
     assert link.pacer.round_trip_s is not None
     assert link.pacer.round_trip_s < 0.3
@@ -150,7 +133,7 @@ def test_the_wire_may_become_longer(*, calm: bool) -> None:
     before = link.delivered
     link.fill(90.0)
     assert link.delivered - before > 0.85 * 32_000 * 30
-    assert 0.8 <= link.pacer.round_trip_s < 0.8 + most_waiting_s(32_000, 0.8, 1_000, calm=calm)
+    assert 0.8 <= link.pacer.round_trip_s < 0.8 + most_waiting_s(32_000, 0.8, 1_000, calm=True)
 
 
 def test_a_limit_holds_and_starves_nobody() -> None:
@@ -174,30 +157,12 @@ def test_what_is_worth_a_message_always_finds_room(limit: int, rate: float | Non
     pacer = Pacer(bytes_per_s=limit)
     pacer.rate = rate
     assert pacer.least() <= MAX_LEAST
-    for window in (MIN_WINDOW, 1 << 14, MAX_WINDOW):
-        pacer.window = window
+    for round_trip_s in (None, 0.001, 0.6):
+        pacer.note_link(0, round_trip_s, round_trip_s, 0, rate)
         pacer.room(0.0)
         assert 0 < pacer.least() <= pacer.room(1_000.0) * 0.6
     if limit == 0 and rate == 32_000.0:
-        assert pacer.least() == 3_840
-
-
-def test_a_window_shrinks_to_what_the_wire_holds_when_packets_are_late() -> None:
-    pacer = Pacer()
-    pacer.note_link(0, 0.1, 0.0, fills=True)
-    first = pacer.window
-    pacer.rate = 80_000.0
-    pacer.note_sent(first, 0.0)
-    pacer.note_link(0, 0.4, 0.5, fills=True)
-    assert pacer.window > first
-    pacer.window = 100_000
-    pacer.note_link(0, 0.9, 1.5, fills=False)
-    assert pacer.window == 100_000  # it sends no more than the network takes
-    pacer.note_link(0, 0.9, 2.5, fills=True)
-    assert pacer.window == pytest.approx(0.8 * 80_000 * 0.1, abs=1)
-    pacer.rate = 1_000.0
-    pacer.note_link(0, 0.9, 3.5, fills=True)
-    assert pacer.window == MIN_WINDOW
+        assert pacer.least() == 1_920
 
 
 def test_what_is_large_has_its_turn_though_something_is_always_under_way() -> None:
@@ -214,18 +179,18 @@ def test_what_is_large_has_its_turn_though_something_is_always_under_way() -> No
 
 def test_what_is_larger_than_the_window_is_sent_when_nothing_is_under_way() -> None:
     pacer = Pacer()
-    assert pacer.fits(100_000, 0.0)
-    pacer.note_sent(100_000, 0.0)
+    assert pacer.fits(1_000_000, 0.0)
+    pacer.note_sent(1_100_000, 0.0)
     assert not pacer.fits(1, 0.0)
-    assert pacer.note_ack(100_000, 1.0)
-    assert pacer.fits(200_000, 1.0)
+    assert pacer.note_ack(1_100_000, 1.0)
+    assert pacer.fits(2_000_000, 1.0)
 
 
 def test_no_client_takes_more_than_the_largest_window() -> None:
     link = Link(lambda _: 1e9, there_s=0.05, back_s=0.05)
     link.fill(5.0, piece=50_000)
-    assert link.pacer.window == MAX_WINDOW
-    assert link.pacer.in_flight <= MAX_WINDOW + 50_000
+    assert link.pacer.window == MAX_IN_FLIGHT
+    assert link.pacer.in_flight <= MAX_IN_FLIGHT + 50_000
 
 
 def test_acknowledgements_that_cannot_be_are_told() -> None:
@@ -237,27 +202,3 @@ def test_acknowledgements_that_cannot_be_are_told() -> None:
     assert (pacer.in_flight, pacer.quiet_s(10.2)) == (40, 10.0)
     assert pacer.note_ack(100, 11.0)
     assert pacer.quiet_s(99.0) == 0.0
-
-
-def test_what_tcp_says_of_the_link_is_not_doubted_because_something_came_late() -> None:
-    """A link that is hardly used and loses a packet now and then is no slower for that."""
-    pacer = Pacer()
-    for n in range(20):
-        pacer.note_sent(8_000, 0.25 * n)
-        pacer.note_link(0, 0.6, 0.25 * n, fills=False, link_rate=31_000.0)
-        assert pacer.note_ack(pacer.sent, 0.25 * n + 0.2)
-    for n in range(1, 20):
-        pacer.note_sent(130, 10.0 * n)
-        pacer.note_link(0, 0.6, 10.0 * n, fills=False, link_rate=30_000.0)
-        assert pacer.note_ack(pacer.sent, 10.0 * n + 4.0)
-    assert pacer.rate == 30_000.0
-    assert pacer.room(200.0) > 3_000
-
-
-def test_what_tcp_says_before_the_link_was_busy_is_not_believed() -> None:
-    pacer = Pacer()
-    pacer.note_sent(100, 0.0)
-    pacer.note_link(0, 0.6, 0.0, fills=False, link_rate=160.0)
-    assert pacer.note_ack(100, 0.6)
-    pacer.note_link(0, 0.6, 0.6, fills=False, link_rate=160.0)
-    assert pacer.rate is None

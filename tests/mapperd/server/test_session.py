@@ -133,8 +133,7 @@ class Told:
             room = self.session.map_rooms(self.now_s).far
             if room:
                 frame = self.map.next(room)
-                self.session.mapped(frame, 1000, self.now_s)
-                self._send(self.session.sent_of_map(frame, self.map.number, self.now_s))
+                self._send(self.session.mapped(frame, self.map.number, 1000, self.now_s))
 
     def of(self, kind: type) -> list[Any]:
         return [one for _, one in self.heard if isinstance(one, kind)]

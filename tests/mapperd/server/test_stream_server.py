@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from mapperd.events import Severity
-from mapperd.server.pacer import FIRST_WINDOW
+from mapperd.server.pacer import LOCAL_WINDOW
 from mapperd.wire.auth import Limits
 from mapperd.wire.messages import Change, Event, Hello, Interest, Resume, Settings, Status
 from tests.mapperd.server.watched import Watcher, as_bytes, bed_of, run
@@ -83,7 +83,7 @@ def test_a_client_that_never_reads_costs_the_others_nothing(short: Path) -> None
             await watcher.until(lambda: watcher.complete == 2000)
             assert watcher.cells == as_bytes(bed.source)
             link = next(one for one in bed.server.status()["watching"] if one["left"])
-            assert link["in_flight"] <= FIRST_WINDOW
+            assert link["in_flight"] <= LOCAL_WINDOW
             assert link["left"] > 1800
             for _ in range(500):  # until the other has acknowledged all
                 links = bed.server.status()["watching"]
@@ -119,8 +119,8 @@ def test_a_client_that_reads_slowly_is_told_the_newest(short: Path) -> None:
             watcher.acks = True
             await watcher.until(lambda: watcher.complete == bed.source.written)
             assert watcher.cells == quick.cells == as_bytes(bed.source)
-            assert quick.inbox.received > 2 * FIRST_WINDOW
-            assert watcher.inbox.received < FIRST_WINDOW + 40_000
+            assert quick.inbox.received > 2 * LOCAL_WINDOW
+            assert watcher.inbox.received < LOCAL_WINDOW + 40_000
             for one in (watcher, quick):
                 await one.leave()
 

@@ -14,7 +14,7 @@ from unittest.mock import Mock
 import pytest
 
 from mapperd.server.connection import Connection
-from mapperd.server.tcp import CALM, TCP_CC_INFO, TcpState, fills_buffers, tcp_state, tune
+from mapperd.server.tcp import CALM, TCP_CC_INFO, TcpState, tcp_state, tune
 from mapperd.wire.auth import Limits
 from tests.mapperd.server.watched import Bed, Watcher, bed_of, run
 from tests.support.control_server import TOKEN
@@ -69,26 +69,22 @@ def test_a_local_socket_tells_neither() -> None:
     with here, there:
         tune(here)
         here.sendall(bytes(1000))
-        assert tcp_state(here) == TcpState(0, None)
-        assert not fills_buffers(here)
+        assert tcp_state(here) == TcpState()
 
 
 def test_a_socket_that_is_closed_tells_nothing(pair: Pair) -> None:
     pair[0].close()
-    assert tcp_state(pair[0]) == TcpState(0, None)
-    assert not fills_buffers(pair[0])
+    assert tcp_state(pair[0]) == TcpState()
 
 
 def test_a_tuned_one_waits_for_nothing_and_is_calm_where_the_system_can_be(pair: Pair) -> None:
     here, _ = pair
     here.setsockopt(socket.IPPROTO_TCP, socket.TCP_CONGESTION, b"reno")
-    assert fills_buffers(here)
     tune(here)
     assert here.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
     name = here.getsockopt(socket.IPPROTO_TCP, socket.TCP_CONGESTION, 16).rstrip(b"\0")
     allowed = Path("/proc/sys/net/ipv4/tcp_available_congestion_control").read_bytes().split()
     assert name == CALM or CALM not in allowed
-    assert fills_buffers(here) == (name != CALM)
 
 
 class Answering:
@@ -102,8 +98,8 @@ class Answering:
         if name == socket.TCP_CONGESTION:
             return self.name.ljust(size, b"\0")
         if name == TCP_CC_INFO:
-            # <linux/inet_diag.h>: bbr_bw_lo, bbr_bw_hi, then other things; of others, other things.
-            return struct.pack("<II", 31_000, 2).ljust(size, b"\7")[:size]
+            # <linux/inet_diag.h>: bbr_bw_lo, bbr_bw_hi, bbr_min_rtt and more; others differ.
+            return struct.pack("<III", 31_000, 2, 99_000).ljust(size, b"\7")[:size]
         assert name == socket.TCP_INFO
         info = bytearray(256)
         struct.pack_into("<I", info, 16, 1_448)  # tcpi_snd_mss
@@ -112,19 +108,18 @@ class Answering:
         struct.pack_into("<I", info, 68, 250_000)  # tcpi_rtt of <linux/tcp.h>
         struct.pack_into("<I", info, 72, 125_000)  # tcpi_rttvar
         struct.pack_into("<I", info, 144, 777)  # tcpi_notsent_bytes
+        struct.pack_into("<I", info, 148, 125_500)  # tcpi_min_rtt
+        struct.pack_into("<Q", info, 160, 12_345)  # tcpi_delivery_rate
         return bytes(info[:size])
-
-
-def test_a_calm_one_does_not_fill_buffers() -> None:
-    assert not fills_buffers(Answering(CALM))
-    assert fills_buffers(Answering(b"cubic"))
 
 
 def test_a_system_is_understood() -> None:
     packets = 20 - 9 - 2 + 1
-    assert tcp_state(Answering(b"cubic")) == TcpState(777, 0.25, packets * 1_448, None)
+    known = (777, 0.1255, 0.25, packets * 1_448)
+    cubic = Answering(b"cubic")
+    assert tcp_state(cubic) == TcpState(*known, 12_345.0)
     rate = 31_000 + 2 * 2.0**32
-    assert tcp_state(Answering(CALM)) == TcpState(777, 0.25, packets * 1_448, rate)
+    assert tcp_state(Answering(CALM)) == TcpState(777, 0.099, *known[2:], rate)
 
 
 def test_packets_under_way_have_not_arrived(pair: Pair) -> None:
@@ -132,7 +127,6 @@ def test_packets_under_way_have_not_arrived(pair: Pair) -> None:
     here.settimeout(0)
     here.send(bytes(100_000))  # its reader takes some thousand
     state = tcp_state(here)
-    assert state.in_network is not None
     assert state.in_network < 100_000
     there.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
     there.recv(100_000, socket.MSG_WAITALL)
@@ -142,8 +136,7 @@ def test_packets_under_way_have_not_arrived(pair: Pair) -> None:
 def test_a_local_socket_is_not_asked() -> None:
     """Its options have the same numbers, and mean something else."""
     local = Answering(b"cubic", socket.AF_UNIX)
-    assert tcp_state(local) == TcpState(0, None)
-    assert not fills_buffers(local)
+    assert tcp_state(local) == TcpState()
 
 
 @pytest.mark.parametrize("name", [b"cubic", CALM])
@@ -165,9 +158,8 @@ def test_a_connection_tells_its_pacer_all_of_it(name: bytes) -> None:
         connection.connection_lost(None)
 
     asyncio.run(work())
-    rate = 31_000 + 2 * 2.0**32 if name == CALM else None
-    more = {"fills": name != CALM, "in_network": 14_480, "link_rate": rate}
-    assert told == [(1_777, 0.25, 7.0, more)]
+    rate = 31_000 + 2 * 2.0**32 if name == CALM else 12_345.0
+    assert told == [(1_777, 0.099 if name == CALM else 0.1255, 0.25, 14_480, rate, {})]
 
 
 @pytest.mark.parametrize("kind", ["open", "tls", "unix"])

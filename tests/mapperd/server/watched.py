@@ -15,7 +15,6 @@ import numpy as np
 
 from mapperd.server.listeners import Listener, open_tcp_listener, open_unix_listener
 from mapperd.server.priority_queue import Part
-from mapperd.server.source_protocol import FIRST, Line
 from mapperd.server.state_feed import Feed
 from mapperd.server.stream_server import StreamServer
 from mapperd.wire.auth import Limits, proof_of
@@ -83,16 +82,7 @@ class PlainView:
 
     number = 0
 
-    def settle(self, _: int, line: Line = FIRST) -> None:
-        pass
-
-    def tell_on(self, line: Line) -> Line:
-        return line
-
-    def tell_again(self, line: Line, _: Vector | None) -> None:
-        pass
-
-    def lose_second(self) -> None:
+    def settle(self, _: int) -> None:
         pass
 
     def go_on(self, _: Interest, __: int) -> bool:
@@ -250,8 +240,6 @@ class Watcher:
         self.greeting: Greeting | None = None
         self.welcome: Welcome | None = None
         self.bye: Bye | None = None
-        self.orders: dict[Key, int] = {}
-        self.floor = 0
         self.cells: dict[Key, bytes] = {}
         self.complete: int | None = None
         self.resets = 0
@@ -302,14 +290,12 @@ class Watcher:
                 self.welcome = message
             case Bye():
                 self.bye = message
-            case Reset(order=floor):
+            case Reset():
                 self.cells, self.complete, self.resets = {}, None, self.resets + 1
-                self.orders, self.floor = {}, floor
-            case Blocks(body=body, complete=complete, order=order):
+            case Blocks(body=body, complete=complete):
                 blocks = decode_blocks(body, counts=False)
                 for key, cells in zip(blocks.keys.tolist(), blocks.cells, strict=True):
                     self.cells[tuple(key)] = cells.tobytes()
-                    self.orders[tuple(key)] = order
                 self.complete = complete if complete is not None else self.complete
             case _:
                 self.newest[type(message)] = message

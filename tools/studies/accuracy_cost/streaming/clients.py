@@ -115,9 +115,9 @@ class StreamSender:
         frames = next_frames(self._view, rooms, (x, y, z))
         for frame, _, near_left in frames:
             if near_left is None:
-                self._turns.told_far()
+                self._turns.sent_far()
             else:
-                self._turns.told_near(len(frame), near_left, now_s)
+                self._turns.sent_near(len(frame), near_left, now_s)
             self.pacer.note_sent(len(frame), now_s)
         self._view.settle(self._view.number)
         self.cpu_s += time.thread_time() - began_s
