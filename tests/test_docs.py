@@ -74,7 +74,7 @@ def test_commands_of_the_installation_page_run(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.net
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize(
     "page",
     [page for page in MANUALS if any(not block.reason for block in blocks_of(page))],

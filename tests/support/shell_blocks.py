@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 ROOT = Path(__file__).resolve().parents[2]
-TIMEOUT_S = 240.0
+TIMEOUT_S = 600.0
 READY_TIMEOUT_S = 90.0
 STOP_TIMEOUT_S = 60.0
 
@@ -118,15 +118,22 @@ class Reader:
 
     def run(self, code: str) -> subprocess.CompletedProcess[str]:
         """Run commands; stop at the first that fails."""
-        return subprocess.run(  # noqa: S603 commands of our own pages
+        process = subprocess.Popen(  # noqa: S603 commands of our own pages
             ["/bin/bash", "-euo", "pipefail", "-c", code],
             cwd=self.folder,
             env=self.environment,
-            capture_output=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
             text=True,
-            timeout=TIMEOUT_S,
-            check=False,
+            start_new_session=True,
         )
+        try:
+            out, err = process.communicate(timeout=TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            out, err = process.communicate()
+            raise AssertionError(f"still running after {TIMEOUT_S} s: {code}\n{out}{err}") from None
+        return subprocess.CompletedProcess(code, process.returncode, out, err)
 
     def simulate_dive(self) -> None:
         """Record dive.mcap, four seconds above a floor."""

@@ -16,9 +16,8 @@ HEAD = """\
 
 # Configuration
 
-Settings are YAML: sections, and settings in them. Nothing has to be said; what is not said has its
-default. A word that is not known, a value that is not allowed and a key that is said twice are
-errors that name the file and the place; `mapperd` then ends with exit code 78.
+Every setting is optional and has a default. Unknown keys, invalid values and duplicate keys are
+errors that name the file and the place; `mapperd` exits with code 78.
 
 ```yaml
 octree:
@@ -29,7 +28,7 @@ mounting:
 
 ## Where settings come from
 
-From the highest of these that says a setting, each setting on its own (lists as a whole):
+The first of these that sets a setting wins, for each setting separately (a list is one value):
 
 1. the file of `--config`
 2. the file that the variable `MAPPERD_CONFIG` names
@@ -37,44 +36,40 @@ From the highest of these that says a setting, each setting on its own (lists as
 4. `$XDG_CONFIG_HOME/mapperd/conf.d/*.yaml` and `mapperd.yaml` there, by default in `~/.config`
 5. the defaults below
 
-A mistake in a file is an error even where a higher one says the setting anew. Rules about several
-settings hold for all files together.
+An error in any file is an error, even if a higher file overrides the setting. Rules about several
+settings apply to the result. Settings that were removed since an earlier version are ignored, and
+`mapperd` names all of them in one line.
 
-Files written for an earlier version load: settings that were removed are ignored, and `mapperd`
-names all of them in one line.
-
-`mapperctl params` prints the settings that these files give, `--origin` also which file said each,
-`--json` everything there is to know about them. `config/` holds files to start from;
-`config/schema.json` is the JSON Schema, for editors that check while one types.
+`mapperctl params` prints the settings of these files, with `--origin` the file that set each, with
+`--json` everything known about them. `config/` holds files to start from; `config/schema.json` is
+the JSON Schema for editors.
 
 ## Changes while running
 
-Settings marked *live* may change while the program runs. Every change takes the same way, whoever
-asks: all values are checked, alone and together; what cannot follow is asked; then the change holds
-from one ping to the next, as a whole. If anything speaks against it nothing changes, and the answer
-has a reason for every setting. A setting that nothing running follows is refused, never
-taken and forgotten.
+Settings marked *live* may change while the program runs, by `mapperctl`, telemetry or a viewer. All
+values are checked, alone and together; then the change takes effect between two pings, as a whole.
+If any value is invalid nothing changes, and the answer has a reason for every setting.
 
-SIGHUP has the files read again. What they say then holds, also where a setting was changed by
-another way since; settings that need a restart are named and left.
+SIGHUP reads the files again and overrides changes made since. Settings that need a restart are
+named and keep their value.
 
 ## All settings
 
 """
 
 AMCL = """\
-## Localization under the names of the published AMCL node
+## Names of the AMCL node
 
-The parameters of the node are in `amcl`, with their defaults but for these, which its document
-has wrong. `pf_z` keeps its 0.99, which looks like a probability and is a quantile.
+`amcl` has the parameters of the AMCL node with their defaults, except these, which its
+documentation has wrong. `pf_z` keeps its 0.99, a quantile, not a probability.
 
-| setting | published | here | what is wrong |
+| setting | documented | here | what is wrong |
 |---|---|---|---|
 """
 
 ALSO = """
-Other releases of the node and Nav2 have other names for some settings. Files and changes may say
-them; a setting given under two names is an error.
+Names of other releases of the node and of Nav2 are accepted too; a setting given under two names
+is an error.
 
 | name elsewhere | setting |
 |---|---|
@@ -83,15 +78,15 @@ them; a setting given under two names is an error.
 TAIL = """\
 ## Ignored settings
 
-Files of the programs that mapperd replaces may hold these settings. They have no effect, whatever
-their value; `mapperd` names them in one line of its log.
+Files of the programs that mapperd replaces may hold these settings. They have no effect; `mapperd`
+names them in one line of its log.
 
 {ignored}
 
-All other parameters of the published mapper are here under their names and with their defaults,
-except `outofcore.map_path`, whose default named a folder of its developers, and
+All other parameters of those programs keep their names and defaults, except
+`outofcore.map_path`, whose default named a folder of its developers, and
 `sonar.vertical_aperture`, whose 20 degrees map worse and slower
-([accuracy-cost.md](../reports/accuracy-cost.md#mapping)).
+([accuracy and cost](../reports/accuracy-cost.md#mapping)).
 """
 
 

@@ -12,21 +12,21 @@ from sonar_sim.scene_file.schema import Section
 
 PAGE = Path("docs/reference/scene-files.md")
 SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
-INTRODUCTION = """# Scenes of the simulator
+INTRODUCTION = """# Scene files
 
-A scene is one YAML file: the water, what stands and moves in it, the sonar, and the vehicle with
-its path and its odometry's errors. `load_scenario(name_or_path)` reads it and reports an error with
-its file and place. `python -m sonar_sim.scene_file.reference` makes this page from the types.
+A scene is one YAML file: the water, objects, the sonar, and the vehicle with its path and the
+errors of its odometry. `load_scenario(name_or_path)` reads it; errors name the file and the place.
+`python -m sonar_sim.scene_file.reference` writes this page from the types.
 
-- Map frame: x east, y north, z up, and z = 0 is the water's surface. Above it there is nothing to
-  hear, so what stands out of the water is cut off there, as is what the floor hides.
-- A vehicle's frame is x ahead, y to port, z up. Angles turn Rz(yaw) Ry(pitch) Rx(roll).
-- Neither aliases nor tags are taken, and no key twice. Words are text unless they are a number,
-  `true`, `false` or `null`.
-- Meshes and tables of heights are named by their path from the scene's file. Triangles without an
-  area are left out; vertices that are not finite, and files without a triangle, are refused.
-- An emitter whose pulse is as long as its period sounds all the time: a thruster, a pump.
-- An object that moves is no part of a map's truth.
+- Map frame: x east, y north, z up; z = 0 is the water's surface. Objects are cut off at the surface
+  and at the floor.
+- Vehicle frame: x ahead, y to port, z up. Angles turn Rz(yaw) Ry(pitch) Rx(roll).
+- Aliases, tags and duplicate keys are errors. Words are text unless they are a number, `true`,
+  `false` or `null`.
+- Paths of meshes and height tables start at the scene's file. Triangles without an area are
+  ignored; vertices that are not finite, and files without a triangle, are errors.
+- An emitter whose pulse is as long as its period sounds continuously: a thruster, a pump.
+- Moving objects are not part of a map's truth.
 """
 
 
@@ -75,7 +75,7 @@ def _sections() -> list[type[Section]]:
         for one in vars(schema).values()
         if isinstance(one, type) and issubclass(one, Section) and one is not Section
     ]
-    shapes = {*get_args(schema.Shape), schema.ShapePart}
+    shapes = {*get_args(schema.Shape), schema.Part}
     types.sort(key=lambda one: (one is not schema.SceneFile, one in shapes))
     return types
 
@@ -88,11 +88,11 @@ def _section(section: type[Section]) -> str:
     lines = [f"## {section.__name__}{kind}\n", f"{section.__doc__}\n"]
     lines += ["| setting | takes | unit | default | meaning |", "|---|---|---|---|---|"]
     for field in info.fields:
-        meta, inner = _described(field.type)
-        unit = (meta.get("extra") or {}).get("unit", "")
+        said, inner = _described(field.type)
+        unit = (said.get("extra") or {}).get("unit", "")
         lines.append(
             f"| `{field.name}` | {_takes(inner)} | {unit} | {_default(field)} "
-            f"| {meta['description']} |"
+            f"| {said['description']} |"
         )
     return "\n".join([*lines, ""])
 
@@ -118,8 +118,8 @@ def _takes(kind: mi.Type) -> str:
         case mi.StructType(cls=cls):
             words = f"[{cls.__name__}](#{_anchor(kind)})"
         case mi.UnionType(types=types):
-            kinds = [one for one in types if not isinstance(one, (mi.NoneType, mi.CustomType))]
-            words = " or ".join(_takes(one) for one in kinds)
+            said = [one for one in types if not isinstance(one, (mi.NoneType, mi.CustomType))]
+            words = " or ".join(_takes(one) for one in said)
         case mi.TupleType(item_types=items):
             words = f"{len(items)} x {_takes(items[0])}"
         case mi.VarTupleType(item_type=item):
@@ -134,8 +134,8 @@ def _takes(kind: mi.Type) -> str:
 def _number(kind: mi.FloatType | mi.IntType) -> str:
     name = "number" if isinstance(kind, mi.FloatType) else "whole number"
     limits = {sign: getattr(kind, key) for key, sign in SIGNS.items()}
-    bounds = [f"{sign} {limit:g}" for sign, limit in limits.items() if limit is not None]
-    return " ".join([name, *bounds])
+    said = [f"{sign} {limit:g}" for sign, limit in limits.items() if limit is not None]
+    return " ".join([name, *said])
 
 
 def _anchor(kind: mi.StructType) -> str:
