@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 ROOT = Path(__file__).resolve().parents[2]
-TIMEOUT_S = 600.0
+TIMEOUT_S = 300.0
 READY_TIMEOUT_S = 90.0
 STOP_TIMEOUT_S = 60.0
 
@@ -112,8 +112,10 @@ class Reader:
         scripts = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["scripts"]
         for name, place in scripts.items():
             module, _, function = place.partition(":")
-            text = f"#!{sys.executable}\nimport sys\nfrom {module} import {function}\n"
-            (commands / name).write_text(f"{text}sys.exit({function}())\n")
+            (commands / name).write_text(
+                f"#!{sys.executable}\nimport sys\nfrom {module} import {function}\n"
+                f'if __name__ == "__main__":\n    sys.exit({function}())\n'
+            )
             (commands / name).chmod(0o755)
 
     def run(self, code: str) -> subprocess.CompletedProcess[str]:
@@ -186,10 +188,11 @@ def follow(page: Path, folder: Path) -> None:
             )
             fcntl.flock(lock, fcntl.LOCK_EX)
         reader = Reader(folder, Path(runtime))
-        for match in _FILE.finditer(page.read_text("utf-8")):
-            (reader.folder / match["name"]).write_text(match["text"])
-        code = "".join(block.code for block in blocks)
-        if "dive.mcap" in code and "--out dive.mcap" not in code:
+        files = {match["name"]: match["text"] for match in _FILE.finditer(page.read_text("utf-8"))}
+        for name, text in files.items():
+            (reader.folder / name).write_text(text)
+        read = "".join([*files.values(), *(block.code for block in blocks)])
+        if "dive.mcap" in read and "--out dive.mcap" not in read:
             reader.simulate_dive()
         for block in blocks:
             if block.ready:

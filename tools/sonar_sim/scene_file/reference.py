@@ -75,7 +75,7 @@ def _sections() -> list[type[Section]]:
         for one in vars(schema).values()
         if isinstance(one, type) and issubclass(one, Section) and one is not Section
     ]
-    shapes = {*get_args(schema.Shape), schema.Part}
+    shapes = {*get_args(schema.Shape), schema.ShapePart}
     types.sort(key=lambda one: (one is not schema.SceneFile, one in shapes))
     return types
 
@@ -88,11 +88,11 @@ def _section(section: type[Section]) -> str:
     lines = [f"## {section.__name__}{kind}\n", f"{section.__doc__}\n"]
     lines += ["| setting | takes | unit | default | meaning |", "|---|---|---|---|---|"]
     for field in info.fields:
-        said, inner = _described(field.type)
-        unit = (said.get("extra") or {}).get("unit", "")
+        meta, inner = _described(field.type)
+        unit = (meta.get("extra") or {}).get("unit", "")
         lines.append(
             f"| `{field.name}` | {_takes(inner)} | {unit} | {_default(field)} "
-            f"| {said['description']} |"
+            f"| {meta['description']} |"
         )
     return "\n".join([*lines, ""])
 
@@ -118,8 +118,8 @@ def _takes(kind: mi.Type) -> str:
         case mi.StructType(cls=cls):
             words = f"[{cls.__name__}](#{_anchor(kind)})"
         case mi.UnionType(types=types):
-            said = [one for one in types if not isinstance(one, (mi.NoneType, mi.CustomType))]
-            words = " or ".join(_takes(one) for one in said)
+            kinds = [one for one in types if not isinstance(one, (mi.NoneType, mi.CustomType))]
+            words = " or ".join(_takes(one) for one in kinds)
         case mi.TupleType(item_types=items):
             words = f"{len(items)} x {_takes(items[0])}"
         case mi.VarTupleType(item_type=item):
@@ -134,8 +134,8 @@ def _takes(kind: mi.Type) -> str:
 def _number(kind: mi.FloatType | mi.IntType) -> str:
     name = "number" if isinstance(kind, mi.FloatType) else "whole number"
     limits = {sign: getattr(kind, key) for key, sign in SIGNS.items()}
-    said = [f"{sign} {limit:g}" for sign, limit in limits.items() if limit is not None]
-    return " ".join([name, *said])
+    bounds = [f"{sign} {limit:g}" for sign, limit in limits.items() if limit is not None]
+    return " ".join([name, *bounds])
 
 
 def _anchor(kind: mi.StructType) -> str:
