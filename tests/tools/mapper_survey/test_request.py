@@ -121,5 +121,5 @@ def test_memory_chooses_the_tile(tmp_path: Path) -> None:
     assert edge_for(config, 10**9, wanted) == 4
     with pytest.raises(SurveyError, match="MiB or more"):
         voxel_bytes_of(100 << 20, resolution_m)
-    with pytest.raises(SurveyError, match="no size of memory"):
+    with pytest.raises(SurveyError, match="size of memory"):
         bytes_of("much")

@@ -104,7 +104,6 @@ MEASURED: dict[str, tuple[str, ...]] = {
 """Sources by the row that measures them."""
 
 NOT_MEASURED: dict[str, tuple[str, ...]] = {
-    "writes any array in its own width": ("mapperd/store/checkpoint.py",),
     "drawn by a browser or a viewer, whose own width it is": _in(
         "mapperd/",
         "foxglove/geometry.py foxglove/map_publisher.py foxglove/messages.py "
