@@ -101,8 +101,8 @@ def _mapped(runs: Sequence[Run], sonar_map: SonarMap, window: Window) -> dict[st
     bar.close(counters.pings_mapped)
     wall_s = time.perf_counter() - began_s
     facts = recording_facts([run.session for run in runs])
-    if runs[-1].onboard is not None:
-        facts |= localization_summary(runs[-1].onboard.facts())
+    if runs[-1].localization is not None:
+        facts |= localization_summary(runs[-1].localization.onboard.facts())
     return summary_of(facts, sonar_map, runs[-1].poses, counters, wall_s)
 
 

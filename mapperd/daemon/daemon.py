@@ -24,8 +24,8 @@ from mapperd.imaging.filter_chain import check_filters
 from mapperd.localization.models import check_localization
 from mapperd.localization.report import localization_report
 from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.executor import PingExecutor
 from mapperd.pipeline.pose_lookup import origin_of
-from mapperd.pipeline.step import StepRunner
 from mapperd.pipeline.watchdog import Worker
 from mapperd.session_log import Request, Reset
 
@@ -75,7 +75,7 @@ class Daemon:
         self._numbers = count(1)
         self._localization = LocalizationRequests(settings, events, folder, self._ask)
         self._resets: dict[int, asyncio.Future[StoreError | None]] = {}
-        settings.follow(StepRunner.FOLLOWS, self._take, _check)
+        settings.follow(PingExecutor.FOLLOWS, self._take, _check)
 
     @property
     def settings(self) -> ConfigStore:
@@ -101,7 +101,7 @@ class Daemon:
         """
         loop = asyncio.get_running_loop()
         watch = Watch(self._events, self._live)
-        self._live.mapping.on_told = watch.told
+        self._live.mapping.on_snapshot = watch.told
         self._live.mapping.on_reset = lambda reset, problem: _in_loop(
             loop, lambda: self._reset_done(reset, problem)
         )
@@ -132,7 +132,7 @@ class Daemon:
         mapping = Worker(
             "mapping", live.queue.waiting_bytes + live.mapping.waiting, live.mapping.steps
         )
-        return [mapping, live.recorder.worker(), live.keep.worker()]
+        return [mapping, live.recorder.worker(), live.persistence.worker()]
 
     async def save(self, name: str, origin: str) -> dict[str, Any]:
         """As `DaemonApi.save`."""
@@ -155,7 +155,7 @@ class Daemon:
         number = next(self._numbers)
         done: asyncio.Future[StoreError | None] = asyncio.get_running_loop().create_future()
         self._resets[number] = done
-        self._live.inlet.order(Reset(number, origin))
+        self._live.ingest.order(Reset(number, origin))
         try:
             async with asyncio.timeout(RESET_S):
                 problem = await done
@@ -190,7 +190,7 @@ class Daemon:
         """As `DaemonApi.snapshot`."""
         began_s = time.monotonic()
         try:
-            size = await asyncio.to_thread(self._live.keep.save)
+            size = await asyncio.to_thread(self._live.persistence.save)
         except StoreError as error:
             raise OperationError(str(error), "cannot_write") from error
         if size is None:
@@ -200,7 +200,7 @@ class Daemon:
 
     def localization(self, particles: int = 0) -> dict[str, Any]:
         """As `DaemonApi.localization`."""
-        facts = self._live.mapping.facts.localization
+        facts = self._live.mapping.snapshot.localization
         return localization_report(facts, self._settings.current, particles)
 
     async def initial_pose(self, asked: PoseRequest, origin: str) -> dict[str, Any]:
@@ -222,11 +222,11 @@ class Daemon:
     async def _ask(self, request: Request) -> Reject | None:
         if self.phase != "mapping":
             return Reject("busy", f"the daemon is {self.phase}")
-        return await self._live.ask(request)
+        return await self._live.request(request)
 
     def _whole(self) -> SonarMap:
         """The map as it is now, to be written as a file; a file with holes would show water."""
-        keep = self._live.keep
+        keep = self._live.persistence
         keep.save()  # what is not in the file is not in a file's copy
         lost = (keep.status() or {}).get("bricks_lost")
         if lost:
@@ -236,7 +236,7 @@ class Daemon:
     def _take(self, config: Config) -> None:
         """Follow the settings, and say what changed."""
         before, self._config = self._config, config
-        self._live.take(config)
+        self._live.reconfigure(config)
         for name, value in changes_between(before, config).items():
             text = f"setting {name} is now {value}"
             self._events.add(Severity.NOTICE, "setting_changed", text, name=name, value=value)

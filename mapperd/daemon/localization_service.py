@@ -63,7 +63,7 @@ class LocalizationRequests:
         settings: in force.
         events: what happened.
         folder: of the maps that may be asked for.
-        ask: as `Live.ask`: puts a request among the bytes and waits for what becomes of it.
+        ask: as `Live.request`: puts a request among the bytes and waits for what becomes of it.
 
     Attributes:
         is_changing_map: a map is being loaded; another one is refused meanwhile.
@@ -201,12 +201,12 @@ class Requests:
     """Of one session; of one event loop, but for `done`.
 
     Args:
-        inlet: takes them as orders, which are recorded.
+        ingest: records them as orders.
         maps: loads the maps that they name; None where localization is off.
     """
 
-    def __init__(self, inlet: Ingest, maps: KnownMaps | None) -> None:
-        self._inlet = inlet
+    def __init__(self, ingest: Ingest, maps: KnownMaps | None) -> None:
+        self._ingest = ingest
         self._maps = maps
         self._numbers = count(1)
         self._waiting: dict[int, asyncio.Future[Reject | None]] = {}
@@ -223,8 +223,8 @@ class Requests:
             if not answer.done():
                 answer.set_result(CLOSED)
 
-    async def ask(self, request: Request) -> Reject | None:
-        """As `Live.ask`."""
+    async def request(self, request: Request) -> Reject | None:
+        """As `Live.request`."""
         if self._loop is None:
             return CLOSED
         request = replace(request, number=next(self._numbers))
@@ -237,7 +237,7 @@ class Requests:
         answer: asyncio.Future[Reject | None] = asyncio.get_running_loop().create_future()
         self._waiting[request.number] = answer
         try:
-            self._inlet.order(request)
+            self._ingest.order(request)
             return await answer
         finally:
             self._waiting.pop(request.number)

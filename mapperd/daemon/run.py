@@ -97,15 +97,15 @@ async def _map(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
         )
     try:
         _keep_origin(run.settings, opened)
-        localizing = await asyncio.to_thread(_localizing, run.settings.current, events)
+        localization = await asyncio.to_thread(_start_localization, run.settings.current, events)
         live = Live(
             opened.sonar_map,
             run.poses(run.settings.current),
             session=session,
             events=events,
-            keep=opened.keep,
+            persistence=opened.persistence,
             clock=clock,
-            localizing=localizing,
+            localization=localization,
         )
         return await _served(run, opened, live, events, clock)
     finally:
@@ -148,9 +148,9 @@ async def _served(
         await daemon.run(_until(stop, run.duration_s))
         wall_s = time.perf_counter() - began_s
         source = {"live": _live_facts(daemon, told_to_stop=stop.is_set())}
-        if (facts := live.mapping.facts.localization) is not None:
+        if (facts := live.mapping.snapshot.localization) is not None:
             source |= localization_summary(facts)
-        whole = await asyncio.to_thread(opened.keep.whole)
+        whole = await asyncio.to_thread(opened.persistence.whole)
     return whole, summary_of(source, whole, live.poses, live.counters, wall_s)
 
 
@@ -167,7 +167,7 @@ def _watched(
     live = daemon.live
     source = MapSource(
         opened.sonar_map,
-        opened.keep,
+        opened.persistence,
         log_odds_step=run.settings.current.stream.log_odds_step,
         origin_deg=lambda: live.poses.origin_deg,
     )
@@ -180,12 +180,12 @@ async def _poses_kept(
     settings: ConfigStore, live: Live, events: EventLog, clock: Callable[[], int]
 ) -> AsyncIterator[None]:
     """Save the estimated pose meanwhile, and at the end."""
-    if live.localizing is None:
+    if live.localization is None:
         yield
         return
     keeper = PoseKeeper(
         pose_path(settings.current, os.environ),
-        lambda: live.mapping.facts.localization,
+        lambda: live.mapping.snapshot.localization,
         lambda: settings.current.amcl,
         clock,
         events,
@@ -208,7 +208,7 @@ def _keep_origin(settings: ConfigStore, opened: OpenMap) -> None:
     opened.sonar_map.reconfigure(settings.settle("odometry.origin", value, "the map's file"))
 
 
-def _localizing(config: Config, events: EventLog) -> LocalizationSession | None:
+def _start_localization(config: Config, events: EventLog) -> LocalizationSession | None:
     """Begin localization by the settings, at the saved pose where there is one.
 
     Raises:
@@ -248,10 +248,10 @@ async def _tell(live: Live, say: Say) -> None:
     """Say every now and then how it goes."""
     while True:
         await asyncio.sleep(TELL_S)
-        pings = live.mapping.facts.pings
+        pings = live.mapping.snapshot.pings
         dropped = sum(pings["dropped"].values())
         sonar = f"{pings['mapped']} pings mapped, {dropped} dropped, sonar {live.link.state}"
-        say(sonar + _where(live.mapping.facts.localization))
+        say(sonar + _where(live.mapping.snapshot.localization))
 
 
 def _where(facts: LocalizationFacts | None) -> str:

@@ -59,8 +59,8 @@ async def serving(
     """
 
     def newest() -> Ping | None:
-        settled = daemon.live.mapping.newest
-        return None if settled is None else settled.ping
+        result = daemon.live.mapping.newest
+        return None if result is None else result.posed.ping
 
     tasks = []
     if daemon.settings.current.mqtt.host:
@@ -72,7 +72,7 @@ async def serving(
         daemon.settings,
         daemon.events,
         folder / "debug",
-        lambda: daemon.live.mapping.facts.localization,
+        lambda: daemon.live.mapping.snapshot.localization,
     )
     tasks.append(asyncio.create_task(pictures))
     try:
@@ -115,8 +115,8 @@ def stream_server(
     """
     settings = operations.settings
     doors = map_listeners(settings.current, operations.events, environ, inherited)
-    feed = Feed(operations, lambda: live.mapping.facts, settings.current.stream.path_points)
-    live.mapping.integration.on_ping = feed.put
+    feed = Feed(operations, lambda: live.mapping.snapshot, settings.current.stream.path_points)
+    live.mapping.pipeline.executor.on_ping = feed.put
     settings.follow(FOLLOWS, lambda _: None)
     return StreamServer(operations, doors, feed, source, now_ns=now_ns)
 

@@ -1,7 +1,7 @@
-"""The live source of the step: a sonar and a vehicle on the network become a map.
+"""A live session: maps one sonar and one vehicle on the network.
 
-A thin shell of asyncio that only moves bytes: what the links bring goes, in one order, to the
-recorder and to the mapping thread, which does what a replay of that recording does.
+The event loop only passes bytes on, in one order, to the recorder and to the mapping thread. The
+mapping thread does what a replay of the recording does.
 """
 
 import asyncio
@@ -25,17 +25,15 @@ from mapperd.odometry.bridge import encoding_of
 from mapperd.odometry.links import Link
 from mapperd.odometry.links import LinkStatus as OdometryStatus
 from mapperd.pipeline.backlog import Backlog
+from mapperd.pipeline.build import build_pipeline
 from mapperd.pipeline.counters import PipelineCounters
-from mapperd.pipeline.decoder import SessionDecoder
-from mapperd.pipeline.executor import PingExecutor
 from mapperd.pipeline.ingest import SONAR, ChunkQueue, Ingest
 from mapperd.pipeline.persistence import MapPersistence, MemoryPersistence
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.pipeline.recorder import Recorder
 from mapperd.pipeline.snapshot import snapshot_reader
-from mapperd.pipeline.step import StepRunner
 from mapperd.pipeline.worker import MappingThread
-from mapperd.session_log import LINK, Request, Session, Settings
+from mapperd.session_log import LINK, Remarks, Request, Session, Settings
 from oculus_driver.link.state import LinkState, LinkStatus
 from oculus_driver.settings import FireSettings, Mode, PingRate
 from oculus_driver.sonar import OculusSonar
@@ -44,19 +42,19 @@ __all__ = ["Live", "fire_settings", "host_clock"]
 
 
 def host_clock() -> Callable[[], int]:
-    """Unix time in nanoseconds that no correction of the host's clock can set back.
+    """Return a clock of Unix time in nanoseconds that never goes back.
 
-    Monotonic time and one offset, so that senders may stamp with Unix time.
+    It is the monotonic clock with a constant offset, so that senders may stamp with Unix time.
     """
     offset_ns = time.time_ns() - time.monotonic_ns()
     return lambda: time.monotonic_ns() + offset_ns
 
 
 def fire_settings(device: DeviceConfig) -> FireSettings:
-    """What the sonar is asked for.
+    """Return the sonar settings to request.
 
     Raises:
-        SettingsError: something that the driver cannot ask for.
+        SettingsError: the sonar does not support a setting.
     """
     return FireSettings(
         mode=Mode(device.mode),
@@ -68,29 +66,27 @@ def fire_settings(device: DeviceConfig) -> FireSettings:
 
 
 class Live:
-    """One session: one sonar and one vehicle on their way into one map; runs once.
+    """One session that maps one sonar and one vehicle; runs once.
 
     Args:
-        sonar_map: where the pings go; its settings say where the links are.
+        sonar_map: the map; its settings name the links.
         poses: fixed, or from the vehicle's odometry; fresh.
-        session: id of the session, in its recordings.
-        events: is told what the links do; may be none.
-        keep: of the map; None keeps it in memory.
-        clock: nanoseconds, of all arrivals.
-        localizing: begun; None is off.
+        session: id of the session for its recordings.
+        events: receives the state changes of the links; may be None.
+        persistence: of the map; None keeps it in memory.
+        clock: of all arrivals, nanoseconds.
+        localization: started; None where it is off.
 
     Raises:
-        ConfigError: the folder of the recordings cannot be used, two sources share a link, or a
-            source has the name of another link.
+        ConfigError: the recordings folder cannot be used, two sources share a link, or a source
+            has the name of another link.
 
     Attributes:
-        session: as given.
-        mapping: the thread of the pings, with its facts.
+        session, persistence, localization: as given.
+        mapping: the mapping thread, with its snapshot.
         counters: of the pings.
-        links: of the odometry.
-        recorder, inlet, queue: of all that comes in.
-        keep: of the map.
-        localizing: as given.
+        links: odometry links.
+        recorder, ingest, queue: of all input.
     """
 
     def __init__(
@@ -100,61 +96,61 @@ class Live:
         *,
         session: str = "",
         events: EventLog | None = None,
-        keep: MapPersistence | None = None,
+        persistence: MapPersistence | None = None,
         clock: Callable[[], int] | None = None,
-        localizing: LocalizationSession | None = None,
+        localization: LocalizationSession | None = None,
     ) -> None:
         config = sonar_map.config
         _require_own_links(config)
         self.session = session
-        self.keep: MapPersistence = MemoryPersistence(sonar_map) if keep is None else keep
+        self.persistence: MapPersistence = persistence or MemoryPersistence(sonar_map)
         self.counters = PipelineCounters()
-        self.localizing = localizing
+        self.localization = localization
         self._config = config
         self._poses = poses
         self._events = events
         self._clock = clock or host_clock()
-        self._fresh = False
+        self._is_new_connection = False
         self.queue = ChunkQueue()
         self.recorder = Recorder(config, session, self._clock)
         encodings = {source.name: encoding_of(source) for source in config.odometry.sources}
-        self.inlet = Ingest(self.recorder, self.queue, encodings, self._clock)
-        self.mapping = self._mapping(sonar_map)
-        self._requests = Requests(self.inlet, None if localizing is None else localizing.maps)
+        self.ingest = Ingest(self.recorder, self.queue, encodings, self._clock)
+        self.mapping = self._mapping_thread(sonar_map)
+        self._requests = Requests(self.ingest, None if localization is None else localization.maps)
         self.links = self._odometry_links()
         self._sonar = OculusSonar(
             config.device.address or None,
             fire_settings(config.device),
             serial=config.device.serial or None,
             port=config.device.port,
-            on_bytes=self._take_sonar,
-            on_state=self._tell_sonar,
+            on_bytes=self._receive_sonar,
+            on_state=self._log_sonar_state,
             clock=self._clock,
-            max_pings=1,  # the driver looks at pings for its own purposes; we take the bytes
+            max_pings=1,  # the pipeline decodes the bytes itself, as in a replay
         )
 
     async def run(self, until: Awaitable[Any]) -> None:
-        """Map until something else is done, then put the sonar into standby.
+        """Map until `until` is done, then put the sonar into standby.
 
         Args:
-            until: what to wait for.
+            until: the end of the session.
 
         Raises:
-            ConfigError: a library that a link needs is not installed.
-            OculusError: the sonar cannot be looked for.
+            ConfigError: a library for a link is not installed.
+            OculusError: the sonar cannot be discovered.
         """
         ended = self._when_mapping_ends()
         end = asyncio.ensure_future(until)
         links = [asyncio.create_task(link.run()) for link in self.links]
         async with self.recorder:
             mapping = self.mapping
-            self.keep.begin(
-                mapping.engine,
+            self.persistence.begin(
+                mapping.pipeline.decoder,
                 self.recorder,
                 self.queue.wake,
-                poses_depend_on(self.localizing),
+                poses_depend_on(self.localization),
             )
-            self.inlet.order(self._beginning())
+            self.ingest.order(self._beginning())
             self._requests.open()
             mapping.on_request = self._requests.done
             mapping.start()
@@ -167,43 +163,44 @@ class Live:
                 await asyncio.gather(*links, return_exceptions=True)
                 self.queue.close()
                 self._requests.close()
-                await ended  # never cancelled: a step that has begun in its thread goes on anyway
+                await ended  # not cancellable: the thread finishes its work in any case
         if self.mapping.failure is not None:
             raise self.mapping.failure
 
-    def take(self, config: Config) -> None:
+    def reconfigure(self, config: Config) -> None:
         """Map with other settings from the next bytes on; any thread.
 
         Args:
-            config: differs from the settings before in those that `StepRunner.FOLLOWS` names, and
+            config: differs from the present settings only in those of `PingExecutor.FOLLOWS`, and
                 has passed `check_filters`.
         """
         values = changes_between(self._config, config)
         self._config = config
         if values:
-            self.inlet.order(Settings(values))
+            self.ingest.order(Settings(values))
 
-    async def ask(self, request: Request) -> Reject | None:
-        """Ask localization for something, as an order that is recorded; returns why not.
+    async def request(self, request: Request) -> Reject | None:
+        """Record a request and pass it to localization; return why it was refused.
 
-        The event loop's alone. It is done between two pings, so that it may take a while.
+        Only for the event loop. The mapping thread serves requests between two pings, so this may
+        take a while.
 
         Args:
-            request: its number, and a map's fingerprint, are put in here.
+            request: without its number, and without the fingerprint of a map.
 
         Raises:
-            MapError: the map cannot be loaded; nothing was ordered.
+            MapError: the map cannot be loaded; nothing was requested.
         """
-        return await self._requests.ask(request)
+        return await self._requests.request(request)
 
     @property
     def poses(self) -> FixedPose | OdometryPoses:
-        """Where the poses come from."""
+        """Source of the poses."""
         return self._poses
 
     @property
     def link(self) -> LinkStatus:
-        """What the link to the sonar does."""
+        """State of the link to the sonar."""
         return self._sonar.link
 
     @property
@@ -211,21 +208,23 @@ class Live:
         """The sonar."""
         return self._sonar
 
-    def _mapping(self, sonar_map: SonarMap) -> MappingThread:
-        engine = SessionDecoder(
-            sonar_map.config, self._poses, self.counters, confirm=False, obey=True
+    def _mapping_thread(self, sonar_map: SonarMap) -> MappingThread:
+        pipeline = build_pipeline(
+            sonar_map,
+            self._poses,
+            localization=None if self.localization is None else self.localization.onboard,
+            persistence=self.persistence,
+            remarks=Remarks(),
+            counters=self.counters,
         )
-        stepping = StepRunner(sonar_map, time.perf_counter, self.counters)
-        onboard = None if self.localizing is None else self.localizing.onboard
         return MappingThread(
             self.queue,
-            engine,
-            PingExecutor(stepping, self.keep, onboard=onboard),
+            pipeline,
             Backlog(sonar_map.config.behind),
-            remark=self.inlet.remark,
+            self.persistence,
+            remark=self.ingest.remark,
             clock=self._clock,
-            facts_of=snapshot_reader(self._poses, self._clock),
-            keep=self.keep,
+            read_snapshot=snapshot_reader(self._clock),
         )
 
     def _odometry_links(self) -> list[Link]:
@@ -233,51 +232,51 @@ class Live:
             Link(
                 source.name,
                 parse_address(source.link),
-                partial(self.inlet.bytes_came, source.name),
+                partial(self.ingest.receive, source.name),
                 self._clock,
-                self._tell_link,
+                self._log_link_state,
             )
             for source in self._config.odometry.sources
         ]
 
     def _beginning(self) -> Session:
-        """Everything that a replay needs to map this session as it is mapped."""
+        """Return everything that a replay needs to repeat this session."""
         pose = self._poses.pose if isinstance(self._poses, FixedPose) else None
         settings = msgspec.to_builtins(self._config)
         place = None if pose is None else (*pose.position_m.tolist(), *pose.map_q_base.tolist())
-        begun = self.localizing
-        saved = None if begun is None else numbers_of(begun.saved)
-        sha256 = "" if begun is None else begun.map_sha256
+        localization = self.localization
+        saved = None if localization is None else numbers_of(localization.saved)
+        sha256 = "" if localization is None else localization.map_sha256
         return Session(self.session, __version__, settings, place, saved, sha256)
 
     def _when_mapping_ends(self) -> "asyncio.Future[None]":
         loop = asyncio.get_running_loop()
         ended: asyncio.Future[None] = loop.create_future()
 
-        def tell() -> None:
+        def notify() -> None:
             loop.call_soon_threadsafe(ended.set_result, None)
 
-        self.mapping.on_end = tell
+        self.mapping.on_end = notify
         return ended
 
     async def _watch(self) -> None:
-        """Raise what goes wrong with the sonar's link."""
+        """Raise errors of the sonar's link."""
         async for _ in self._sonar.pings():
             pass
 
-    def _take_sonar(self, data: bytes, arrival_ns: int) -> None:
-        gap, self._fresh = self._fresh, False
-        self.inlet.bytes_came(SONAR, data, arrival_ns, gap=gap)
+    def _receive_sonar(self, data: bytes, arrival_ns: int) -> None:
+        gap, self._is_new_connection = self._is_new_connection, False
+        self.ingest.receive(SONAR, data, arrival_ns, gap=gap)
 
-    def _tell_sonar(self, status: LinkStatus) -> None:
-        # Bytes of a new connection do not join the old ones.
-        self._fresh = self._fresh or status.state == LinkState.CONNECTING
+    def _log_sonar_state(self, status: LinkStatus) -> None:
+        # The bytes of a new connection do not continue those of the previous one.
+        self._is_new_connection |= status.state == LinkState.CONNECTING
         if self._events is not None:
             text = f"sonar: {status.state}: {status.reason}"
             facts = {"state": str(status.state), "address": status.address}
             self._events.add(Severity.NOTICE, "sonar_link", text, **facts)
 
-    def _tell_link(self, name: str, status: OdometryStatus) -> None:
+    def _log_link_state(self, name: str, status: OdometryStatus) -> None:
         if self._events is not None:
             text = f"{name}: {status.phase}: {status.reason}"
             facts = {"link": name, "state": str(status.phase)}
@@ -285,7 +284,7 @@ class Live:
 
 
 async def _first_of(*works: Awaitable[Any]) -> None:
-    """Run until one of these ends, cancel the others, and raise what one of them raised."""
+    """Run until one awaitable ends, cancel the others, and raise the error of one."""
     tasks = [asyncio.ensure_future(work) for work in works]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -299,12 +298,12 @@ async def _first_of(*works: Awaitable[Any]) -> None:
 
 
 def _require_own_links(config: Config) -> None:
-    """Two sources cannot listen at one address, nor have the name of another link."""
+    """Refuse two sources at one address, and a source with the name of another link."""
     used: dict[str, str] = {}
     for source in config.odometry.sources:
         if source.name in (SONAR, "status", LINK):
             raise ConfigError(
-                f"a source cannot have the name {source.name!r}: that is another link's",
+                f"a source cannot have the name {source.name!r}: it is reserved",
                 "$.odometry.sources",
             )
         other = used.setdefault(source.link, source.name)

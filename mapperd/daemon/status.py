@@ -22,7 +22,7 @@ def status_of(
     live: Live, sonar_map: SonarMap, config: Config, uptime_s: float, servers: dict[str, Any]
 ) -> dict[str, Any]:
     """All keys of `DaemonApi.status` but `phase`."""
-    facts = live.mapping.facts
+    facts = live.mapping.snapshot
     return {
         "reason": live.link.reason,
         "version": __version__,
@@ -41,7 +41,7 @@ def status_of(
             "revision": sonar_map.core.revision,
             "resolution_m": sonar_map.resolution_m,
         },
-        "store": live.keep.status(),
+        "store": live.persistence.status(),
         "recording": live.recorder.status(),
         "robots": facts.robots,
         "servers": servers,

@@ -116,10 +116,10 @@ class LocalizationStage:
         """The rules and their counts."""
         return self._localizer
 
-    def take(self, config: Config) -> None:
-        """Take other settings for the pings to come; those that the filter refuses change nothing.
+    def reconfigure(self, config: Config) -> None:
+        """Use other settings for the following pings; settings that the filter refuses are counted.
 
-        Call `check_localization` before changing settings.
+        The caller has passed them to `check_localization`.
         """
         try:
             self._localizer.reconfigure(config)
@@ -128,13 +128,13 @@ class LocalizationStage:
             return
         self._config = config
 
-    def place(self, ping: Ping, pose: FusedPose | Reject, t_ns: int | None) -> FusedPose | Reject:
-        """Localize by a ping; returns where it is to be mapped, or why not.
+    def correct(self, ping: Ping, pose: FusedPose | Reject, t_ns: int | None) -> FusedPose | Reject:
+        """Localize by a ping; return the pose to map it at, or why there is none.
 
         Args:
-            ping: what the sonar heard.
-            pose: odometry pose at its time, or a reject.
-            t_ns: that time.
+            ping: the decoded ping.
+            pose: of the odometry at the ping's time, or why there is none.
+            t_ns: time of the ping.
         """
         if isinstance(pose, Reject):
             return pose
@@ -147,15 +147,15 @@ class LocalizationStage:
             return Reject("mapping_off", "localization.mapping is off")
         return self._corrected(pose)
 
-    def ask(self, request: Request) -> Reject | None:
-        """Do what somebody asks for; returns why not.
+    def request(self, request: Request) -> Reject | None:
+        """Carry out a request; return why it was refused.
 
         Raises:
-            CheckpointError: the map that a recorded request names is not there any more.
+            CheckpointError: the map of a recorded request does not exist any more.
         """
         try:
-            return self._asked(request)
-        except (MapError, ValueError) as error:  # nobody's request ends the thread that maps
+            return self._carry_out(request)
+        except (MapError, ValueError) as error:  # a bad request must not end the mapping thread
             self._localizer.counts["bad_request"] += 1
             return Reject("bad_request", str(error))
 
@@ -255,7 +255,7 @@ class LocalizationStage:
             return Reject("unsure", "the heading is less so than localization.mapping_max_std_yaw")
         return None
 
-    def _asked(self, request: Request) -> Reject | None:
+    def _carry_out(self, request: Request) -> Reject | None:
         match request:
             case InitialPose():
                 return self._begun(

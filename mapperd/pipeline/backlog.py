@@ -1,45 +1,31 @@
-"""What waits for the map, and what happens when pings come faster than they can be mapped."""
+"""Decoded work that waits for the map; drops the oldest pings when mapping is too slow."""
 
 from collections import deque
-from dataclasses import dataclass
 from typing import TypeGuard
 
 from mapperd.config.daemon import BacklogConfig
 from mapperd.errors import Reject
 from mapperd.pipeline.decoder import PosedPing, Work
 
-__all__ = ["Backlog", "Turn"]
+__all__ = ["Backlog"]
 
 MAX_BYTES = 64 * 1024 * 1024
-"""Images that may wait for their turn; beyond, the oldest are dropped."""
+"""Maximum size of the waiting images; above this the oldest pings are dropped."""
 
 CAUGHT_UP = 0.1
-"""Share of `behind.max_wait` below which all is well again."""
-
-
-@dataclass(frozen=True, slots=True)
-class Turn:
-    """What is to be done next.
-
-    Attributes:
-        work: the oldest piece.
-        dropped: it is a ping that waited for too long and must not be mapped.
-    """
-
-    work: Work
-    dropped: bool = False
+"""Fraction of `behind.max_wait` below which the backlog is no longer late."""
 
 
 class Backlog:
-    """Work in order; the oldest pings go first, into the map or not. Asks no clock.
+    """A queue of work, oldest first. Reads no clock.
 
     Args:
         settings: how long a ping may wait.
 
     Attributes:
-        pings: that wait, with a pose.
-        dropped: pings that waited for too long.
-        late: it has fallen behind, and not caught up.
+        pings: number of waiting pings with a pose.
+        dropped: number of pings that waited too long.
+        late: pings were dropped and the backlog has not recovered yet.
     """
 
     def __init__(self, settings: BacklogConfig) -> None:
@@ -53,16 +39,16 @@ class Backlog:
         return len(self._waiting)
 
     def put(self, work: Work, now_ns: int) -> None:
-        """Let work wait for its turn."""
+        """Append work."""
         self._waiting.append((work, now_ns))
         self._count(work, 1)
 
-    def next(self, now_ns: int, *, patient: bool = False) -> Turn:
-        """Take the oldest piece of work.
+    def next(self, now_ns: int, *, patient: bool = False) -> tuple[Work, bool]:
+        """Remove the oldest piece of work; return it and whether it is a ping to drop.
 
         Args:
             now_ns: on the clock of `put`.
-            patient: no more pings come, so nothing is dropped.
+            patient: no more pings arrive, so none is dropped.
 
         Raises:
             IndexError: nothing waits.
@@ -70,14 +56,14 @@ class Backlog:
         work, since_ns = self._waiting.popleft()
         self._count(work, -1)
         if patient or not _is_mappable(work):
-            return Turn(work)
+            return work, False
         wait_ns = now_ns - since_ns
         if self.pings and (wait_ns > self._max_wait_ns or self._bytes > MAX_BYTES):
             self.dropped += 1
             self.late = True
-            return Turn(work, dropped=True)
+            return work, True
         self.late = self.late and wait_ns >= CAUGHT_UP * self._max_wait_ns
-        return Turn(work)
+        return work, False
 
     def _count(self, work: Work, one: int) -> None:
         if _is_mappable(work):

@@ -1,4 +1,4 @@
-"""Counters of everything that came in, and the latency of pings."""
+"""Counters of everything received, and the latency of pings."""
 
 from array import array
 from collections import Counter, deque
@@ -6,30 +6,32 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mapperd.errors import Reject
+
 __all__ = ["Latency", "PipelineCounters"]
 
 MAX_TIMES = 100_000
-"""A daemon runs for months."""
+"""Maximum number of kept durations: the daemon may run for months."""
 
 
 @dataclass(slots=True)
 class PipelineCounters:
-    """Counts of one replay; pings_total == pings_mapped + sum(pings_dropped.values()).
+    """Counters of a session; pings_total == pings_mapped + sum(pings_dropped.values()).
 
     Attributes:
-        pings_total: pings that came within the chosen time, whatever became of them.
-        pings_outside: pings that were read and came outside of it.
+        pings_total: pings that arrived within the chosen time.
+        pings_outside: pings that arrived outside of it.
         pings_mapped: pings in the map.
-        pings_dropped: reason to count.
-        first_drop: reason to the sentence that its first case was explained with.
-        bytes_total: bytes of sonar stream.
-        bytes_rejected: bytes that belong to no message.
-        resyncs: times that the start of the next message was lost.
-        messages_rejected: reason to count, from the stream parser.
-        messages_doubtful: warning to count, of messages that were taken all the same.
-        pings_lost: ping numbers that never came, not even with a message that was dropped.
-        step_s: seconds that mapped or refused pings took in the step: all, or, of more than
-            `MAX_TIMES`, some from all over the dive.
+        pings_dropped: dropped pings by reason.
+        first_drop: explanation of the first case of each reason.
+        bytes_total: bytes of the sonar's stream.
+        bytes_rejected: bytes outside messages.
+        resyncs: how often synchronisation with the stream was lost.
+        messages_rejected: rejected messages by reason, from the stream parser.
+        messages_doubtful: accepted messages with a warning, by warning.
+        pings_lost: missing ping numbers, not counting those of rejected messages.
+        step_s: seconds in the step of pings with a pose: of all, or of a sample from the whole
+            dive if there are more than `MAX_TIMES`.
         longest_s: the largest of all.
     """
 
@@ -49,13 +51,13 @@ class PipelineCounters:
     _every: int = 1
     _passed: int = 0
 
-    def drop(self, reason: str, detail: str) -> None:
+    def drop(self, reject: Reject) -> None:
         """Count a ping that will not be in the map."""
-        self.pings_dropped[reason] += 1
-        self.first_drop.setdefault(reason, detail)
+        self.pings_dropped[reject.reason] += 1
+        self.first_drop.setdefault(reject.reason, reject.detail)
 
-    def took(self, seconds: float) -> None:
-        """Note how long a ping took."""
+    def add_time(self, seconds: float) -> None:
+        """Add the duration of one step."""
         self.longest_s = max(self.longest_s, seconds)
         self._passed += 1
         if self._passed % self._every:
@@ -66,7 +68,7 @@ class PipelineCounters:
             self._every *= 2
 
     def ms_per_ping(self) -> dict[str, float]:
-        """Median, 95th percentile and largest time of a step in milliseconds; 0 without any."""
+        """Return median, 95th percentile and maximum duration of a step, ms; 0 without pings."""
         times_ms = 1e3 * np.asarray(self.step_s) if self.step_s else np.zeros(1)
         p50, p95 = np.percentile(times_ms, [50, 95])
         return {"p50": float(p50), "p95": float(p95), "max": 1e3 * self.longest_s}
@@ -77,21 +79,21 @@ MAX = 4096
 
 
 class Latency:
-    """Of the pings that were mapped in the last minute."""
+    """Latency of the pings mapped within the last minute."""
 
     def __init__(self) -> None:
         self._pings: deque[tuple[int, int]] = deque(maxlen=MAX)
 
     def add(self, complete_ns: int, mapped_ns: int) -> None:
-        """Note a ping: when its last byte had come, and when it was in the map."""
+        """Add a ping: arrival of its last byte, and end of its step, ns."""
         self._pings.append((mapped_ns, mapped_ns - complete_ns))
 
     def percentiles_ms(self, now_ns: int) -> dict[str, float] | None:
-        """`p50`, `p95`, `p99` in milliseconds; None without a ping."""
+        """Return `p50`, `p95`, `p99` in milliseconds; None without pings."""
         while self._pings and now_ns - self._pings[0][0] > WINDOW_NS:
             self._pings.popleft()
         if not self._pings:
             return None
-        took_ms = [took_ns / 1e6 for _, took_ns in self._pings]
-        p50, p95, p99 = np.percentile(took_ms, [50, 95, 99])
+        latency_ms = [latency_ns / 1e6 for _, latency_ns in self._pings]
+        p50, p95, p99 = np.percentile(latency_ms, [50, 95, 99])
         return {"p50": float(p50), "p95": float(p95), "p99": float(p99)}

@@ -1,7 +1,7 @@
 """From the bytes of all links to pings with their poses, live and recorded.
 
-What comes out depends on the chunks and their order alone: nothing in here asks a clock. So what
-was mapped live and what its recording gives are equal by construction.
+The result depends only on the chunks and their order: nothing here reads a clock. So a recording
+gives the same map as the live session.
 """
 
 from collections import deque
@@ -33,7 +33,6 @@ from oculus_driver.stream import Message, StreamParser, StreamParserState
 from oculus_driver.wire import MessageId
 
 __all__ = [
-    "Arrival",
     "NewSettings",
     "PingStream",
     "PosedPing",
@@ -43,17 +42,8 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, slots=True)
-class Arrival:
-    """A ping message that came, decoded or not.
-
-    Attributes:
-        t_ns: when its first byte came, on the recording's clock; None if unknown.
-        ping: the ping, or why there is none.
-    """
-
-    t_ns: int | None
-    ping: Ping | Reject
+Arrival = tuple[int | None, Ping | Reject]
+"""Arrival time of a ping message's first byte, ns or None, and the ping or why it is rejected."""
 
 
 class PingStreamState(NamedTuple):
@@ -63,8 +53,8 @@ class PingStreamState(NamedTuple):
         parsers: link to the state of its parser.
         sequence: of the ping numbers.
         owner: link whose pings are mapped; None before the first ping.
-        unnumbered: messages since the last ping that gave none.
-        not_lost: numbers that are missing because of those.
+        unnumbered: rejected ping messages since the last ping.
+        not_lost: missing ping numbers that these messages explain.
     """
 
     parsers: dict[str, StreamParserState]
@@ -75,11 +65,11 @@ class PingStreamState(NamedTuple):
 
 
 class PingStream:
-    """Cuts each link's bytes into pings; every ping message counts once, whatever it is.
+    """Frames the bytes of each link and decodes the pings; each ping message counts once.
 
     Args:
-        confirm: hold each ping back until what follows it confirms that no byte is missing from
-            it: right for a recording, too late for a live picture.
+        confirm: hold each ping back until the next bytes confirm that none of its bytes is
+            missing: for recordings, too slow for live pings.
     """
 
     def __init__(self, *, confirm: bool = False) -> None:
@@ -87,25 +77,25 @@ class PingStream:
         self._parsers: dict[str, StreamParser] = {}
         self._sequence = PingSequence()
         self._owner: str | None = None
-        self._unnumbered = 0  # messages that came since the last ping, but gave none
-        self._not_lost = 0  # numbers that are missing because of those
+        self._unnumbered = 0  # rejected ping messages since the last ping
+        self._not_lost = 0  # missing ping numbers that these messages explain
 
     def feed(
         self, link: str, data: bytes, arrival_ns: int | None, *, gap_before: bool = False
     ) -> Iterator[Arrival]:
-        """Take the next bytes of a link; yield the ping messages that they complete.
+        """Feed the next bytes of a link; yield the ping messages that they complete.
 
         Args:
             link: name of the link.
-            data: its bytes, cut anywhere.
-            arrival_ns: when they came.
-            gap_before: bytes before them are known to be missing.
+            data: its bytes, in any fragmentation.
+            arrival_ns: their arrival time.
+            gap_before: bytes in front of them are missing.
         """
         parser = self._parsers.setdefault(link, StreamParser(confirm=self._confirm))
         yield from self._arrivals(link, parser.feed(data, arrival_ns, gap_before=gap_before))
 
     def state(self) -> PingStreamState:
-        """Everything that `restore` needs to continue exactly."""
+        """Return everything that `restore` needs to continue exactly."""
         return PingStreamState(
             {link: parser.state() for link, parser in self._parsers.items()},
             self._sequence.state(),
@@ -124,12 +114,12 @@ class PingStream:
         self._not_lost = state.not_lost
 
     def finish(self) -> Iterator[Arrival]:
-        """Settle what is pending at the end of all links."""
+        """Yield the pending ping messages at the end of all links."""
         for link, parser in self._parsers.items():
             yield from self._arrivals(link, parser.finish())
 
     def count(self, counters: PipelineCounters) -> None:
-        """Add what the parsers and the ping numbers say."""
+        """Add the counters of the parsers and of the ping numbers."""
         for parser in self._parsers.values():
             parsed = parser.counters
             counters.bytes_total += parsed.bytes_total
@@ -142,14 +132,14 @@ class PingStream:
     def _arrivals(self, link: str, messages: Iterable[Message]) -> Iterator[Arrival]:
         for message in messages:
             if message.message_id == MessageId.PING_RESULT:
-                yield Arrival(message.arrival_ns, self._ping_of(link, message))
+                yield message.arrival_ns, self._ping_of(link, message)
 
     def _ping_of(self, link: str, message: Message) -> Ping | Reject:
         ping = decode_ping(message)
         if not isinstance(ping, Ping):
             self._unnumbered += link == self._owner
             return Reject(ping.reason, ping.detail)
-        # One mounting, one sonar: a second one would be drawn in the wrong place.
+        # The mounting is that of one sonar: pings of a second one would be misplaced.
         self._owner = self._owner or link
         if link != self._owner:
             return Reject("other_link", f"pings of {link!r}; those of {self._owner!r} are mapped")
@@ -158,7 +148,7 @@ class PingStream:
         return ping
 
     def _is_new(self, ping_id: int) -> bool:
-        """Follow the numbers; each message that gave no ping accounts for a missing one."""
+        """Follow the ping numbers; each rejected message explains one missing number."""
         lost = self._sequence.lost_pings
         new = self._sequence.accept(ping_id)
         self._not_lost += min(self._unnumbered, self._sequence.lost_pings - lost)
@@ -168,14 +158,14 @@ class PingStream:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedPing:
-    """A ping whose pose is known, or known to be unknown.
+    """A ping with the odometry's pose.
 
     Attributes:
-        number: of the ping, from 0; every ping message of the session counts.
-        ping: what the sonar heard.
-        pose: at its time, or why there is none.
-        complete_ns: when its last byte had come, on the clock of the arrivals; None if unknown.
-        t_ns: when the sound met the middle of the image, on that clock; None if unknown.
+        number: of the ping in its session, from 0; every ping message counts.
+        ping: the decoded ping.
+        pose: of the base at `t_ns`, or why it is unknown.
+        complete_ns: arrival of the last byte, clock of the arrivals; None if unknown.
+        t_ns: when the sound reached the middle of the image, same clock; None if unknown.
     """
 
     number: int
@@ -187,12 +177,13 @@ class PosedPing:
 
 @dataclass(frozen=True, slots=True)
 class NewSettings:
-    """Pings after this are mapped with other settings."""
+    """The following pings are mapped with other settings."""
 
     config: Config
 
 
 Work = PosedPing | NewSettings | Reset | Request
+"""One piece of work for the executor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,24 +217,24 @@ class SessionDecoderState(NamedTuple):
 
 
 class SessionDecoder:
-    """Parses, fuses and pairs one session.
+    """Turns the chunks of one session into work: frames, decodes, and looks up poses.
 
     Args:
-        config: the settings at its beginning.
+        config: the settings at the beginning of the session.
         poses: fixed, or from odometry; fresh.
         counters: of the pings.
-        confirm: hold each ping back until what follows confirms it: right for recordings that do
-            not say where bytes are missing.
-        obey: do what the decisions among the chunks say; else only gaps are believed.
-        within: whether a ping that came at a time is wanted; None is all.
+        confirm: hold each ping back until the next bytes confirm it: for recordings that do not
+            mark missing bytes.
+        obey: carry out the recorded decisions; otherwise only gaps count.
+        within: whether to map a ping that arrived at a time; None maps all.
 
     Attributes:
-        config: the settings that chunks are taken with.
+        config: the settings for the next chunk.
         counters: as given.
         pings: ping messages so far: the number of the next one.
-        bytes_taken, orders_taken: where in the session's stream it is: bytes of all links, skipped
-            ones too, and orders other than `Skip`. However a log cuts bytes into pieces and files,
-            the place is the same.
+        bytes_taken, orders_taken: position in the session's stream: bytes of all links including
+            skipped ones, and orders other than `Skip`. It does not depend on how a log splits the
+            bytes into pieces and files.
         clocks: of the sonars, by source id.
         poses: as given.
     """
@@ -273,11 +264,11 @@ class SessionDecoder:
 
     @property
     def waiting(self) -> int:
-        """Pings that wait for their poses."""
+        """Number of pings that wait for their poses."""
         return len(self._tickets)
 
     def state(self) -> SessionDecoderState:
-        """Everything that `restore` needs to continue exactly; between two chunks."""
+        """Return everything that `restore` needs to continue exactly; between two chunks."""
         return SessionDecoderState(
             self.pings,
             self.bytes_taken,
@@ -306,62 +297,62 @@ class SessionDecoder:
         self._whole, self._gaps = state.whole, set(state.gaps)
 
     def feed(self, chunk: Chunk, *, late: bool = False) -> list[Work]:
-        """Take the next chunk; returns what is to be done because of it, in order.
+        """Decode the next chunk; return the resulting work in order.
 
         Args:
             chunk: of any link.
-            late: it came after the chosen part: its sonar bytes may complete a ping, the rest
-                means nothing.
+            late: the chunk is after the chosen part of the recording: its sonar bytes may complete
+                a ping, its odometry is ignored.
         """
         if chunk.encoding == DECISIONS:
-            return list(self._decided(chunk))
+            return list(self._decide(chunk))
         self.bytes_taken += len(chunk.data)
         if chunk.encoding == OCULUS:
             self._take_sonar(chunk)
         elif chunk.encoding.startswith(ENCODING_PREFIX) and not late:
             self._take_odometry(chunk)
-        return self._settled(None if late else chunk.arrival_ns)
+        return self._resolve(None if late else chunk.arrival_ns)
 
     def end(self, *, cut: bool = False) -> list[Work]:
-        """Settle what is pending; nothing more comes.
+        """Return the work that is pending at the end of the session.
 
         Args:
-            cut: bytes would follow, so messages that are pending are not judged.
+            cut: the recording continues, so incomplete messages are not counted.
         """
         if not cut:
             self._offer_all(self._stream.finish(), None)
-        work = self._settled(None, final=True)
+        work = self._resolve(None, final=True)
         self._stream.count(self.counters)
         return work
 
     def offer(self, ping: Ping | Reject, t_ns: int | None, complete_ns: int | None) -> None:
-        """Count a ping that came and let it wait for its pose.
+        """Count a ping and pass it to the pose lookup.
 
         Args:
-            ping: or why there is none.
-            t_ns: as `PoseLookup.add_ping` takes it.
-            complete_ns: when its last byte came.
+            ping: the ping, or why it is rejected.
+            t_ns: as for `PoseLookup.add_ping`.
+            complete_ns: arrival of its last byte.
         """
         number, self.pings = self.pings, self.pings + 1
         self.counters.pings_total += 1
         if isinstance(ping, Reject):
-            self.counters.drop(ping.reason, ping.detail)
+            self.counters.drop(ping)
             return
         skip = self.config.processing.frame_skip
-        turn, self._whole = self._whole % skip, self._whole + 1
-        if turn:
-            self.counters.drop("frame_skip", f"every {skip}th ping is mapped")
+        phase, self._whole = self._whole % skip, self._whole + 1
+        if phase:
+            self.counters.drop(Reject("frame_skip", f"every {skip}th ping is mapped"))
             return
         placed_ns = ping_time_ns(ping) if t_ns is None else t_ns
         self._tickets.append(_Ticket(number, complete_ns, placed_ns))
         self.poses.add_ping(ping, placed_ns)
 
-    def take(self, config: Config) -> None:
-        """Take chunks with other settings from the next one on."""
+    def reconfigure(self, config: Config) -> None:
+        """Decode the following chunks with other settings."""
         self.config = config
-        self.poses.take(config)
+        self.poses.reconfigure(config)
 
-    def _decided(self, chunk: Chunk) -> Iterator[Work]:
+    def _decide(self, chunk: Chunk) -> Iterator[Work]:
         decision = decision_of(chunk)
         self.orders_taken += not isinstance(decision, Skip) and not is_remark(decision)
         match decision:
@@ -371,7 +362,7 @@ class SessionDecoder:
                 self._gaps.add(link)
                 self.bytes_taken += size
             case Settings(values) if self._obey:
-                self.take(with_values(self.config, values))
+                self.reconfigure(with_values(self.config, values))
                 yield NewSettings(self.config)
             case Reset() if self._obey:
                 yield decision
@@ -398,14 +389,14 @@ class SessionDecoder:
         self._offer_all(arrivals, chunk.arrival_ns)
 
     def _offer_all(self, arrivals: Iterable[Arrival], complete_ns: int | None) -> None:
-        for arrival in arrivals:
-            if self._within is not None and not self._within(arrival.t_ns):
+        for arrival_ns, ping in arrivals:
+            if self._within is not None and not self._within(arrival_ns):
                 self.counters.pings_outside += 1
             else:
-                self.offer(arrival.ping, self._time_ns(arrival.ping), complete_ns)
+                self.offer(ping, self._time_ns(ping), complete_ns)
 
     def _time_ns(self, ping: Ping | Reject) -> int | None:
-        """By the sonar's own clock, where it has one."""
+        """Return when the sound reached the middle of the image, by the sonar's own clock."""
         if isinstance(ping, Reject):
             return None
         return ping_time_ns(ping, self._clock_of(ping.source_id))
@@ -416,10 +407,9 @@ class SessionDecoder:
             self.clocks[source_id] = SonarClock(latency_ns=latency_ns)
         return self.clocks[source_id]
 
-    def _settled(self, now_ns: int | None, *, final: bool = False) -> list[Work]:
+    def _resolve(self, now_ns: int | None, *, final: bool = False) -> list[Work]:
         work: list[Work] = []
         for ping, pose in self.poses.resolved(now_ns, final=final):
-            ticket = self._tickets.popleft()  # pings come out in the order in which they went in
-            settled = PosedPing(ticket.number, ping, pose, ticket.complete_ns, ticket.t_ns)
-            work.append(settled)
+            ticket = self._tickets.popleft()  # the lookup keeps the order of the pings
+            work.append(PosedPing(ticket.number, ping, pose, ticket.complete_ns, ticket.t_ns))
         return work

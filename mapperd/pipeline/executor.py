@@ -1,142 +1,180 @@
-"""Carries out, in order, what the engine gives: the pings' way into the map."""
+"""Carries out the decoder's work in order: pings, settings, resets, requests to localization."""
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+import time
+from collections.abc import Callable
 
 from mapperd.config.tree import Config
-from mapperd.errors import Reject, StoreError
-from mapperd.localization.stage import LocalizationStage
-from mapperd.odometry.fusion import FusedPose
+from mapperd.errors import Reject
+from mapperd.imaging.filter_chain import check_filters
+from mapperd.imaging.robots import Sighting, Sightings
+from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import NewSettings, PosedPing, Work
 from mapperd.pipeline.persistence import MapPersistence
-from mapperd.pipeline.step import Mapped, StepRunner
+from mapperd.pipeline.pose_lookup import ODOMETRY_FOLLOWS
+from mapperd.pipeline.step import PingResult, Stages, process_ping
 from mapperd.session_log import Remarks, Request, Reset
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-__all__ = ["PingExecutor", "PingResult"]
+__all__ = ["PingExecutor"]
 
 LOCALIZATION_OFF = Reject("localization_off", "localization.mode is off")
 
-TOO_SLOW = ("too_slow", "pings came faster than they could be mapped")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PingResult:
-    """A ping, and what became of it.
-
-    Attributes:
-        settled: the ping.
-        pose: that it was mapped at, or why it has none.
-        result: in the map, or why not.
-    """
-
-    settled: PosedPing
-    pose: FusedPose | Reject
-    result: Mapped | Reject
+TOO_SLOW = Reject("too_slow", "pings came faster than they could be mapped")
 
 
 class PingExecutor:
-    """One thread does one piece of work after the other.
+    """Maps pings and counts them; used by one thread.
 
     Args:
-        stepping: the pings' way.
-        keep: of the map.
-        remarks: of a session that is mapped again.
-        onboard: localizes; None where that is off.
+        stages: of the step.
+        persistence: of the map.
+        counters: to continue; new ones by default.
+        remarks: of the session that is mapped again.
+        clock: seconds, to time the steps.
+
+    Raises:
+        ConfigError: an enabled filter cannot run.
 
     Attributes:
-        stepping, onboard: as given.
-        newest: pose that the newest ping with one was mapped at, or localized where none is.
-        on_ping: called with each ping and what became of it; it neither waits nor raises.
+        stages, counters: as given.
+        sightings: robots that were seen lately.
+        on_ping: called with each result; it neither waits nor raises.
     """
+
+    FOLLOWS = (
+        "filtering",
+        "mounting.orientation",
+        "octree",
+        "mapping",
+        "processing",
+        "crosstalk",
+        "terrain_detection",
+        "robot_detection",
+        "amcl",
+        "localization",
+        *ODOMETRY_FOLLOWS,
+    )
+    """Settings that the pipeline follows while it runs."""
 
     def __init__(
         self,
-        stepping: StepRunner,
-        keep: MapPersistence,
+        stages: Stages,
+        persistence: MapPersistence,
+        counters: PipelineCounters | None = None,
         remarks: Remarks | None = None,
-        onboard: LocalizationStage | None = None,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        self.stepping = stepping
-        self.onboard = onboard
-        self.newest: FusedPose | None = None
+        check_filters(stages.map.config)
+        self.stages = stages
+        self.counters = counters or PipelineCounters()
+        self.sightings = Sightings()
         self.on_ping: Callable[[PingResult], None] = lambda _: None
-        self._keep = keep
-        remarks = remarks or Remarks()
-        self._drops = remarks.drops
-        self._failed = remarks.failed
+        self._persistence = persistence
+        self._remarks = remarks or Remarks()
+        self._clock = clock
+        self._config = stages.map.config
 
     def do(self, work: Work) -> None:
-        """Map a ping or count why not, change the settings, empty the map, or localize anew.
+        """Do one piece of work.
 
         Raises:
             StoreError: the map cannot be emptied.
-            CheckpointError: the known map that a recorded request names is not there any more.
+            CheckpointError: the known map of a recorded request does not exist any more.
         """
         match work:
             case PosedPing():
-                self._ping(work)
-            case NewSettings(config):
-                self._take(config)
-            case Reset(number):
-                self._reset(number)
+                self.map_ping(work)
+            case NewSettings():
+                self.change_settings(work)
+            case Reset():
+                self.reset(work)
             case _:
-                self.ask(work)
-                return
-        self._keep.done(work)
+                self.request(work)
 
-    def ask(self, request: Request) -> Reject | None:
-        """Do what localization is asked for; returns why not. Raises as `do`."""
-        refused = LOCALIZATION_OFF if self.onboard is None else self.onboard.ask(request)
-        self._keep.done(request)
+    def skip(self, work: Work) -> None:
+        """Pass over work that is in the map already; only localization repeats it."""
+        match work:
+            case PosedPing(number=number):
+                if number not in self._remarks.drops:
+                    self.stages.correct(work)
+            case NewSettings(config):
+                self.reconfigure(config)
+            case Reset():
+                pass
+            case _ if self.stages.localization is not None:
+                self.stages.localization.request(work)
+
+    def map_ping(self, posed: PosedPing) -> PingResult | None:
+        """Put a ping through the step; None if the recording says that it was dropped."""
+        result = None
+        if posed.number in self._remarks.drops:
+            self.counters.drop(TOO_SLOW)
+        else:
+            result = self._step(posed)
+            self.on_ping(result)
+        self._persistence.done(posed)
+        return result
+
+    def drop(self, posed: PosedPing) -> None:
+        """Count a ping that waited too long."""
+        self.counters.drop(TOO_SLOW)
+        self.on_ping(PingResult(posed, posed.pose, TOO_SLOW))
+        self._persistence.done(posed)
+
+    def change_settings(self, work: NewSettings) -> None:
+        """Map the following pings with other settings."""
+        self.reconfigure(work.config)
+        self._persistence.done(work)
+
+    def reconfigure(self, config: Config) -> None:
+        """Use other settings from the next ping on.
+
+        Args:
+            config: differs from the present one in settings of `FOLLOWS` only, and has passed
+                `check_filters`.
+        """
+        self._config = config
+        if self.stages.localization is not None:
+            self.stages.localization.reconfigure(config)
+
+    def reset(self, work: Reset) -> None:
+        """Empty the map, unless that failed when the session was recorded.
+
+        Raises:
+            StoreError: the map cannot be emptied.
+        """
+        try:
+            if work.number not in self._remarks.failed:
+                self._persistence.reset()
+        finally:
+            self._persistence.done(work)  # a failed reset is not repeated either
+
+    def request(self, request: Request) -> Reject | None:
+        """Pass a request to localization; return why it was refused.
+
+        Raises:
+            CheckpointError: the known map of a recorded request does not exist any more.
+        """
+        localization = self.stages.localization
+        refused = LOCALIZATION_OFF if localization is None else localization.request(request)
+        self._persistence.done(request)
         return refused
 
-    def pass_by(self, work: Work) -> None:
-        """Let work go that is in the map already; localization is not in it, and does it again."""
-        match work:
-            case PosedPing(number) if number not in self._drops:
-                self._place(work)
-            case NewSettings(config):
-                self._take(config)
-            case PosedPing() | Reset():
-                pass
-            case _ if self.onboard is not None:
-                self.onboard.ask(work)
-
-    def _take(self, config: Config) -> None:
-        self.stepping.take(config)
-        if self.onboard is not None:
-            self.onboard.take(config)
-
-    def _place(self, settled: PosedPing) -> FusedPose | Reject:
-        if self.onboard is None:
-            return settled.pose
-        return self.onboard.place(settled.ping, settled.pose, settled.t_ns)
-
-    def _reset(self, number: int) -> None:
-        if number in self._failed:
-            return
-        try:
-            self._keep.reset()
-        except StoreError:
-            self._keep.done(Reset(number))  # it will not be asked for again
-            raise
-
-    def drop(self, work: PosedPing) -> None:
-        """Count a ping that had to wait for too long."""
-        self.stepping.counters.drop(*TOO_SLOW)
-        self.on_ping(PingResult(work, work.pose, Reject(*TOO_SLOW)))
-        self._keep.done(work)
-
-    def _ping(self, settled: PosedPing) -> None:
-        number = settled.number
-        if number in self._drops:
-            self.stepping.counters.drop(*TOO_SLOW)
+    def _step(self, posed: PosedPing) -> PingResult:
+        """Run the step; count and time it."""
+        if self.stages.map.config is not self._config:
+            self.stages.map.reconfigure(self._config)
+        began_s = self._clock()
+        result = process_ping(posed, self.stages)
+        if not isinstance(result.pose, Reject):
+            self.counters.add_time(self._clock() - began_s)
+        if result.reject is None:
+            self.counters.pings_mapped += 1
         else:
-            pose = self._place(settled)
-            result = self.stepping.step(settled.ping, pose)
-            if isinstance(result, Mapped):
-                self.newest = pose if isinstance(pose, FusedPose) else None
-            self.on_ping(PingResult(settled, pose, result))
+            self.counters.drop(result.reject)
+        self._remember_robots(result)
+        return result
+
+    def _remember_robots(self, result: PingResult) -> None:
+        arrival_ns = result.posed.ping.arrival_ns
+        if arrival_ns is not None:
+            self.sightings.add(Sighting(arrival_ns, at_m, robot) for robot, at_m in result.robots)

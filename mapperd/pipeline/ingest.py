@@ -1,4 +1,4 @@
-"""Bytes of all links, in one order, to the recorder and to the mapping thread."""
+"""Passes the bytes of all links, in one order, to the recorder and to the mapping thread."""
 
 import threading
 from collections import deque
@@ -14,17 +14,17 @@ __all__ = ["MAX_BYTES", "SONAR", "ChunkQueue", "Ingest"]
 MAX_BYTES = 64 * 1024 * 1024
 
 MIN_SIZE = 512
-"""What an entry counts at least: its own memory."""
+"""Minimum accounted size of an entry: its own memory."""
 
 
 class ChunkQueue:
-    """Chunks in order, bounded by their bytes; any threads.
+    """A queue of chunks with a bounded size; thread-safe.
 
     Args:
-        max_bytes: that may wait.
+        max_bytes: maximum size of the waiting chunks.
 
     Attributes:
-        chunks_refused, bytes_refused: for which there was no room.
+        chunks_refused, bytes_refused: input without room.
     """
 
     def __init__(self, max_bytes: int = MAX_BYTES) -> None:
@@ -38,11 +38,11 @@ class ChunkQueue:
 
     @property
     def waiting_bytes(self) -> int:
-        """Bytes that wait."""
+        """Size of the waiting chunks."""
         return self._bytes
 
     def has_room(self, chunk: Chunk) -> bool:
-        """Whether a chunk may be put; one that may not counts as refused. For the one producer."""
+        """Return whether a chunk fits; count it as refused if not. For the only producer."""
         if self._bytes + _size(chunk) <= self._limit:
             return True
         self.chunks_refused += 1
@@ -50,11 +50,11 @@ class ChunkQueue:
         return False
 
     def put(self, chunk: Chunk, number: int = 0) -> None:
-        """Add a chunk, for which there is room, or that is a decision, of which there are few.
+        """Append a chunk that fits, or a decision.
 
         Args:
-            chunk: the next one.
-            number: of the piece of the recording that it is, or behind which it comes.
+            chunk: the next chunk.
+            number: of the recorded piece that holds it, or of the piece before it.
         """
         with self._changed:
             self._chunks.append((chunk, number))
@@ -62,16 +62,16 @@ class ChunkQueue:
             self._changed.notify()
 
     def wake(self) -> None:
-        """Let `take` return, though there may be nothing to take."""
+        """Make `take` return, even without chunks."""
         with self._changed:
             self._woken = True
             self._changed.notify()
 
     def take(self, wait_s: float | None) -> list[tuple[Chunk, int]] | None:
-        """All chunks that wait, in order, with their numbers; None once it is closed and empty.
+        """Remove and return all waiting chunks with their numbers; None when closed and empty.
 
         Args:
-            wait_s: for the first one, where there is none; None is until one comes.
+            wait_s: how long to wait for the first chunk; None waits without a limit.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._chunks or self._closed or self._woken, wait_s)
@@ -84,7 +84,7 @@ class ChunkQueue:
         return chunks
 
     def close(self) -> None:
-        """Nothing more will be added."""
+        """Declare that nothing more is added."""
         with self._changed:
             self._closed = True
             self._changed.notify()
@@ -99,12 +99,12 @@ SONAR = "sonar"
 
 
 class Ingest:
-    """Hands on what comes in; any thread, never waits.
+    """Passes input on; any thread, never waits.
 
     Args:
-        recorder: gets everything.
-        queue: gets what it has room for; what it has not is noted in the recording.
-        encodings: of the links of the odometry.
+        recorder: receives everything.
+        queue: receives what fits; the recording notes the rest as skipped.
+        encodings: of the odometry links.
         clock: of the arrivals, nanoseconds.
     """
 
@@ -122,14 +122,14 @@ class Ingest:
         self._skipped: dict[str, int] = {}
         self._lock = threading.Lock()
 
-    def bytes_came(self, link: str, data: bytes, arrival_ns: int, *, gap: bool) -> None:
-        """Take bytes of a link.
+    def receive(self, link: str, data: bytes, arrival_ns: int, *, gap: bool) -> None:
+        """Pass on received bytes of a link.
 
         Args:
-            link: its name.
-            data: as they came.
-            arrival_ns: when.
-            gap: bytes before them are missing.
+            link: name of the link.
+            data: the received bytes.
+            arrival_ns: their arrival time.
+            gap: bytes in front of them are missing.
         """
         with self._lock:
             if gap:
@@ -138,7 +138,7 @@ class Ingest:
                 return
             chunk = Chunk(link, self._encodings[link], arrival_ns, data)
             if self._queue.has_room(chunk):
-                self._tell_skipped(arrival_ns)
+                self._queue_skips(arrival_ns)
                 self._queue.put(chunk, self._recorder.record(chunk, gap=gap))
                 return
             self._skipped[link] = self._skipped.get(link, 0) + len(data)
@@ -146,22 +146,22 @@ class Ingest:
             self._recorder.record(chunk, gap=gap)
 
     def order(self, decision: Decision) -> None:
-        """Let something take effect for the bytes that come from here on."""
+        """Pass on a decision that takes effect for the bytes after it."""
         with self._lock:
             self._order(decision, self._clock())
 
     def remark(self, decision: Decision) -> None:
-        """Record what was decided about a ping; the mapper knows."""
+        """Record a decision of the mapping thread."""
         with self._lock:
             self._recorder.record(chunk_of(decision, self._clock()), gap=False)
 
     def _order(self, decision: Decision, t_ns: int) -> None:
-        self._tell_skipped(t_ns)
+        self._queue_skips(t_ns)
         chunk = chunk_of(decision, t_ns)
         self._queue.put(chunk, self._recorder.record(chunk, gap=False))
 
-    def _tell_skipped(self, t_ns: int) -> None:
-        """Let the mapper know, in one order a link, what stands in several in the recording."""
+    def _queue_skips(self, t_ns: int) -> None:
+        """Queue one `Skip` per link for all skipped pieces; the recording has one for each."""
         for link, size in self._skipped.items():
             self._queue.put(chunk_of(Skip(link, size), t_ns), self._recorder.newest)
         self._skipped.clear()

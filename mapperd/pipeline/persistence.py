@@ -1,4 +1,4 @@
-"""Where the map of a daemon is kept: what the mapping thread tells whoever keeps it."""
+"""Interface of the map's persistence, and the one that keeps the map in memory only."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
@@ -16,78 +16,79 @@ __all__ = ["MapPersistence", "MemoryPersistence"]
 
 
 class MapPersistence(Protocol):
-    """Keeps the map; all but `save`, `whole` and `status` is called in the mapping thread."""
+    """Keeps the map. Only `save`, `whole` and `status` may be called outside the mapping thread."""
 
     @property
     def store(self) -> "TileStore | None":
-        """The map's file; None where there is none."""
+        """The map's file; None without one."""
 
     def begin(
         self,
-        engine: SessionDecoder,
-        places: RecordingOffsets,
+        decoder: SessionDecoder,
+        offsets: RecordingOffsets,
         wake: Callable[[], None],
-        localizing: LocalizationSession | None = None,
+        localization: LocalizationSession | None = None,
     ) -> None:
-        """Before the first chunk.
+        """Begin a session, before its first chunk.
 
         Args:
-            engine: of the session.
-            places: of the recording.
-            wake: lets the thread come to `between` soon; any thread.
-            localizing: what the poses depend on; None where they do not.
+            decoder: of the session.
+            offsets: of the recording.
+            wake: makes the mapping thread call `between` soon; any thread.
+            localization: the one that affects the map; None without one.
         """
 
     def between(self, number: int, waiting: int) -> None:
-        """Now and then between two chunks.
+        """Called regularly between two chunks.
 
         Args:
-            number: of the piece of the recording that was taken last.
-            waiting: pieces of work that wait.
+            number: of the last decoded piece of the recording.
+            waiting: number of waiting pieces of work.
         """
 
     def end(self) -> None:
-        """All of the session is in the map."""
+        """The whole session is in the map."""
 
     def stop(self) -> None:
-        """Nothing more comes, whether all is in the map or not; any thread."""
+        """The session ends, with or without all its work; any thread."""
 
     def done(self, work: Work) -> None:
-        """A piece of work is in the map."""
+        """A piece of work is finished, in order."""
 
     def reset(self) -> None:
         """Empty the map.
 
         Raises:
-            StoreError: it cannot be; nothing is changed.
+            StoreError: the map cannot be emptied; it is unchanged.
         """
 
     def save(self) -> int | None:
-        """Bring the map to the disk, any thread but the event loop's; returns the bytes written.
-
-        Returns:
-            None where there is no disk to bring it to.
+        """Write the map to the disk; return the written bytes, None without a file. Blocks.
 
         Raises:
-            StoreError: it cannot be written.
+            StoreError: the file cannot be written.
         """
 
     def whole(self) -> SonarMap:
-        """The whole map in memory, to be read only; any thread but the event loop's.
+        """Return the whole map, as last saved, in memory. Blocks.
 
         Raises:
-            StoreError: it cannot be read.
+            StoreError: the file cannot be read.
         """
 
     def worker(self) -> Worker:
-        """For a watchdog: the thread that writes; any thread."""
+        """Return what the watchdog watches."""
 
     def status(self) -> dict[str, Any] | None:
-        """For a person; None where the map is in memory alone."""
+        """Return the status for a person; None without a file."""
 
 
 class MemoryPersistence:
-    """The map ends with the program."""
+    """A map in memory only.
+
+    Args:
+        sonar_map: the map.
+    """
 
     store = None
 
@@ -96,41 +97,41 @@ class MemoryPersistence:
 
     def begin(
         self,
-        engine: SessionDecoder,
-        places: RecordingOffsets,
+        decoder: SessionDecoder,
+        offsets: RecordingOffsets,
         wake: Callable[[], None],
-        localizing: LocalizationSession | None = None,
+        localization: LocalizationSession | None = None,
     ) -> None:
-        """Nothing to be done."""
+        """Do nothing."""
 
     def between(self, number: int, waiting: int) -> None:
-        """Nothing to be done."""
+        """Do nothing."""
 
     def end(self) -> None:
-        """Nothing to be done."""
+        """Do nothing."""
 
     def stop(self) -> None:
-        """Nothing to be done."""
+        """Do nothing."""
 
     def done(self, work: Work) -> None:
-        """Nothing to be done."""
+        """Do nothing."""
 
     def reset(self) -> None:
         """Empty the map."""
         self._map.core.clear()
 
     def save(self) -> int | None:
-        """There is no disk."""
+        """Return None: there is no file."""
         return None
 
     def whole(self) -> SonarMap:
-        """The map itself."""
+        """Return the map itself."""
         return self._map
 
     def worker(self) -> Worker:
-        """There is no thread."""
+        """Return an idle worker."""
         return Worker("saving", 0, 0)
 
     def status(self) -> dict[str, Any] | None:
-        """There is nothing to say."""
+        """Return None: there is no file."""
         return None

@@ -1,4 +1,4 @@
-"""Pings meet poses: a ping waits until odometry that encloses its time has come."""
+"""Finds the pose of each ping: a ping waits until odometry encloses its time."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -22,6 +22,7 @@ __all__ = [
     "OdometryPoses",
     "PoseLookup",
     "PoseLookupState",
+    "fixed_pose",
     "origin_of",
     "ping_time_ns",
 ]
@@ -37,10 +38,10 @@ ODOMETRY_FOLLOWS = (
     "odometry.position_std",
     "odometry.attitude_std",
 )
-"""Settings that `PoseLookup.take` follows."""
+"""Settings that `PoseLookup.reconfigure` follows."""
 
 MAX_WAITING_BYTES = 128 * 1024 * 1024
-"""Images that may wait; beyond, the oldest ping is settled with what is known."""
+"""Maximum size of the waiting images; above this the oldest ping gets the best known pose."""
 
 
 class PoseLookupState(NamedTuple):
@@ -60,29 +61,29 @@ class PoseLookupState(NamedTuple):
 
 
 class PoseLookup(Protocol):
-    """Gives pings their poses, in the order in which the pings came."""
+    """Finds the poses of pings, in the order of the pings."""
 
     @property
     def waiting_bytes(self) -> int:
-        """Samples of the pings that wait."""
+        """Size of the images of the waiting pings."""
 
     @property
     def origin_deg(self) -> tuple[float, float] | None:
-        """Latitude and longitude of the map's zero; None where nobody said a place on Earth."""
+        """Latitude and longitude of the map's origin; None without a position on Earth."""
 
-    def take(self, config: Config) -> None:
-        """Judge by other settings from now on, pings that wait included.
+    def reconfigure(self, config: Config) -> None:
+        """Use other settings from now on, for waiting pings too.
 
         Args:
-            config: differs from the one in force in settings that `ODOMETRY_FOLLOWS` names.
+            config: differs from the present one in settings of `ODOMETRY_FOLLOWS` only.
         """
 
     def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:
-        """Take a ping that wants a pose.
+        """Add a ping.
 
         Args:
             ping: of the sonar.
-            t_ns: when the sound met the middle of the image; None to tell it by the arrival.
+            t_ns: when the sound reached the middle of the image; None derives it from the arrival.
         """
 
     def add_odometry(
@@ -94,16 +95,16 @@ class PoseLookup(Protocol):
         encoding: str | None = None,
         gap_before: bool = False,
     ) -> None:
-        """Take bytes of odometry, as `OdometryBridge.feed` does."""
+        """Feed bytes of odometry, as for `OdometryBridge.feed`."""
 
     def resolved(
         self, now_ns: int | None, *, final: bool = False
     ) -> Iterator[tuple[Ping, FusedPose | Reject]]:
-        """Pings whose pose is known, or known to be unknown.
+        """Yield the pings that need not wait any longer, with their poses or why they have none.
 
         Args:
-            now_ns: the clock of the arrivals: now, or the stamp of a recording's newest chunk.
-            final: nothing more will come.
+            now_ns: time on the clock of the arrivals, or the stamp of a recording's newest chunk.
+            final: no more odometry arrives.
         """
 
     def state(self) -> PoseLookupState:
@@ -127,40 +128,45 @@ def _ping_of(values: list[Any]) -> Ping:
 
 
 def origin_of(config: Config, poses: PoseLookup) -> tuple[float, float] | None:
-    """Latitude and longitude of the map's zero: as set, else the first place that was said."""
-    said = config.odometry.origin
-    return poses.origin_deg if said is None else (said.latitude, said.longitude)
+    """Return latitude and longitude of the map's origin: the setting, else the first position."""
+    setting = config.odometry.origin
+    return poses.origin_deg if setting is None else (setting.latitude, setting.longitude)
+
+
+def fixed_pose(pose: Pose) -> FusedPose:
+    """Return the exactly known pose of a vehicle at rest."""
+    return FusedPose(pose, None, None, np.zeros((6, 6)), 0, 0.0)
 
 
 class FixedPose:
-    """Every ping has the same pose; odometry is only counted.
+    """The same pose for every ping; odometry is only counted.
 
     Attributes:
         pose: of every ping.
-        ignored: pieces of odometry that came all the same.
+        ignored: number of ignored pieces of odometry.
     """
 
     def __init__(self, pose: Pose) -> None:
         self.pose = pose
-        self._pose = FusedPose(pose, None, None, np.zeros((6, 6)), 0, 0.0)
+        self._pose = fixed_pose(pose)
         self._pings: deque[Ping] = deque()
         self.ignored = 0
 
     @property
     def waiting_bytes(self) -> int:
-        """Samples of the pings that wait."""
+        """Size of the images of the waiting pings."""
         return sum(ping.image.nbytes for ping in self._pings)
 
     @property
     def origin_deg(self) -> tuple[float, float] | None:
-        """There is none."""
+        """None: a fixed pose has no position on Earth."""
         return None
 
-    def take(self, config: Config) -> None:
-        """Nothing that may change concerns a fixed pose."""
+    def reconfigure(self, config: Config) -> None:
+        """Do nothing: no setting changes a fixed pose."""
 
-    def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:  # noqa: ARG002 it stands still
-        """Take a ping that wants a pose."""
+    def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:  # noqa: ARG002 any time
+        """Add a ping."""
         self._pings.append(ping)
 
     def add_odometry(
@@ -172,7 +178,7 @@ class FixedPose:
         encoding: str | None = None,  # noqa: ARG002
         gap_before: bool = False,  # noqa: ARG002
     ) -> None:
-        """Count a piece of odometry."""
+        """Count a piece of odometry and ignore it."""
         self.ignored += 1
 
     def resolved(
@@ -181,7 +187,7 @@ class FixedPose:
         *,
         final: bool = False,  # noqa: ARG002
     ) -> Iterator[tuple[Ping, FusedPose | Reject]]:
-        """Pings so far, each with the fixed pose."""
+        """Yield all pings with the fixed pose."""
         while self._pings:
             yield self._pings.popleft(), self._pose
 
@@ -198,7 +204,7 @@ class FixedPose:
         if state.fixed is None:
             raise ValueError("a fixed pose was expected")
         self.pose = Pose(*state.fixed)
-        self._pose = FusedPose(self.pose, None, None, np.zeros((6, 6)), 0, 0.0)
+        self._pose = fixed_pose(self.pose)
         self._pings = deque(_ping_of(values) for values, _ in state.pings)
         self.ignored = state.ignored
 
@@ -210,7 +216,7 @@ class OdometryPoses:
         config: the sources and how they are fused.
 
     Attributes:
-        odometry: the bridge, with its counters.
+        odometry: fuses the records and counts them.
     """
 
     def __init__(self, config: Config) -> None:
@@ -221,21 +227,21 @@ class OdometryPoses:
 
     @property
     def waiting_bytes(self) -> int:
-        """Samples of the pings that wait."""
+        """Size of the images of the waiting pings."""
         return self._waiting_bytes
 
     @property
     def origin_deg(self) -> tuple[float, float] | None:
-        """Latitude and longitude of the map's zero; None before the first place on Earth."""
+        """Latitude and longitude of the map's origin; None before the first position on Earth."""
         return self.odometry.fusion.origin_deg
 
-    def take(self, config: Config) -> None:
-        """Judge by other settings from now on, pings that wait included."""
+    def reconfigure(self, config: Config) -> None:
+        """Use other settings from now on, for waiting pings too."""
         self._patience_ns = _patience_ns(config.time_sync)
         self.odometry.fusion.reconfigure(config.odometry, config.time_sync, config.slam_quality)
 
     def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:
-        """Take a ping that wants a pose."""
+        """Add a ping."""
         self._pings.append((ping, ping_time_ns(ping) if t_ns is None else t_ns))
         self._waiting_bytes += ping.image.nbytes
 
@@ -248,13 +254,13 @@ class OdometryPoses:
         encoding: str | None = None,
         gap_before: bool = False,
     ) -> None:
-        """Take bytes of odometry, as `OdometryBridge.feed` does."""
+        """Feed bytes of odometry, as for `OdometryBridge.feed`."""
         self.odometry.feed(link, data, arrival_ns, encoding=encoding, gap_before=gap_before)
 
     def resolved(
         self, now_ns: int | None, *, final: bool = False
     ) -> Iterator[tuple[Ping, FusedPose | Reject]]:
-        """Pings whose time lies behind the newest record, or that have waited long enough."""
+        """Yield the pings that odometry encloses, and those that have waited long enough."""
         while self._pings and (final or self._is_ripe(self._pings[0][1], now_ns)):
             ping, t_ns = self._pings.popleft()
             self._waiting_bytes -= ping.image.nbytes
@@ -278,26 +284,26 @@ class OdometryPoses:
             return True
         if self.odometry.fusion.ready(t_ns):
             return True
-        # Far ahead of the clock is a stamp gone astray: nobody else must wait for it.
+        # A stamp far ahead of the clock is wrong: later pings must not wait for it.
         return now_ns is not None and abs(now_ns - t_ns) > self._patience_ns
 
     def _pose_at(self, t_ns: int | None) -> FusedPose | Reject:
         if t_ns is None:
-            return Reject("no_arrival_time", "the recording does not say when the ping came")
+            return Reject("no_arrival_time", "the recording has no arrival time of the ping")
         return self.odometry.fusion.at(t_ns)
 
 
 def _patience_ns(settings: TimeSyncConfig) -> int:
-    """A record may be one gap away and late; after that it will not come."""
+    """Return how long to wait for a record that is late after a gap."""
     return round((settings.max_gap_sec + settings.max_odom_age_sec) * 1e9)
 
 
 def ping_time_ns(ping: Ping, clock: SonarClock | None = None) -> int | None:
-    """When the sound met the middle of the image, on the clock of the arrivals; None if unknown.
+    """Return when the sound reached the middle of the image, clock of the arrivals, or None.
 
     Args:
         ping: of one sonar, in order of arrival.
-        clock: of that sonar, which knows more than the arrival of this ping alone.
+        clock: of that sonar; more exact than the arrival of this ping alone.
     """
     if clock is None:
         return ping.echo_time_ns(ping.max_range_m / 2)

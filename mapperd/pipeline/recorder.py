@@ -1,4 +1,4 @@
-"""Everything that comes in goes to disk as it came, before it is understood."""
+"""Records all input unchanged, before it is decoded."""
 
 import os
 import time
@@ -22,15 +22,15 @@ MIB = 1 << 20
 
 
 class Recorder:
-    """Records all links, `async with`, unless the settings say not to.
+    """Records all links within an `async with` block, if `recording.enabled` is set.
 
     Args:
-        config: `recording` and the sources of the odometry. Arrivals are Unix nanoseconds.
-        session: id that each file holds.
+        config: `recording` and the odometry sources. Arrivals are Unix nanoseconds.
+        session: id for each file.
         clock: of the arrivals, nanoseconds.
 
     Raises:
-        ConfigError: the folder cannot be made, or the limits contradict each other.
+        ConfigError: the folder cannot be created, or the limits contradict each other.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Recorder:
         self._log = BackgroundLog(self._files, clock=clock)
 
     async def __aenter__(self) -> Self:
-        """Begin to record."""
+        """Start recording."""
         if self._log is not None:
             await self._log.__aenter__()
         return self
@@ -71,35 +71,32 @@ class Recorder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Write what waits."""
+        """Write all waiting data."""
         if self._log is not None:
             await self._log.__aexit__(kind, error, trace)
 
     @property
     def newest(self) -> int:
-        """Number of the newest piece; 0 before the first, or where nothing is recorded."""
+        """Number of the newest piece; 0 before the first, and without a recording."""
         return 0 if self._log is None else self._log.offered
 
     def place_of(self, number: int) -> RecordingOffset | None:
-        """Where the recording goes on behind a piece; None while that is not written."""
+        """Return the position after a piece; None while the piece is not written."""
         if self._log is None or number == 0:
             return RecordingOffset()
         place = self._log.position_of(number)
         return None if place is None else RecordingOffset(place.file, place.messages)
 
     def wait_for(self, number: int, timeout_s: float) -> bool:
-        """Wait until the operating system has a piece; False if that takes longer."""
+        """Wait until a piece is with the operating system; return False on a timeout."""
         return self._log is None or self._log.wait_for(number, timeout_s)
 
     def record(self, chunk: Chunk, *, gap: bool) -> int:
-        """Record a chunk at once, without waiting for the disk; not two threads at a time.
-
-        Returns:
-            its number.
+        """Queue a chunk for the disk; not thread-safe. Return the number of the piece.
 
         Args:
-            chunk: of the sonar, a source of odometry, or a decision.
-            gap: bytes of its link are missing before it.
+            chunk: of the sonar, an odometry source, or a decision.
+            gap: bytes of its link are missing in front of it.
         """
         if self._log is None or chunk.arrival_ns is None:
             return 0
@@ -110,7 +107,7 @@ class Recorder:
         return self._log.offered
 
     def worker(self) -> Worker:
-        """For a watchdog: who waits for a disk with room is not stuck."""
+        """Return the progress for the watchdog; a recorder that waits for disk space is held."""
         if self._log is None:
             return Worker("recording", 0, 0)
         counters = self._files.counters
@@ -119,7 +116,7 @@ class Recorder:
         return Worker("recording", self._log.waiting_bytes, done, held)
 
     def status(self) -> dict[str, object] | None:
-        """For a person: what it does and what was lost; None where nothing is recorded."""
+        """Return state and losses for a person; None without a recording."""
         if self._log is None:
             return None
         counters = self._files.counters

@@ -1,53 +1,50 @@
-"""What the mapping thread says about itself, in plain values with units in the keys."""
+"""Reads the status of the mapping thread as plain values with units in the keys."""
 
 import math
 from collections.abc import Callable
 from typing import Any
 
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
+from mapperd.pipeline.pose_lookup import FixedPose
 from mapperd.pipeline.worker import MappingThread, StatusSnapshot
 
 __all__ = ["snapshot_reader"]
 
 
-def snapshot_reader(
-    poses: FixedPose | OdometryPoses, clock: Callable[[], int]
-) -> Callable[[MappingThread], StatusSnapshot]:
-    """What reads a thread's facts, between two pings.
+def snapshot_reader(clock: Callable[[], int]) -> Callable[[MappingThread], StatusSnapshot]:
+    """Return a function that reads a thread's status between two pings.
 
     Args:
-        poses: where the thread's poses come from.
         clock: of the arrivals, nanoseconds.
     """
 
     def read(thread: MappingThread) -> StatusSnapshot:
-        newest, onboard = thread.newest, thread.integration.onboard
+        newest, localization = thread.newest, thread.pipeline.executor.stages.localization
         pose = None if newest is None else newest.pose
         return StatusSnapshot(
             pings=_pings(thread),
             latency_ms=thread.latency.percentiles_ms(clock()),
             behind=_backlog(thread),
-            odometry=_odometry(poses),
+            odometry=_odometry(thread),
             robots=_robots(thread, clock()),
             pose=pose if isinstance(pose, FusedPose) else None,
-            pose_ns=None if newest is None else newest.complete_ns,
+            pose_ns=None if newest is None else newest.posed.complete_ns,
             sonar=_sonar(thread),
             clocks=_clocks(thread),
             progress=thread.progress,
-            localization=None if onboard is None else onboard.facts(),
+            localization=None if localization is None else localization.facts(),
         )
 
     return read
 
 
 def _pings(thread: MappingThread) -> dict[str, Any]:
-    counters = thread.integration.stepping.counters
+    counters = thread.pipeline.counters
     return {
         "total": counters.pings_total,
         "mapped": counters.pings_mapped,
         "dropped": dict(sorted(counters.pings_dropped.items())),
-        "waiting": thread.engine.waiting + thread.backlog.pings,
+        "waiting": thread.pipeline.decoder.waiting + thread.backlog.pings,
     }
 
 
@@ -60,7 +57,8 @@ def _backlog(thread: MappingThread) -> dict[str, Any]:
     }
 
 
-def _odometry(poses: FixedPose | OdometryPoses) -> dict[str, Any]:
+def _odometry(thread: MappingThread) -> dict[str, Any]:
+    poses = thread.pipeline.poses
     if isinstance(poses, FixedPose):
         return {"source": "fixed", "ignored": poses.ignored}
     bridge = poses.odometry
@@ -74,16 +72,16 @@ def _odometry(poses: FixedPose | OdometryPoses) -> dict[str, Any]:
 
 
 def _robots(thread: MappingThread, now_ns: int) -> list[dict[str, Any]]:
-    expire_s = thread.engine.config.robot_detection.expire_sec
-    seen = thread.integration.stepping.sightings.since(now_ns, expire_s)
+    expire_s = thread.pipeline.decoder.config.robot_detection.expire_sec
+    seen = thread.pipeline.executor.sightings.since(now_ns, expire_s)
     return [{"t_s": one.t_ns / 1e9, "position_m": list(one.position_m)} for one in seen]
 
 
 def _sonar(thread: MappingThread) -> dict[str, Any]:
     if thread.newest is None:
         return {}
-    ping = thread.newest.ping
-    clock = thread.engine.clocks.get(ping.source_id)
+    ping = thread.newest.posed.ping
+    clock = thread.pipeline.decoder.clocks.get(ping.source_id)
     period_s = None if clock is None else clock.period_s
     return {
         "ping_id": ping.ping_id,
@@ -96,7 +94,7 @@ def _sonar(thread: MappingThread) -> dict[str, Any]:
 
 
 def _clocks(thread: MappingThread) -> dict[str, Any]:
-    clocks = thread.engine.clocks.values()
+    clocks = thread.pipeline.decoder.clocks.values()
     placed = {
         method: sum(clock.placed[method] for clock in clocks) for method in ("device", "arrival")
     }

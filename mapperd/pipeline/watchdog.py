@@ -1,4 +1,4 @@
-"""Is the daemon alive? A loop that only ticks hides a thread that is stuck: work done counts."""
+"""Detects stuck threads by their finished work: a running event loop alone proves nothing."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -8,13 +8,13 @@ __all__ = ["Watchdog", "Worker"]
 
 @dataclass(frozen=True, slots=True)
 class Worker:
-    """What one thread has to do, and has done.
+    """Progress of one thread.
 
     Attributes:
         name: for a person.
-        waiting: pieces of work, the one in hand included.
-        done: pieces finished since the start.
-        held: why it waits on purpose, such as for a disk with room; empty if it does not.
+        waiting: unfinished pieces of work.
+        done: finished pieces since the start.
+        held: why it waits intentionally, such as for a full disk; empty otherwise.
     """
 
     name: str
@@ -24,10 +24,10 @@ class Worker:
 
 
 class Watchdog:
-    """Says whether every worker that has work gets on with it.
+    """Finds workers that have work but make no progress.
 
     Args:
-        patience_s: so long one piece of work may take.
+        patience_s: maximum duration of one piece of work.
     """
 
     def __init__(self, patience_s: float) -> None:
@@ -35,11 +35,11 @@ class Watchdog:
         self._seen: dict[str, tuple[int, float]] = {}
 
     def stuck(self, workers: Iterable[Worker], now_s: float) -> tuple[str, ...]:
-        """Names of workers that have had work and finished none for too long.
+        """Return the names of workers that had work and finished none for too long.
 
         Args:
-            workers: all of them, at each look.
-            now_s: a clock that only goes forward.
+            workers: all workers, each time.
+            now_s: monotonic time.
         """
         names = []
         for worker in workers:

@@ -18,7 +18,7 @@ from mapperd.geometry.frames import Pose as Place
 from mapperd.localization.report import localization_report
 from mapperd.localization.status import LocalizationFacts
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pipeline.executor import PingResult
+from mapperd.pipeline.step import PingResult
 from mapperd.server.state_messages import (
     IMAGE_SIZES,
     Mounting,
@@ -207,7 +207,7 @@ class Feed:
             if isinstance(treated.pose, FusedPose):
                 sonar = self._mounting.of_sonar(treated.pose.pose)
             self._make("returns", returns_message(treated, sonar, config))
-        ping, stamp_ns = treated.settled.ping, treated.settled.complete_ns or 0
+        ping, stamp_ns = treated.posed.ping, treated.posed.complete_ns or 0
         self._drawings += 1
         images = [Newest(0, image.frame) for image in self._images]  # how long they are stays known
         for coarse in coarseness:
@@ -227,14 +227,14 @@ class Feed:
         return frame
 
     def _tell_ping(self, treated: PingResult, wanted: Collection[str]) -> None:
-        settled, fused = treated.settled, treated.pose
+        posed, fused = treated.posed, treated.pose
         if isinstance(fused, FusedPose):
-            stamp_ns = settled.t_ns or settled.complete_ns or 0
+            stamp_ns = posed.t_ns or posed.complete_ns or 0
             self._tell_pose(
                 fused.pose, stamp_ns, self._source(), fused.velocity_mps, fused.covariance
             )
         if "fan" in wanted:
-            fan = fan_message(settled.ping, self._config)
+            fan = fan_message(posed.ping, self._config)
             if fan != self._last.get("fan"):
                 self._last["fan"] = fan
                 self._make("fan", fan)

@@ -13,8 +13,7 @@ from mapperd.geometry.frames import Pose as Place
 from mapperd.geometry.frames import pose_from_rpy, quaternion_product, quaternion_to_matrix
 from mapperd.imaging.ping_image import PingImage, beams_in_view, display_units, ping_image_of
 from mapperd.localization.status import LocalizationFacts
-from mapperd.pipeline.executor import PingResult
-from mapperd.pipeline.step import Mapped
+from mapperd.pipeline.step import PingResult
 from mapperd.wire.messages import Fan, Image, Pose, Returns
 from oculus_driver.ping import Ping
 
@@ -134,8 +133,7 @@ def returns_message(treated: PingResult, sonar: Place | None, config: Config) ->
         sonar: where it was, in the map; None where nobody knows.
         config: the settings.
     """
-    result, ping = treated.result, treated.settled.ping
-    echo = result.echo if isinstance(result, Mapped) else None
+    ping, echo = treated.posed.ping, treated.image
     if echo is None:
         try:
             echo = ping_image_of(ping, config.sonar)
@@ -144,11 +142,11 @@ def returns_message(treated: PingResult, sonar: Place | None, config: Config) ->
     points, intensities = first_returns(echo, config)
     turn = None if sonar is None else sonar.map_q_base.tolist()
     return Returns(
-        stamp_ns=max(treated.settled.complete_ns or 0, 0),
+        stamp_ns=max(treated.posed.complete_ns or 0, 0),
         ping_id=ping.ping_id,
         sonar_position_m=None if sonar is None else tuple(sonar.position_m.tolist()),
         sonar_orientation_xyzw=None if turn is None else (*turn[1:], turn[0]),
-        outcome="mapped" if isinstance(result, Mapped) else result.reason,
+        outcome="mapped" if treated.reject is None else treated.reject.reason,
         points=points.astype("<f4").tobytes(),
         intensities=intensities.tobytes(),
     )

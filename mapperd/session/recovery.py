@@ -1,6 +1,6 @@
-"""After a kill: what the recordings have and the map's file has not is mapped.
+"""After a crash: maps the part of the recordings that is missing in the map's file.
 
-And what the file has lost comes back from the recordings of all its sessions.
+Lost parts of the file are restored from the recordings of all its sessions.
 """
 
 import contextlib
@@ -18,22 +18,19 @@ from mapperd.errors import CheckpointError, ConfigError
 from mapperd.geometry.frames import Pose
 from mapperd.localization.session import (
     LocalizationSession,
-    begun_again,
     poses_depend_on,
     restored_session,
     saved_state,
 )
-from mapperd.localization.stage import LocalizationStage
 from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.build import build_pipeline
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import SessionDecoder, SessionDecoderState, Work
-from mapperd.pipeline.executor import PingExecutor
-from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
-from mapperd.pipeline.step import StepRunner
 from mapperd.session.recordings import RecordedSession, Tail, files_in, files_of
+from mapperd.session.replay import Window, as_recorded
 from mapperd.session.store_session import SqlitePersistence
-from mapperd.session_log import SESSION, Remarks, Session, remarks_in, without_skipped
+from mapperd.session_log import SESSION, Remarks, remarks_in, without_skipped
 from mapperd.store.checkpoint import decode_state, encode_state
 from mapperd.store.metadata import kind_of
 from mapperd.store.position import Position, RecordingOffset
@@ -42,14 +39,14 @@ from oculus_driver.errors import RecordingError
 from oculus_driver.recording import open_recording
 
 __all__ = [
-    "Going",
     "Recovered",
-    "go_on",
-    "go_on_from_nothing",
+    "StoredSession",
+    "config_at",
     "headless_in",
-    "map_sessions_again",
+    "map_recorded_sessions",
+    "map_rest",
     "recover",
-    "restored",
+    "replay_sessions",
     "sessions_for",
 ]
 
@@ -58,15 +55,15 @@ NOWHERE = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """What became of a session that was cut short.
+    """Result of the recovery of an interrupted session.
 
     Attributes:
         session: its id.
-        pings: that were mapped now.
-        seconds: that it took.
-        problem: why the rest of it is not in the map; None when it is.
-        from_start: why the estimators were computed again from the recording's start; empty where
-            they came from the checkpoint.
+        pings: pings mapped by the recovery.
+        seconds: duration of the recovery.
+        problem: why the rest of the session is not in the map; None if it is.
+        from_start: why the estimators were computed again from the start of the recording; empty
+            if they were restored from the checkpoint.
     """
 
     session: str
@@ -76,79 +73,85 @@ class Recovered:
     from_start: str = ""
 
 
-def restored(position: Position, counters: PipelineCounters) -> SessionDecoder:
-    """The estimators as they were at a position's checkpoint.
+def config_at(position: Position) -> Config:
+    """Return the settings in force at a position's checkpoint.
 
     Raises:
-        CheckpointError: they cannot be had.
+        CheckpointError: this version does not accept them.
     """
     try:
-        config = config_of(position.config or {}, "the checkpoint")
+        return config_of(position.config or {}, "the checkpoint")
     except ConfigError as error:
         raise CheckpointError(str(error)) from error
-    poses = FixedPose(NOWHERE) if position.fixed else OdometryPoses(config)
-    engine = SessionDecoder(config, poses, counters, confirm=False, obey=True)
-    state = decode_state(position.checkpoint, SessionDecoderState)
-    try:
-        engine.restore(state)
-    except (ValueError, TypeError, KeyError) as error:
-        raise CheckpointError(f"the checkpoint cannot be read: {error}") from error
-    return engine
 
 
-def _fresh(
-    config: Config, beginning: Session, counters: PipelineCounters
-) -> tuple[SessionDecoder, LocalizationSession | None]:
-    """The estimators as a session begins.
+def restore_decoder(decoder: SessionDecoder, position: Position) -> None:
+    """Restore the decoder's state of a position's checkpoint.
 
     Raises:
-        ConfigError: the known map cannot be used, or is another one by now.
+        CheckpointError: the checkpoint is damaged or of an unknown format.
     """
-    pose = beginning.pose
-    poses = OdometryPoses(config) if pose is None else FixedPose(_pose(pose))
-    engine = SessionDecoder(config, poses, counters, confirm=False, obey=True)
-    return engine, poses_depend_on(begun_again(config, beginning))
+    state = decode_state(position.checkpoint, SessionDecoderState)
+    try:
+        decoder.restore(state)
+    except (ValueError, TypeError, KeyError) as error:
+        raise CheckpointError(f"the checkpoint cannot be read: {error}") from error
+
+
+def _fresh_poses(position: Position, config: Config) -> FixedPose | OdometryPoses:
+    return FixedPose(NOWHERE) if position.fixed else OdometryPoses(config)
+
+
+def _restored(position: Position) -> tuple[Config, LocalizationSession | None]:
+    """Check that a position's checkpoint can be restored; return its settings and localization.
+
+    Raises:
+        CheckpointError: it cannot be restored.
+    """
+    config = config_at(position)
+    poses = _fresh_poses(position, config)
+    trial = SessionDecoder(config, poses, PipelineCounters(), confirm=False, obey=True)
+    restore_decoder(trial, position)
+    if not position.localization:
+        return config, None
+    return config, restored_session(config, position.localization)
 
 
 def _at_start(position: Position, files: dict[int, Path]) -> Position:
-    """The same position, with a checkpoint at the recording's start instead of the one it has.
+    """Return a position with a checkpoint at the start of the recording instead of its own.
 
-    The estimators make all pieces of work again from there; those that are in the map are left out.
+    The decoder repeats all pieces of work from there; those that are in the map are skipped.
 
     Raises:
-        CheckpointError: the recording's start is missing.
+        CheckpointError: the start of the recording is missing.
         ConfigError: its settings or its known map cannot be used.
     """
     recorded = RecordedSession(list(files.values()), position.session) if files else None
-    beginning = None if recorded is None else recorded.beginning()
-    if beginning is None:
+    if recorded is None or recorded.beginning() is None:
         raise CheckpointError("the start of its recordings is missing")
-    config = config_of(beginning.settings, "the recording")
-    engine, localizing = _fresh(config, beginning, PipelineCounters())
+    run = as_recorded(recorded)
+    localization = poses_depend_on(run.localization)
+    decoder = SessionDecoder(run.config, run.poses, PipelineCounters(), confirm=False, obey=True)
     at_start = msgspec.structs.replace(
         position,
         place=RecordingOffset(),
-        config=beginning.settings,
-        fixed=beginning.pose is not None,
-        checkpoint=encode_state(engine.state()),
-        localization=b"" if localizing is None else saved_state(localizing),
+        config=msgspec.to_builtins(run.config),
+        fixed=isinstance(run.poses, FixedPose),
+        checkpoint=encode_state(decoder.state()),
+        localization=b"" if localization is None else saved_state(localization),
     )
     tail, done = Tail(files, RecordingOffset()), position.done
     for chunk in without_skipped(tail):
         if tail.place > position.place:
             break
-        done += len(engine.feed(chunk))
+        done += len(decoder.feed(chunk))
     return msgspec.structs.replace(at_start, done=done)
-
-
-def _restored_localizing(position: Position, config: Config) -> LocalizationSession | None:
-    return restored_session(config, position.localization) if position.localization else None
 
 
 def recover(
     store: TileStore, sonar_map: SonarMap, position: Position, folder: Path
 ) -> Recovered | None:
-    """Map the rest of the session that made the map last; its settings are then in force.
+    """Map the rest of the last session; its settings are then in force.
 
     Args:
         store: just opened.
@@ -157,55 +160,52 @@ def recover(
         folder: of the recordings.
 
     Returns:
-        None where nothing was missing.
+        None if nothing was missing.
 
     Raises:
         StoreError: the file cannot be written.
-        MapError: nothing can be saved, and so nothing more be mapped.
+        MapError: nothing can be saved, so nothing more can be mapped.
     """
     if position.whole:
         return None
     began_s = time.monotonic()
     files = files_of(folder, position.session)
     counters = PipelineCounters()
-    from_start = ""
+    problem, from_start = None, ""
     try:
         try:
-            engine = restored(position, counters)
-            localizing = _restored_localizing(position, engine.config)
+            config, localization = _restored(position)
         except CheckpointError as error:
             from_start, position = str(error), _at_start(position, files)
-            engine = restored(position, counters)
-            localizing = _restored_localizing(position, engine.config)
-        sonar_map.reconfigure(engine.config)
-    except (CheckpointError, ConfigError) as error:
-        return Recovered(position.session, 0, 0.0, str(error))
-    if not any(number >= position.place.file for number in files):
-        return Recovered(position.session, 0, 0.0, f"its recordings are not in {folder}")
-    cut = Going(store, sonar_map, position.session, position, localizing=localizing)
-    remarks = remarks_in(Tail(files, position.place))
-    problem = None
-    try:
-        for _ in go_on(cut, engine, Tail(files, position.place), remarks):
+            config, localization = _restored(position)
+        sonar_map.reconfigure(config)
+        if not any(number >= position.place.file for number in files):
+            return Recovered(position.session, 0, 0.0, f"its recordings are not in {folder}")
+        rest = StoredSession(
+            store, sonar_map, position.session, position, localization=localization
+        )
+        poses, tail = _fresh_poses(position, config), Tail(files, position.place)
+        remarks = remarks_in(Tail(files, position.place))
+        for _ in map_rest(rest, poses, tail, remarks, counters=counters):
             pass
-    except CheckpointError as error:  # the vehicle was then localized on a map that is gone
+    except (CheckpointError, ConfigError) as error:  # such as a known map that is gone
         problem = str(error)
     seconds = time.monotonic() - began_s
     return Recovered(position.session, counters.pings_mapped, seconds, problem, from_start)
 
 
 @dataclass(frozen=True, slots=True)
-class Going:
-    """A session on its way into a map's file.
+class StoredSession:
+    """A recorded session and the map's file that it goes into.
 
     Attributes:
         store: the file, open.
         sonar_map: its map.
         session: id.
-        position: of the file, in this session; None where it begins.
+        position: of the file within this session; None before its beginning.
         before: ids of the sessions that are in the map.
         interval_s: between saves.
-        localizing: as it was at the position; None where the map does not depend on it.
+        localization: its state at the position; None where it does not affect the map.
     """
 
     store: TileStore
@@ -214,15 +214,15 @@ class Going:
     position: Position | None = None
     before: tuple[str, ...] = ()
     interval_s: float = 5.0
-    localizing: LocalizationSession | None = None
+    localization: LocalizationSession | None = None
 
     @property
     def done(self) -> int:
-        """Pieces of work since the checkpoint that are in the map."""
+        """Number of pieces of work since the checkpoint that are in the map."""
         return 0 if self.position is None else self.position.done
 
-    def keeping(self) -> SqlitePersistence:
-        """What keeps the map of the session."""
+    def persistence(self) -> SqlitePersistence:
+        """Return the persistence of the session's map."""
         before = self.before if self.position is None else self.position.sessions
         return SqlitePersistence(
             self.store,
@@ -234,56 +234,73 @@ class Going:
         )
 
 
-def go_on(
-    going: Going, engine: SessionDecoder, tail: Tail, remarks: Remarks | None = None
+def map_rest(
+    stored: StoredSession,
+    poses: FixedPose | OdometryPoses,
+    tail: Tail,
+    remarks: Remarks | None,
+    *,
+    confirm: bool = False,
+    counters: PipelineCounters | None = None,
 ) -> Generator[None, None, None]:
-    """Map what is left of a session, to its end; yields after every chunk.
+    """Map the rest of a session to its end; yield after every chunk.
 
     Args:
-        going: the session.
-        engine: as it was at the place where the tail begins.
-        tail: what is left.
-        remarks: of the session, where it was mapped before.
+        stored: the session; its map has the settings of the position.
+        poses: fixed, or from odometry; fresh.
+        tail: recordings after the position.
+        remarks: recorded decisions to repeat; None ignores them.
+        confirm: hold each ping back until the next bytes confirm it.
+        counters: to continue; new ones by default.
 
     Raises:
         StoreError: the file cannot be written.
-        MapError: nothing can be saved, and so nothing more be mapped.
-        CheckpointError: a known map that somebody chose in it is not there any more.
+        MapError: nothing can be saved, so nothing more can be mapped.
+        CheckpointError: the checkpoint cannot be restored, or a known map of a recorded request
+            does not exist any more.
     """
-    stepping = StepRunner(going.sonar_map, time.perf_counter, engine.counters)
-    keep = going.keeping()
-    onboard = None if going.localizing is None else going.localizing.onboard
-    integration = PingExecutor(stepping, keep, remarks, onboard)
-    keep.begin(engine, tail, lambda: None, going.localizing)
-    keep.skip(going.done)
-    left = going.done
+    persistence, localization = stored.persistence(), stored.localization
+    pipeline = build_pipeline(
+        stored.sonar_map,
+        poses,
+        localization=None if localization is None else localization.onboard,
+        persistence=persistence,
+        remarks=remarks,
+        confirm=confirm,
+        counters=counters,
+    )
+    if stored.position is not None:
+        restore_decoder(pipeline.decoder, stored.position)
+    persistence.begin(pipeline.decoder, tail, lambda: None, localization)
+    persistence.skip(stored.done)
+    left = stored.done
     try:
-        for works in _works(engine, tail):
+        for works in _works(pipeline.decoder, tail):
             for work in works:
                 if left:
                     left -= 1
-                    integration.pass_by(work)
+                    pipeline.executor.skip(work)
                 else:
-                    integration.do(work)
+                    pipeline.executor.do(work)
             if not left:
-                keep.between(tail.number, 0)
+                persistence.between(tail.number, 0)
             yield
-        keep.end()
+        persistence.end()
     finally:
-        keep.stop()
+        persistence.stop()
 
 
-def _works(engine: SessionDecoder, tail: Tail) -> Iterator[list[Work]]:
+def _works(decoder: SessionDecoder, tail: Tail) -> Iterator[list[Work]]:
     for chunk in without_skipped(tail):
-        yield engine.feed(chunk)
-    yield engine.end()
+        yield decoder.feed(chunk)
+    yield decoder.end()
 
 
 def sessions_for(config: Config, folder: Path) -> tuple[str, ...]:
-    """Ids of the recorded sessions that were mapped into the settings' file, in order.
+    """Return the ids of the recorded sessions for the map file of the settings, in order.
 
     Args:
-        config: for the file, and what its voxels come about by.
+        config: names the file and the kind of map in it.
         folder: of the recordings.
     """
     return tuple(
@@ -294,7 +311,7 @@ def sessions_for(config: Config, folder: Path) -> tuple[str, ...]:
 
 
 def headless_in(folder: Path) -> int:
-    """Recorded sessions whose first file is gone: nobody knows how, and where, they were mapped."""
+    """Return the number of recorded sessions whose first file, with their settings, is missing."""
     return sum(
         any(True for _ in recorded) and recorded.beginning() is None
         for recorded in _sessions_in(folder)
@@ -302,7 +319,7 @@ def headless_in(folder: Path) -> int:
 
 
 def _sessions_in(folder: Path) -> list[RecordedSession]:
-    """Recorded sessions; files that are none are left out."""
+    """Return the recorded sessions; other files are ignored."""
     by_session: dict[str, list[Path]] = {}
     for path in files_in([folder]) if folder.is_dir() else []:
         try:
@@ -330,42 +347,39 @@ def _is_for(recorded: RecordedSession, config: Config) -> bool:
     )
 
 
-def go_on_from_nothing(
+def map_recorded_sessions(
     store: TileStore, sonar_map: SonarMap, sessions: tuple[str, ...], folder: Path
 ) -> int:
-    """Map whole recorded sessions into an empty file, as they were mapped; returns the pings.
+    """Map whole recorded sessions into an empty file, as recorded; return the mapped pings.
 
     Raises:
         StoreError: the file cannot be written.
-        MapError: nothing can be saved, and so nothing more be mapped.
+        MapError: nothing can be saved, so nothing more can be mapped.
     """
-    pings = 0
-    for place, session in enumerate(sessions):
-        recorded = RecordedSession(list(files_of(folder, session).values()), session)
-        beginning = recorded.beginning()
-        if beginning is None:
-            continue
-        config = config_of(beginning.settings, "the recording")
-        sonar_map.reconfigure(config)
-        pose = beginning.pose
-        poses = OdometryPoses(config) if pose is None else FixedPose(_pose(pose))
-        engine = SessionDecoder(config, poses, PipelineCounters(), confirm=False, obey=True)
+    counters = PipelineCounters()
+    for index, session in enumerate(sessions):
         files = files_of(folder, session)
-        remarks = remarks_in(Tail(files, RecordingOffset()))
+        recorded = RecordedSession(list(files.values()), session)
+        if recorded.beginning() is None:
+            continue
         with contextlib.suppress(CheckpointError, ConfigError):  # a known map that is gone
-            localizing = poses_depend_on(begun_again(config, beginning))
-            going = Going(store, sonar_map, session, None, sessions[:place], localizing=localizing)
-            for _ in go_on(going, engine, Tail(files, RecordingOffset()), remarks):
+            run = as_recorded(recorded)
+            sonar_map.reconfigure(run.config)
+            localization = poses_depend_on(run.localization)
+            stored = StoredSession(
+                store, sonar_map, session, None, sessions[:index], localization=localization
+            )
+            tail = Tail(files, RecordingOffset())
+            for _ in map_rest(stored, run.poses, tail, run.remarks, counters=counters):
                 pass
-        pings += engine.counters.pings_mapped
-    return pings
+    return counters.pings_mapped
 
 
-def map_sessions_again(sonar_map: SonarMap, sessions: tuple[str, ...], folder: Path) -> bool:
-    """Map whole sessions as they were mapped; False if anything of them is missing.
+def replay_sessions(sonar_map: SonarMap, sessions: tuple[str, ...], folder: Path) -> bool:
+    """Map whole sessions as recorded; return False if any part of them is missing.
 
     Args:
-        sonar_map: the map, whose settings are kept.
+        sonar_map: the map, whose settings are restored afterwards.
         sessions: their ids.
         folder: of the recordings.
     """
@@ -374,49 +388,22 @@ def map_sessions_again(sonar_map: SonarMap, sessions: tuple[str, ...], folder: P
     for session in sessions:
         files = files_of(folder, session)
         complete &= bool(files) and list(files) == list(range(min(files), max(files) + 1))
-        complete = _map_again(sonar_map, list(files.values()), session) and complete
+        complete = _replay_session(sonar_map, list(files.values()), session) and complete
     sonar_map.reconfigure(own)
     return complete
 
 
-def _map_again(sonar_map: SonarMap, paths: list[Path], session: str) -> bool:
+def _replay_session(sonar_map: SonarMap, paths: list[Path], session: str) -> bool:
     if not paths:
         return False
     recorded = RecordedSession(paths, session)
-    beginning = recorded.beginning()
-    if beginning is None:
-        return next(iter(recorded), None) is None  # killed before the first piece
+    if recorded.beginning() is None:
+        return next(iter(recorded), None) is None  # a crash before the first piece
     try:
-        config = config_of(beginning.settings, "the recording")
-        sonar_map.reconfigure(config)
-        localizing = poses_depend_on(begun_again(config, beginning))
-    except ConfigError:
-        return False
-    poses = OdometryPoses(config) if beginning.pose is None else FixedPose(_pose(beginning.pose))
-    onboard = None if localizing is None else localizing.onboard
-    engine = SessionDecoder(config, poses, PipelineCounters(), confirm=False, obey=True)
-    try:
-        _replay(sonar_map, engine, recorded, onboard)
-    except CheckpointError:
+        run = as_recorded(recorded)
+        run.localization = poses_depend_on(run.localization)
+        for _ in run.replay(sonar_map, Window()).run(recorded):
+            pass
+    except (CheckpointError, ConfigError):
         return False
     return recorded.damage is None or recorded.truncated
-
-
-def _replay(
-    sonar_map: SonarMap,
-    engine: SessionDecoder,
-    recorded: RecordedSession,
-    onboard: LocalizationStage | None,
-) -> None:
-    remarks = remarks_in(recorded)
-    stepping = StepRunner(sonar_map, time.perf_counter, engine.counters)
-    integration = PingExecutor(stepping, MemoryPersistence(sonar_map), remarks, onboard)
-    for chunk in without_skipped(recorded):
-        for work in engine.feed(chunk):
-            integration.do(work)
-    for work in engine.end():
-        integration.do(work)
-
-
-def _pose(numbers: tuple[float, ...]) -> Pose:
-    return Pose(np.array(numbers[:3]), np.array(numbers[3:]))

@@ -1,4 +1,4 @@
-"""A recording becomes a map in a file: whoever is interrupted goes on there next time."""
+"""Maps a recording into a map file; an interrupted run resumes next time."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -15,10 +15,9 @@ from mapperd.localization.session import (
 )
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import PipelineCounters
-from mapperd.pipeline.decoder import SessionDecoder
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.session.recordings import Tail
-from mapperd.session.recovery import Going, go_on, restored
+from mapperd.session.recovery import StoredSession, config_at, map_rest
 from mapperd.session_log import SESSION
 from mapperd.store.position import Position, RecordingOffset, position_in
 from mapperd.store.reader import StoreReader
@@ -27,7 +26,7 @@ from oculus_driver.recording import open_recording
 
 __all__ = ["map_into_store"]
 
-LOOK_BYTES = 1 << 20
+ID_BYTES = 1 << 20
 
 
 def map_into_store(
@@ -37,26 +36,27 @@ def map_into_store(
     path: Path,
     on_chunk: Callable[[PipelineCounters], None] = lambda _: None,
 ) -> tuple[SonarMap, FixedPose | OdometryPoses, PipelineCounters]:
-    """Map a recording into a file, from where that is; what else is in the file stays there.
+    """Map a recording into a file, from its resume point; the file keeps its other content.
 
     Args:
         paths: files of one recording, in order.
         config: the settings.
-        pose: of a vehicle that stands still; None takes the odometry.
+        pose: of a vehicle at rest; None uses the odometry.
         path: of the map's file.
         on_chunk: called after every chunk.
 
     Returns:
-        the whole map in memory, where the poses came from, and what happened this time.
+        the whole map in memory, the poses, and the counters of this run.
 
     Raises:
-        StoreError: the file cannot be used, or is of other settings.
-        ReplayError: the file holds a part of another recording, or of this one by other settings.
-        CheckpointError: the file's estimators are of another program.
-        MapError: nothing can be saved any more, and so nothing more be mapped.
+        ReplayError: the file holds a part of another recording, or of this one with other settings.
+        StoreError: the file cannot be used.
+        CheckpointError: the resume point cannot be restored.
+        MapError: nothing can be saved, so nothing more can be mapped.
     """
     session = _identity(paths)
     sonar_map, counters = SonarMap(config), PipelineCounters()
+    poses = OdometryPoses(config) if pose is None else FixedPose(pose)
     settings = config.outofcore
     with TileStore(
         path, sonar_map, tile_size_m=settings.tile_size, cache_tiles=settings.cache_size
@@ -64,53 +64,52 @@ def map_into_store(
         position = position_in(store.position)
         if position is not None and not position.whole and position.session != session:
             raise ReplayError(f"{path} holds a part of another recording: map that one first")
-        cut = None if position is None or position.session != session else position
-        engine = _engine(paths, config, pose, cut, counters)
-        if cut is None or not cut.whole:
-            tail = Tail(dict(enumerate(paths, 1)), RecordingOffset() if cut is None else cut.place)
-            before = () if position is None else position.sessions
-            interval_s = config.visualization.tile_save_interval
-            localizing = _localizing(config, cut)
-            going = Going(store, sonar_map, session, cut, before, interval_s, localizing)
-            for _ in go_on(going, engine, tail):
+        resumed = None if position is None or position.session != session else position
+        if resumed is None or not resumed.whole:
+            _require_same_settings(resumed, config, fixed=pose is not None)
+            stored = StoredSession(
+                store,
+                sonar_map,
+                session,
+                resumed,
+                () if position is None else position.sessions,
+                config.visualization.tile_save_interval,
+                _localization(config, resumed),
+            )
+            start = RecordingOffset() if resumed is None else resumed.place
+            tail = Tail(dict(enumerate(paths, 1)), start)
+            confirm = _is_foreign(paths[0])
+            for _ in map_rest(stored, poses, tail, None, confirm=confirm, counters=counters):
                 on_chunk(counters)
     whole = SonarMap(config)
     with StoreReader(path) as reader:
         reader.load(whole)
-    assert isinstance(engine.poses, FixedPose | OdometryPoses)  # noqa: S101 as it was made
-    return whole, engine.poses, counters
+    return whole, poses, counters
 
 
-def _localizing(config: Config, cut: Position | None) -> LocalizationSession | None:
-    """What the map depends on, from where it was interrupted."""
-    if cut is not None and cut.localization:
-        return restored_session(config, cut.localization)
+def _is_foreign(path: Path) -> bool:
+    """Return whether another program recorded a file."""
+    with open_recording(path) as recording:
+        return SESSION not in recording.metadata
+
+
+def _localization(config: Config, resumed: Position | None) -> LocalizationSession | None:
+    """Return the localization that affects the map, from the resume point."""
+    if resumed is not None and resumed.localization:
+        return restored_session(config, resumed.localization)
     return poses_depend_on(begun(config))
 
 
-def _engine(
-    paths: Sequence[Path],
-    config: Config,
-    pose: Pose | None,
-    cut: Position | None,
-    counters: PipelineCounters,
-) -> SessionDecoder:
-    poses = OdometryPoses(config) if pose is None else FixedPose(pose)
-    if cut is None or cut.whole:
-        with open_recording(paths[0]) as recording:
-            foreign = SESSION not in recording.metadata
-        return SessionDecoder(config, poses, counters, confirm=foreign, obey=False)
-    engine = restored(cut, counters)
-    if engine.config != config or isinstance(engine.poses, FixedPose) != (pose is not None):
-        raise ReplayError("the first part was mapped with other settings: set them back")
-    return engine
+def _require_same_settings(resumed: Position | None, config: Config, *, fixed: bool) -> None:
+    if resumed is not None and (config_at(resumed) != config or resumed.fixed != fixed):
+        raise ReplayError("the first part was mapped with other settings: restore them")
 
 
 def _identity(paths: Sequence[Path]) -> str:
-    """Equal for equal recordings, wherever they lie."""
+    """Return an id that is equal for equal recordings in any folder."""
     digest = hashlib.sha256()
     for path in paths:
         digest.update(path.stat().st_size.to_bytes(8, "little"))
         with path.open("rb") as file:
-            digest.update(file.read(LOOK_BYTES))
+            digest.update(file.read(ID_BYTES))
     return digest.hexdigest()[:16]

@@ -13,10 +13,10 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.persistence import MapPersistence, MemoryPersistence
 from mapperd.session.recovery import (
     Recovered,
-    go_on_from_nothing,
     headless_in,
-    map_sessions_again,
+    map_recorded_sessions,
     recover,
+    replay_sessions,
     sessions_for,
 )
 from mapperd.session.store_session import SqlitePersistence
@@ -33,13 +33,13 @@ class OpenMap:
 
     Attributes:
         sonar_map: the map.
-        keep: of it.
+        persistence: of it.
         close: lets go of its file.
         origin_deg: latitude and longitude of its zero; None where nobody said a place on Earth.
     """
 
     sonar_map: SonarMap
-    keep: MapPersistence
+    persistence: MapPersistence
     close: Callable[[], None]
     origin_deg: tuple[float, float] | None = None
 
@@ -77,7 +77,7 @@ def open_map(
     def tell(problem: str | None) -> None:
         opening.tell_trouble(problem)
 
-    keep = SqlitePersistence(
+    persistence = SqlitePersistence(
         store, sonar_map, session, sessions, interval_s=interval_s, on_trouble=tell
     )
     if sessions:
@@ -87,7 +87,7 @@ def open_map(
         )
         events.add(Severity.NOTICE, "map_continued", text, sessions=len(sessions))
     origin_deg = None if position is None else position.origin_deg
-    return OpenMap(sonar_map, keep, store.close, origin_deg)
+    return OpenMap(sonar_map, persistence, store.close, origin_deg)
 
 
 class _Startup:
@@ -170,7 +170,7 @@ class _Startup:
             mark.unlink()
             return sonar_map, store
         try:
-            pings = go_on_from_nothing(store, sonar_map, sessions, self._folder)
+            pings = map_recorded_sessions(store, sonar_map, sessions, self._folder)
         except BaseException:
             store.close()
             raise
@@ -204,7 +204,7 @@ class _Startup:
         count = rebuild_lost(
             store,
             sonar_map,
-            lambda scratch: map_sessions_again(scratch, position.sessions, self._folder),
+            lambda scratch: replay_sessions(scratch, position.sessions, self._folder),
         )
         left = len(store.lost)
         if left:

@@ -1,8 +1,8 @@
-"""Keeps a session's map in its file, with all that is needed to go on after a kill.
+"""Keeps a session's map in its file, with all that is needed to resume after a crash.
 
-The estimators are written as bytes only now and then, between two chunks. In between, the file
-says how many pieces of work came since: who goes on takes the estimators as they were, lets them
-make the same work again, leaves out what is in the map, and does the rest.
+A checkpoint of the estimators is written only at intervals, between two chunks. In between, the
+file holds the number of pieces of work since the checkpoint. A recovery restores the checkpoint,
+decodes the recording from there, skips the work that is in the map, and does the rest.
 """
 
 import threading
@@ -29,18 +29,18 @@ from mapperd.store.transfer import Snapshot
 
 __all__ = ["SqlitePersistence"]
 
-PATIENCE_S = 2.0
-"""A save waits so long for the recording to be written, and for the thread of the pings."""
+TIMEOUT_S = 2.0
+"""How long a save waits for the recording to be written, and for the mapping thread."""
 
-LOOK_S = 0.05
+POLL_INTERVAL_S = 0.05
 
 COST = 50
-"""Between two checkpoints lies so many times what one of them takes: at most 2 % of the time."""
+"""Minimum time between two checkpoints in durations of one: they take at most 2 % of the time."""
 
 
 @dataclass(slots=True)
 class _Point:
-    """A checkpoint: of a moment between two chunks."""
+    """A checkpoint between two chunks."""
 
     number: int
     works: int
@@ -52,16 +52,16 @@ class _Point:
 
 
 class SqlitePersistence:
-    """Keeps the map of one session, as `mapperd.pipeline.persistence.MapPersistence` says.
+    """Keeps the map of one session in a file; see `mapperd.pipeline.persistence.MapPersistence`.
 
     Args:
         store: the map's file, open.
         sonar_map: its map.
         session: id.
-        sessions: those before it since the map was empty.
-        interval_s: between saves; asked each time.
-        resumed: where the file says that the session goes on.
-        on_trouble: is told why nothing can be saved, and None when that is over.
+        sessions: earlier sessions since the map was empty.
+        interval_s: returns the time between saves.
+        resumed: position of the file within this session.
+        on_trouble: called with why saving fails, and with None when it works again.
     """
 
     def __init__(
@@ -94,21 +94,21 @@ class SqlitePersistence:
 
     def begin(
         self,
-        engine: SessionDecoder,
-        places: RecordingOffsets,
+        decoder: SessionDecoder,
+        offsets: RecordingOffsets,
         wake: Callable[[], None],
-        localizing: LocalizationSession | None = None,
+        localization: LocalizationSession | None = None,
     ) -> None:
-        """Begin the session: nothing is in the map of it, but what `resumed` says.
+        """Begin the session, or resume it at `resumed`.
 
         Args:
-            engine: as it is before the first chunk.
-            places: of the recording.
-            wake: lets the thread of the pings come to `between` soon.
-            localizing: what the poses depend on; None where they do not.
+            decoder: before its first chunk.
+            offsets: of the recording.
+            wake: makes the mapping thread call `between` soon.
+            localization: the one that affects the map; None without one.
         """
-        self._localizing = localizing
-        self._engine, self._places, self._wake = engine, places, wake
+        self._localization = localization
+        self._decoder, self._offsets, self._wake = decoder, offsets, wake
         self._point = self._point_at(0, 0)
         self._complete(self._point)
         self._began = True
@@ -119,20 +119,20 @@ class SqlitePersistence:
         self._checked_s = time.monotonic()
         self._advance()
         if self._resumed is None:
-            self._try_to_save()  # from the first byte on, the recording is found after a kill
+            self._try_to_save()  # so that a recovery finds the recording from the first byte on
         self._thread.start()
 
     def skip(self, works: int) -> None:
-        """So many pieces of work since the checkpoint are in the map already."""
+        """Declare that `works` pieces of work since the checkpoint are in the map already."""
         self._done = works
         self._advance()
 
     def between(self, number: int, waiting: int) -> None:
-        """A moment between two pieces of work, and between two chunks.
+        """Make a checkpoint if one is due, and serve a waiting save.
 
         Args:
-            number: of the piece of the recording that was taken last.
-            waiting: pieces of work that wait.
+            number: of the last decoded piece of the recording.
+            waiting: number of waiting pieces of work.
         """
         now_s = time.monotonic()
         pause_s = max(min(self._interval_s(), 5.0), self._pause_s)
@@ -147,7 +147,7 @@ class SqlitePersistence:
             request.serve(self.store)
 
     def done(self, work: Work) -> None:  # noqa: ARG002 each counts
-        """A piece of work is in the map."""
+        """Count a finished piece of work."""
         self._done += 1
         self._settle()
         self._advance()
@@ -156,7 +156,7 @@ class SqlitePersistence:
         """Empty the map.
 
         Raises:
-            StoreError: it cannot be; nothing is changed.
+            StoreError: the map cannot be emptied; it is unchanged.
         """
         before, self._sessions = self._sessions, ()
         try:
@@ -166,7 +166,7 @@ class SqlitePersistence:
             raise
 
     def end(self) -> None:
-        """All of the session is in the map: save it, in the thread of the pings."""
+        """Save the whole session, in the mapping thread."""
         self.stop()
         position = Position(
             self._session, whole=True, sessions=self._all_sessions, origin_deg=self._origin_deg()
@@ -175,32 +175,29 @@ class SqlitePersistence:
         self._try_to_save()
 
     def stop(self) -> None:
-        """Save nothing any more by itself."""
+        """Stop saving at intervals."""
         self._ended = True
         self._stop.set()
         if self._thread.ident is not None:
             self._thread.join()
 
     def save(self) -> int | None:
-        """Bring the map to the disk; not in the thread of the pings, nor in an event loop.
-
-        Returns:
-            bytes written.
+        """Write the map to the disk; return the written bytes. Blocks; not in the mapping thread.
 
         Raises:
-            StoreError: it cannot be written.
+            StoreError: the file cannot be written.
         """
         with self._saving:
             before = self.store.bytes_written
             if not self._ended:
-                self.store.write(self._asked())
+                self.store.write(self._request_snapshot())
             return self.store.bytes_written - before
 
     def whole(self) -> SonarMap:
-        """The whole map, as it was saved last, in memory.
+        """Return the whole map, as last saved, in memory.
 
         Raises:
-            StoreError: it cannot be read.
+            StoreError: the file cannot be read.
         """
         whole = SonarMap(self._map.config)
         with StoreReader(self.store.path) as reader:
@@ -208,13 +205,13 @@ class SqlitePersistence:
         return whole
 
     def worker(self) -> Worker:
-        """For a watchdog: the thread that writes."""
+        """Return the progress of the saving thread for the watchdog."""
         counters = self.store.counters
         done = counters.saves + counters.saves_failed
         return Worker("saving", int(self._saving.locked()), done)
 
     def status(self) -> dict[str, Any]:
-        """For a person."""
+        """Return the status of the file for a person."""
         return {
             "path": str(self.store.path),
             **self.store.status(),
@@ -223,7 +220,7 @@ class SqlitePersistence:
 
     @property
     def path(self) -> Path:
-        """Of the map's file."""
+        """Path of the map's file."""
         return self.store.path
 
     @property
@@ -238,13 +235,13 @@ class SqlitePersistence:
         else:
             self._on_trouble(None)
 
-    def _asked(self) -> Snapshot:
-        """Ask the thread of the pings for a snapshot."""
+    def _request_snapshot(self) -> Snapshot:
+        """Request a snapshot from the mapping thread and wait for it."""
         request = _Request()
         self._wanted = request
         self._wake()
-        until_s = time.monotonic() + PATIENCE_S
-        while not request.ready.wait(LOOK_S):
+        until_s = time.monotonic() + TIMEOUT_S
+        while not request.ready.wait(POLL_INTERVAL_S):
             if self._ended or time.monotonic() > until_s:
                 self._wanted = None
                 raise StoreError(f"{self.store.path}: a ping is being mapped", "busy")
@@ -254,17 +251,17 @@ class SqlitePersistence:
         return request.snapshot
 
     def _point_at(self, number: int, works: int) -> _Point:
-        engine = self._engine
+        decoder = self._decoder
         return _Point(
             number,
             works,
-            msgspec.to_builtins(engine.config),
-            isinstance(engine.poses, FixedPose),
-            encode_state(engine.state()),
+            msgspec.to_builtins(decoder.config),
+            isinstance(decoder.poses, FixedPose),
+            encode_state(decoder.state()),
         )
 
     def _settle(self) -> None:
-        """Use a newer checkpoint once all the work that it had given is done."""
+        """Use the newer checkpoint once all work before it is done."""
         if self._next is not None and self._done >= self._next.works:
             if self._done == self._next.works:
                 self._point = self._next
@@ -272,22 +269,22 @@ class SqlitePersistence:
             self._next = None
 
     def _complete(self, point: _Point) -> None:
-        """Add what only the work before the checkpoint brings about."""
-        if self._localizing is not None:
+        """Add the state of localization, which depends on the work before the checkpoint."""
+        if self._localization is not None:
             began_s = time.monotonic()
-            point.localization = saved_state(self._localizing)
+            point.localization = saved_state(self._localization)
             self._pause_s += COST * (time.monotonic() - began_s)
 
     def _advance(self) -> None:
         point, done = self._point, self._done - self._point.works
-        self.store.advance(partial(self._sealed, point, done, self._places.newest))
+        self.store.advance(partial(self._sealed, point, done, self._offsets.newest))
 
     def _sealed(self, point: _Point, done: int, newest: int) -> bytes:
-        """A position as it is written: all that it stands on is written before."""
+        """Return the position to write; the recording up to it is written before."""
         self._await(newest)
-        point.place = point.place or self._places.place_of(point.number)
+        point.place = point.place or self._offsets.place_of(point.number)
         if point.place is None:
-            raise StoreError("nobody knows any more where the recording goes on", "busy")
+            raise StoreError("the position in the recording is not known any more", "busy")
         return Position(
             self._session,
             whole=False,
@@ -302,21 +299,21 @@ class SqlitePersistence:
         ).encoded()
 
     def _origin_deg(self) -> tuple[float, float] | None:
-        """Where the map's zero is, so that the next session has it there too."""
-        return origin_of(self._map.config, self._engine.poses)
+        """Return the map's origin for the next session."""
+        return origin_of(self._map.config, self._decoder.poses)
 
     def _sealed_whole(self, position: Position) -> bytes:
-        self._await(self._places.newest)
+        self._await(self._offsets.newest)
         return position.encoded()
 
     def _await(self, number: int) -> None:
-        """Wait for the recording; a disk that is full is waited for once, and not with each ping.
+        """Wait until the recording is written; only once for a full disk, not for each ping.
 
         Raises:
             StoreError: it is not written.
         """
-        patience_s = 0.0 if self._stuck else PATIENCE_S
-        self._stuck = not self._places.wait_for(number, patience_s)
+        timeout_s = 0.0 if self._stuck else TIMEOUT_S
+        self._stuck = not self._offsets.wait_for(number, timeout_s)
         if self._stuck:
             raise StoreError("the recording is not written yet", "busy")
 
@@ -331,7 +328,7 @@ class SqlitePersistence:
 
 
 class _Request:
-    """Somebody waits for a snapshot."""
+    """A pending request for a snapshot."""
 
     def __init__(self) -> None:
         self.ready = threading.Event()
@@ -339,7 +336,7 @@ class _Request:
         self.error: StoreError | None = None
 
     def serve(self, store: TileStore) -> None:
-        """In the thread of the pings."""
+        """Take the snapshot, in the mapping thread."""
         try:
             self.snapshot = store.take()
         except StoreError as error:

@@ -221,7 +221,7 @@ def _spool(
     def note(settled: PosedPing) -> None:
         spool.t_ns = settled.t_ns
 
-    replay.on_settled = note
+    replay.on_posed = note
     stopped: str | None = None
     try:
         for _ in replay.run(session):

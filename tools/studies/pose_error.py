@@ -31,8 +31,9 @@ from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.fusion import FusedPose
 from mapperd.odometry.native import NativeRecord, encode_native
+from mapperd.pipeline.build import build_pipeline
+from mapperd.pipeline.decoder import PosedPing
 from mapperd.pipeline.pose_lookup import OdometryPoses, ping_time_ns
-from mapperd.pipeline.step import StepRunner
 from oculus_driver.clock import SonarClock
 from oculus_driver.encode import encode_ping
 from oculus_driver.ping import Ping, decode_ping
@@ -257,7 +258,7 @@ def pings_of(dive: Dive, data: bytes, arrival_ns: int) -> Ping:
 def by_truth(dive: Dive, config: Config) -> SonarMap:
     """Perfect poses and motion."""
     sonar_map = SonarMap(config)
-    stepping = StepRunner(sonar_map, lambda: 0.0)
+    executor = build_pipeline(sonar_map, OdometryPoses(config), remarks=None).executor
     for i, sent_s in enumerate(dive.sent_s.tolist()):
         middle_s = sent_s + dive.range_m / 2 / SOUND_MPS
         pose = FusedPose(
@@ -268,7 +269,7 @@ def by_truth(dive: Dive, config: Config) -> SonarMap:
             0,
             0.0,
         )
-        stepping.step(pings_of(dive, dive.ping(i), START_NS), pose)
+        executor.map_ping(PosedPing(0, pings_of(dive, dive.ping(i), START_NS), pose, None))
     return sonar_map
 
 
@@ -280,7 +281,7 @@ def by_odometry(dive: Dive, config: Config, *, stamped: bool = True) -> SonarMap
     """
     sonar_map = SonarMap(config)
     poses = OdometryPoses(config)
-    stepping = StepRunner(sonar_map, lambda: 0.0)
+    executor = build_pipeline(sonar_map, poses, remarks=None).executor
     clock = SonarClock()
     for arrival_ns, what in dive.arrivals(stamped=stamped):
         if isinstance(what, bytes):
@@ -289,10 +290,10 @@ def by_odometry(dive: Dive, config: Config, *, stamped: bool = True) -> SonarMap
             ping = pings_of(dive, dive.ping(what), arrival_ns)
             poses.add_ping(ping, ping_time_ns(ping, clock))
         for ping, pose in poses.resolved(arrival_ns):
-            stepping.step(ping, pose)
+            executor.map_ping(PosedPing(0, ping, pose, None))
     for ping, pose in poses.resolved(None, final=True):
-        stepping.step(ping, pose)
-    counters = stepping.counters
+        executor.map_ping(PosedPing(0, ping, pose, None))
+    counters = executor.counters
     if counters.pings_dropped:
         raise ValueError(f"dropped: {dict(counters.pings_dropped)}, {counters.first_drop}")
     return sonar_map

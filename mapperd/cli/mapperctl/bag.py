@@ -22,7 +22,7 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import PosedPing
-from mapperd.pipeline.executor import PingResult
+from mapperd.pipeline.step import PingResult
 from mapperd.session.recordings import RecordedSession, files_in, sessions_of
 from mapperd.session.replay import Run, Window, as_asked, as_recorded, not_empty
 from mapperd.store.map_files import map_in
@@ -101,8 +101,8 @@ def _mapped(runs: Sequence[Run], sonar_map: SonarMap, writer: "_BagWriter") -> N
     done_bytes = 0
     for run in runs:
         replay = run.replay(sonar_map, Window(), counters)
-        replay.on_settled = writer.ping
-        replay.integration.on_ping = writer.placed
+        replay.on_posed = writer.ping
+        replay.pipeline.executor.on_ping = writer.placed
         for _ in replay.run(run.session):
             bar.show((done_bytes + run.session.bytes_read) / size_bytes, counters.pings_mapped)
         done_bytes += run.session.bytes_read
@@ -147,7 +147,7 @@ class _BagWriter:
 
     def placed(self, treated: PingResult) -> None:
         """Write the pose by odometry, and in the map."""
-        t_ns, odometry = treated.settled.t_ns, treated.settled.pose
+        t_ns, odometry = treated.posed.t_ns, treated.posed.pose
         if t_ns is None:
             return
         self._write_mounting(t_ns)

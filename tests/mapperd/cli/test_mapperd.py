@@ -186,7 +186,7 @@ def test_interrupt_writes_nothing_and_is_reported(
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mapperd.pipeline.step.process_ping", interrupt)
+    monkeypatch.setattr("mapperd.pipeline.executor.process_ping", interrupt)
     out = tmp_path / "out"
     words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(out)]
     assert main(words) == 130

@@ -12,7 +12,9 @@ from mapperd.daemon.map_folder import MapFolder
 from mapperd.errors import ConfigError
 from mapperd.imaging.filter_chain import check_filters
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.step import StepRunner
+from mapperd.pipeline.executor import PingExecutor
+from mapperd.pipeline.persistence import MemoryPersistence
+from mapperd.pipeline.step import Stages
 from mapperd.server.map_worker import MapRounds
 from mapperd.telemetry.telemetry import Telemetry
 
@@ -105,12 +107,13 @@ def another(name: str) -> Any:
 @pytest.mark.parametrize("name", [name for name, (*_, live) in PUBLISHED.items() if live])
 def test_published_live_parameter_changes_while_running(name: str) -> None:
     store = ConfigStore(Layered())
-    stepping = StepRunner(SonarMap(store.current), lambda: 0.0)
-    store.follow((*StepRunner.FOLLOWS, "visualization"), stepping.take, check_filters)
+    sonar_map = SonarMap(store.current)
+    executor = PingExecutor(Stages(sonar_map), MemoryPersistence(sonar_map))
+    store.follow((*PingExecutor.FOLLOWS, "visualization"), executor.reconfigure, check_filters)
     result = store.apply({name: another(name)}, "test")
     assert isinstance(result, Applied)
     assert value_of(store.current, name) == another(name)
-    assert stepping._next is store.current
+    assert executor._config is store.current
 
 
 @pytest.mark.parametrize(
@@ -130,7 +133,7 @@ def test_published_defaults_load() -> None:
 
 
 def test_every_live_setting_has_a_follower() -> None:
-    ours = (*StepRunner.FOLLOWS, *Telemetry.FOLLOWS, *MapFolder.FOLLOWS, *MapRounds.FOLLOWS)
+    ours = (*PingExecutor.FOLLOWS, *Telemetry.FOLLOWS, *MapFolder.FOLLOWS, *MapRounds.FOLLOWS)
     followed = (*ours, "visualization")
     live = [name for name, one in parameters().items() if one.dynamic]
     assert [name for name in live if not name.startswith(followed)] == []

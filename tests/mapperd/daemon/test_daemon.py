@@ -88,7 +88,9 @@ class Bench:
         self.keep = Keep(self.map)
         clock = host_clock()
         events = EventLog(clock)
-        self.live = Live(self.map, poses, session="abc", events=events, keep=self.keep, clock=clock)
+        self.live = Live(
+            self.map, poses, session="abc", events=events, persistence=self.keep, clock=clock
+        )
         self.daemon = Daemon(
             ConfigStore(self.files),
             self.map,
@@ -200,7 +202,7 @@ def test_what_cannot_be_done_reports_the_reason(tmp_path: Path, pings: list[byte
 def test_map_in_memory_has_no_snapshot(tmp_path: Path, pings: list[bytes]) -> None:
     async def work() -> None:
         async with bench_of(tmp_path, pings) as bench:
-            bench.live.keep = MemoryPersistence(bench.map)
+            bench.live.persistence = MemoryPersistence(bench.map)
             with pytest.raises(OperationError, match="in memory alone"):
                 await bench.daemon.snapshot("test")
 

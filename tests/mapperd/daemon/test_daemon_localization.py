@@ -68,7 +68,7 @@ async def localizing(
         )
         sonar_map, events, clock = SonarMap(config), EventLog(host_clock()), host_clock()
         poses, begin = OdometryPoses(config), begun(config)
-        live = Live(sonar_map, poses, events=events, clock=clock, localizing=begin)
+        live = Live(sonar_map, poses, events=events, clock=clock, localization=begin)
         settings = ConfigStore(Layered(config))
         read, maps = (lambda: Layered(config)), folder / "maps"
         daemon = Daemon(settings, sonar_map, live, events, read=read, folder=maps)

@@ -21,9 +21,9 @@ from mapperd.localization.map_io import write_nav2_map
 from mapperd.localization.models import check_localization
 from mapperd.localization.session import LocalizationSession, begun
 from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.executor import PingExecutor
 from mapperd.pipeline.ingest import SONAR
 from mapperd.pipeline.pose_lookup import OdometryPoses
-from mapperd.pipeline.step import StepRunner
 from mapperd.session.recordings import files_in, sessions_of
 from mapperd.session_log import (
     DECISIONS,
@@ -60,9 +60,9 @@ class Session:
             OdometryPoses(config),
             session="abc",
             clock=lambda: START_NS,
-            localizing=localizing,
+            localization=localizing,
         )
-        self.store.follow(StepRunner.FOLLOWS, self.live.take, check_localization)
+        self.store.follow(PingExecutor.FOLLOWS, self.live.reconfigure, check_localization)
         self.answers: list[str] = []
 
     def run(self, track: list[tuple[str, bytes, float]], requests: dict[int, Asked]) -> None:
@@ -71,7 +71,7 @@ class Session:
         async def work() -> None:
             live = self.live
             async with live.recorder:
-                live.inlet.order(live._beginning())
+                live.ingest.order(live._beginning())
                 live._requests.open()
                 live.mapping.on_request = live._requests.done
                 live.mapping.start()
@@ -79,7 +79,7 @@ class Session:
                     if k in requests:
                         self.answers.append(await self.asked(requests[k]))
                     link = SONAR if kind == "ping" else "vehicle"
-                    live.inlet.bytes_came(link, data, START_NS + round(seconds * 1e9), gap=False)
+                    live.ingest.receive(link, data, START_NS + round(seconds * 1e9), gap=False)
                     while live.queue.waiting_bytes or len(live.mapping.backlog):  # noqa: ASYNC110
                         await asyncio.sleep(0.001)  # none is too slow
                 live.queue.close()
@@ -92,7 +92,7 @@ class Session:
         if isinstance(request, dict):
             applied = self.store.apply(request, "test")
             return "set" if isinstance(applied, Applied) else str(applied.reasons)
-        refused = await asyncio.wait_for(self.live.ask(request), 10)
+        refused = await asyncio.wait_for(self.live.request(request), 10)
         return refused.reason if isinstance(refused, Reject) else "done"
 
 
@@ -165,7 +165,7 @@ def test_requests_are_recorded_and_done_again(
     assert session.answers == [
         "no_filter", "done", "wrong_frame", "done", "done", "done", "set", REFUSED, "done", "done"
     ]  # fmt: skip
-    facts = session.live.mapping.facts.localization
+    facts = session.live.mapping.snapshot.localization
     assert facts is not None
     assert facts.belief is not None
     assert abs(facts.belief.best.x_m - dive().truth[-1][0]) < 0.4
@@ -210,10 +210,10 @@ def test_map_that_cannot_be_loaded_is_never_ordered(tmp_path: Path) -> None:
     async def work() -> None:
         session.live._requests.open()
         with pytest.raises(MapError, match=r"none\.yaml"):
-            await session.live.ask(NewMap(0, str(tmp_path / "none.yaml"), ""))
+            await session.live.request(NewMap(0, str(tmp_path / "none.yaml"), ""))
 
     asyncio.run(work())
-    assert session.live.mapping.engine.orders_taken == 0
+    assert session.live.mapping.pipeline.decoder.orders_taken == 0
     assert not session.live.queue.waiting_bytes
 
 
@@ -227,9 +227,9 @@ def test_maps_that_were_loaded_are_taken_whatever_becomes_of_their_files(tmp_pat
     maps.offer(again)  # the same map, asked for twice before it is taken once
     path.with_suffix(".pgm").unlink()
     for number in (1, 2):
-        assert onboard.ask(NewMap(number, known.path, known.sha256)) is None
+        assert onboard.request(NewMap(number, known.path, known.sha256)) is None
     with pytest.raises(CheckpointError):  # in a replay the session cannot be as it was
-        onboard.ask(NewMap(3, known.path, known.sha256))
+        onboard.request(NewMap(3, known.path, known.sha256))
 
 
 def test_nothing_can_be_asked_where_localization_is_off(tmp_path: Path) -> None:
@@ -238,7 +238,7 @@ def test_nothing_can_be_asked_where_localization_is_off(tmp_path: Path) -> None:
     session = Session(config, None)
     session.run(events(room(), dive(5)), {3: GlobalLocalization(0)})
     assert session.answers == ["localization_off"]
-    assert session.live.mapping.facts.localization is None
+    assert session.live.mapping.snapshot.localization is None
 
 
 def test_session_that_has_ended_answers(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import AmclConfig
 from mapperd.daemon.localization_service import PoseKeeper
-from mapperd.daemon.run import _localizing
+from mapperd.daemon.run import _start_localization
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
@@ -109,9 +109,9 @@ def test_map_that_is_being_made_is_not_the_known_one(tmp_path: Path) -> None:
 
     events = EventLog(lambda: 0)
     with pytest.raises(ConfigError, match="is the map that pings are mapped into"):
-        _localizing(config(mapping="corrected"), events)
+        _start_localization(config(mapping="corrected"), events)
     with pytest.raises(ConfigError, match="no such file"):
-        _localizing(config(mapping="off"), events)
+        _start_localization(config(mapping="off"), events)
 
 
 def test_saved_pose_that_is_invalid_is_reported_and_passed_over(told: Told, tmp_path: Path) -> None:
@@ -121,13 +121,13 @@ def test_saved_pose_that_is_invalid_is_reported_and_passed_over(told: Told, tmp_
         if text is not None:
             told.path.write_text(text, encoding="utf-8")
         events = EventLog(lambda: 0)
-        found = _localizing(config, events)
+        found = _start_localization(config, events)
         assert found is not None
         assert found.saved is None
         assert [event.code for event in events.since(0)[0]] == codes
     told.now_at(3.0, 1)
     told.keeper.save()
-    found = _localizing(config, EventLog(lambda: 0))
+    found = _start_localization(config, EventLog(lambda: 0))
     assert found is not None
     assert found.saved is not None
     assert found.saved.x_m == 3.0

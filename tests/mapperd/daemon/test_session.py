@@ -19,11 +19,11 @@ from mapperd.errors import ConfigError
 from mapperd.events import EventLog
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.decoder import PosedPing
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.session.replay import Replay, Window
 from mapperd.session_log import DECISIONS, remarks_in
 from oculus_driver import PlaybackSonar
-from oculus_driver.ping import Ping
 from oculus_driver.recording import open_recording
 from oculus_driver.wire import PingRate
 from tests.support.process import free_port
@@ -86,7 +86,7 @@ def test_pings_meet_the_poses_of_their_time(
             assert counters.pings_total == counters.pings_mapped + dropped
             assert counters.pings_mapped >= 10
             assert poses.odometry.accepted == poses.odometry.received > 10
-            assert live.mapping.facts.clocks["placed"]["device"] > 0
+            assert live.mapping.snapshot.clocks["placed"]["device"] > 0
             occupied_x = sonar_map.voxels("occupied").centres_m[:, 0]
             assert 3.0 < np.max(occupied_x) < 4.5  # the wall 3 m ahead went along
             demand = sonar.device.request
@@ -147,10 +147,10 @@ def test_what_goes_wrong_in_the_step_ends_the_run(
         async with PlaybackSonar([ping_bytes(1)], standby=True, loops=None) as sonar:
             live = Live(SonarMap(config_of(sonar, free_port())), FixedPose(pose_at_origin()))
 
-            def fails(ping: Ping, pose: object) -> None:
-                raise RuntimeError(f"{ping.ping_id} {pose}")
+            def fails(posed: PosedPing) -> None:
+                raise RuntimeError(f"{posed.ping.ping_id} {posed.pose}")
 
-            monkeypatch.setattr(live.mapping.integration.stepping, "step", fails)
+            monkeypatch.setattr(live.mapping.pipeline.executor, "map_ping", fails)
             with pytest.raises(RuntimeError, match="1 "):
                 await live.run(asyncio.sleep(60))
 

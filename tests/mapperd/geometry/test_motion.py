@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -17,12 +18,14 @@ from mapperd.config.tree import (
     PositionConfig,
     SonarConfig,
 )
-from mapperd.errors import MapError, Reject
+from mapperd.errors import MapError
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.geometry.motion import BaseMotion, PingMotion
 from mapperd.imaging.ping_image import PingImage
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.step import process_ping
+from mapperd.pipeline.decoder import PosedPing
+from mapperd.pipeline.pose_lookup import fixed_pose
+from mapperd.pipeline.step import Stages, process_ping
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]
@@ -118,7 +121,8 @@ def test_the_step_holds_the_pose_at_the_middle_of_the_image(ping: MakePing) -> N
     middles = []
     for rate in (None, (0.0, 0.0, 1.0)):
         sonar_map = SonarMap(coarse)
-        process_ping(ping(**far), here, sonar_map, BaseMotion(rate_radps=rate))
+        posed = replace(fixed_pose(here), rate_radps=None if rate is None else np.array(rate))
+        process_ping(PosedPing(0, ping(**far), posed, None), Stages(sonar_map))
         centres = sonar_map.voxels("occupied").centres_m
         middles.append(np.arctan2(centres[:, 1], centres[:, 0]).mean())
     # Received 2 * 18.6 m after transmission, the pose holds at 15 m of sound's way.
@@ -129,9 +133,9 @@ def test_the_step_holds_the_pose_at_the_middle_of_the_image(ping: MakePing) -> N
 def test_a_speed_of_sound_that_cannot_be_is_not_taken(ping: MakePing) -> None:
     sonar_map = SonarMap(msgspec.structs.replace(FORWARD, octree=OctreeConfig(0.2)))
     here = pose_from_rpy((0, 0, 0), (0, 0, 0))
-    moving = BaseMotion(velocity_map_mps=(1.0, 0.0, 0.0))
-    result = process_ping(ping(speed_of_sound_mps=0.0), here, sonar_map, moving)
-    assert not isinstance(result, Reject)
+    moving = replace(fixed_pose(here), velocity_mps=np.array([1.0, 0.0, 0.0]))
+    posed = PosedPing(0, ping(speed_of_sound_mps=0.0), moving, None)
+    assert process_ping(posed, Stages(sonar_map)).reject is None
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def driven(
     onboard: LocalizationStage, heard: list[Ping], first: int, last: int
 ) -> list[FusedPose | Reject]:
     track = dive(30).odometry
-    return [onboard.place(heard[k], fused(track[k]), k * 200_000_000) for k in range(first, last)]
+    return [onboard.correct(heard[k], fused(track[k]), k * 200_000_000) for k in range(first, last)]
 
 
 def with_amcl(config: Config, **values: object) -> Config:
@@ -88,7 +88,7 @@ def test_scan_without_an_update_is_mapped_by_the_last_correction(
     driven(onboard, heard, 0, 10)
     before = onboard.facts()
     odom = fused(dive(30).odometry[9] + (0.05, 0.0, 0.0))
-    where = onboard.place(heard[9], odom, 2_000_000_000)
+    where = onboard.correct(heard[9], odom, 2_000_000_000)
     after = onboard.facts()
     assert after.updates == before.updates
     assert after.counts["still"] == 1
@@ -101,7 +101,7 @@ def test_scan_without_an_update_is_mapped_by_the_last_correction(
 
 def test_ping_without_a_pose_stays_without(config: Config, heard: list[Ping]) -> None:
     onboard, why = onboard_of(config), Reject("odometry_gap", "none came")
-    assert onboard.place(heard[0], why, 0) is why
+    assert onboard.correct(heard[0], why, 0) is why
     assert onboard.facts().counts == {}
 
 
@@ -109,7 +109,7 @@ def test_a_jump_of_the_odometry_is_nothing_to_map_by(config: Config, heard: list
     onboard = onboard_of(config)
     driven(onboard, heard, 0, 10)
     far = fused(dive(30).odometry[10] + (50.0, 0.0, 0.0))
-    where = onboard.place(heard[10], far, 2_000_000_000)
+    where = onboard.correct(heard[10], far, 2_000_000_000)
     assert isinstance(where, Reject)
     assert where.reason == "odometry_jump"
 
@@ -131,7 +131,7 @@ def test_other_settings_keep_the_particles(config: Config, heard: list[Ping]) ->
     onboard = onboard_of(config)
     driven(onboard, heard, 0, 10)
     cloud = onboard.facts().particles.copy()
-    onboard.take(with_amcl(config, laser_sigma_hit=0.3, max_beams=20))
+    onboard.reconfigure(with_amcl(config, laser_sigma_hit=0.3, max_beams=20))
     assert np.array_equal(onboard._filter.particles.poses, cloud[:, :3])
     where = driven(onboard, heard, 10, 12)[-1]
     assert isinstance(where, FusedPose)
@@ -142,14 +142,14 @@ def test_settings_that_the_filter_refuses_change_nothing(config: Config, heard: 
     bad = with_amcl(config, laser_z_hit=1e-300, laser_z_rand=0.0)
     with pytest.raises(ConfigError, match=r"\$\.amcl"):
         check_localization(bad)
-    onboard.take(bad)
+    onboard.reconfigure(bad)
     assert onboard.facts().counts["settings_refused"] == 1
     assert isinstance(driven(onboard, heard, 0, 3)[-1], FusedPose)
 
 
 def test_facts_of_a_vehicle_that_waits(config: Config, heard: list[Ping]) -> None:
     onboard = onboard_of(with_amcl(config, set_initial_pose=False))
-    assert onboard.ask(NoMotionUpdate(1)) is not None
+    assert onboard.request(NoMotionUpdate(1)) is not None
     driven(onboard, heard, 0, 2)
     facts = onboard.facts()
     assert facts.state == "waiting for a pose"
@@ -172,7 +172,7 @@ def test_scan_stands_on_the_walls(config: Config, heard: list[Ping]) -> None:
 
 def test_maps_are_refused_where_one_was_asked_for(config: Config, tmp_path: Path) -> None:
     onboard = onboard_of(with_amcl(config, use_map_topic=False))
-    refused = onboard.ask(NewMap(1, str(tmp_path / "other.yaml"), "0"))
+    refused = onboard.request(NewMap(1, str(tmp_path / "other.yaml"), "0"))
     assert refused is not None
     assert refused.reason == "map_topic_off"
 
@@ -185,7 +185,7 @@ def test_request_that_is_no_pose_is_refused_and_changes_nothing(
     driven(onboard, heard, 0, 10)
     before = onboard.facts()
     for pose in ((number, 0.0, (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0)), (0.0, 0.0, (-1.0,) * 9)):
-        refused = onboard.ask(InitialPose(1, pose[0], pose[1], 0.0, pose[2], "map"))
+        refused = onboard.request(InitialPose(1, pose[0], pose[1], 0.0, pose[2], "map"))
         assert refused is not None
         assert refused.reason == "bad_request"
     after = onboard.facts()
@@ -203,7 +203,7 @@ def test_map_that_cannot_be_had_or_taken_is_refused(config: Config) -> None:
 
     for load in (gone, wide):
         onboard = LocalizationStage(config, KnownMap("room", "", room()), load=load)
-        refused = onboard.ask(NewMap(1, "other.yaml", "0"))
+        refused = onboard.request(NewMap(1, "other.yaml", "0"))
         assert refused is not None
         assert refused.reason == "bad_request"
         assert onboard.facts().counts == {"bad_request": 1}
@@ -216,7 +216,7 @@ def test_new_start_forgets_the_belief(config: Config, heard: list[Ping]) -> None
     onboard = onboard_of(config)
     driven(onboard, heard, 0, 5)
     covariance = tuple(np.diag([0.1, 0.1, 0.1]).ravel().tolist())
-    assert onboard.ask(InitialPose(1, 0.0, 0.0, 0.0, covariance, "map")) is None
+    assert onboard.request(InitialPose(1, 0.0, 0.0, 0.0, covariance, "map")) is None
     facts = onboard.facts()
     assert (facts.belief, facts.transform, facts.sure) == (None, None, False)
     assert abs(facts.particles[:, 0].mean()) < 0.1

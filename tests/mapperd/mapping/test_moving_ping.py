@@ -22,8 +22,9 @@ from mapperd.config.tree import (
 )
 from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.build import build_pipeline
+from mapperd.pipeline.decoder import PosedPing
 from mapperd.pipeline.pose_lookup import OdometryPoses
-from mapperd.pipeline.step import StepRunner
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]
@@ -77,15 +78,15 @@ def mapped(ping: MakePing, record: OdometryBytes, config: Config) -> tuple[Sonar
     one = ping(1, arrival_ns, **far)
     sonar_map = SonarMap(config)
     poses = OdometryPoses(config)
-    stepping = StepRunner(sonar_map, lambda: 0.0)
+    executor = build_pipeline(sonar_map, poses, remarks=None).executor
     poses.add_ping(one)
     for k in range(21):
         pose = base_at(T0 + 50 * k * MS)
         data = record(p=tuple(pose.position_m.tolist()), q=tuple(pose.map_q_base.tolist()))
         poses.add_odometry("odometry", data, T0 + 50 * k * MS)
     for each, fused in poses.resolved(T0 + 1000 * MS):
-        stepping.step(each, fused)
-    assert stepping.counters.pings_mapped == 1
+        executor.map_ping(PosedPing(0, each, fused, None))
+    assert executor.counters.pings_mapped == 1
     return sonar_map, true_points(one, sonar_map.base_T_sonar)[::8]
 
 

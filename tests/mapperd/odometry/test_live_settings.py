@@ -111,7 +111,7 @@ def test_setting_taken_later_is_as_good_as_one_from_the_start(name: str, circle:
     drive = list(rough_drive(circle))
     before, after = config_of(BASE, ""), with_value(name, OTHER[name])
     poses = OdometryPoses(before)
-    poses.take(after)
+    poses.reconfigure(after)
     taken = outcomes(poses.odometry.fusion, drive)
     assert taken == outcomes(fusion_of(after), drive)
     assert taken != outcomes(fusion_of(before), drive)
@@ -126,15 +126,15 @@ def test_setting_changes_on_the_way_and_back(name: str, circle: Circle) -> None:
     poses = OdometryPoses(before)
     half = len(drive) // 2
     first = outcomes(poses.odometry.fusion, drive[:half])
-    poses.take(after)
-    poses.take(before)
+    poses.reconfigure(after)
+    poses.reconfigure(before)
     rest = outcomes(poses.odometry.fusion, drive[half:])
     assert first + rest == outcomes(fusion_of(before), drive)
 
 
 def test_patience_follows() -> None:
     poses = OdometryPoses(config_of(BASE, ""))
-    poses.take(with_value("time_sync.max_gap_sec", 5.0))
+    poses.reconfigure(with_value("time_sync.max_gap_sec", 5.0))
     assert poses._patience_ns == 5_500_000_000
 
 
@@ -148,7 +148,7 @@ def test_a_sender_that_is_known_already_is_judged_again(circle: Circle) -> None:
 
     assert taken(T0, 0) is None
     assert taken(T0 + S, late_ns) is None
-    poses.take(with_value(name, OTHER[name]))
+    poses.reconfigure(with_value(name, OTHER[name]))
     reject = taken(T0 + 2 * S, late_ns)
     assert reject is not None
     assert reject.reason == "clock_off"

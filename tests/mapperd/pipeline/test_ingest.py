@@ -37,9 +37,9 @@ def taken(queue: ChunkQueue) -> list[bytes | Decision]:
 
 def test_recorder_and_mapper_get_the_same_in_one_order() -> None:
     inlet, recorded, queue = inlet_with(1 << 20)
-    inlet.bytes_came(SONAR, b"a", 1, gap=False)
+    inlet.receive(SONAR, b"a", 1, gap=False)
     inlet.order(Reset(1))
-    inlet.bytes_came("vehicle", b"b", 2, gap=True)
+    inlet.receive("vehicle", b"b", 2, gap=True)
     assert recorded.seen == [b"a", Reset(1), Gap("vehicle"), b"b"]
     assert recorded.gaps == [False, False, False, True]
     assert taken(queue) == recorded.seen
@@ -53,27 +53,27 @@ def test_remark_is_for_the_recorder_alone() -> None:
 
 def test_empty_bytes_are_nothing_but_their_gap_counts() -> None:
     inlet, recorded, queue = inlet_with(1 << 20)
-    inlet.bytes_came(SONAR, b"", 1, gap=True)
+    inlet.receive(SONAR, b"", 1, gap=True)
     assert recorded.seen == taken(queue) == [Gap(SONAR)]
 
 
 def test_what_has_no_room_is_recorded_with_a_note_before_it() -> None:
     inlet, recorded, queue = inlet_with(1024)
     for data in (b"a" * 600, b"b" * 600, b"c" * 700):
-        inlet.bytes_came(SONAR, data, 1, gap=False)
+        inlet.receive(SONAR, data, 1, gap=False)
     skips = [Skip(SONAR, 600), Skip(SONAR, 700)]
     assert recorded.seen == [b"a" * 600, skips[0], b"b" * 600, skips[1], b"c" * 700]
     assert (queue.chunks_refused, queue.bytes_refused) == (2, 1300)
     assert taken(queue) == [b"a" * 600]
-    inlet.bytes_came("vehicle", b"d", 2, gap=False)
+    inlet.receive("vehicle", b"d", 2, gap=False)
     assert taken(queue) == [Skip(SONAR, 1300), b"d"]  # in one, however many there were
     assert recorded.seen[5:] == [b"d"]
 
 
 def test_order_comes_through_a_full_queue() -> None:
     inlet, _, queue = inlet_with(512)
-    inlet.bytes_came(SONAR, b"a", 1, gap=False)
-    inlet.bytes_came(SONAR, b"b", 1, gap=False)
+    inlet.receive(SONAR, b"a", 1, gap=False)
+    inlet.receive(SONAR, b"b", 1, gap=False)
     inlet.order(Reset(1))
     assert taken(queue) == [b"a", Skip(SONAR, 1), Reset(1)]
 

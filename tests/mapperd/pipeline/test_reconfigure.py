@@ -11,18 +11,24 @@ from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore, Refused
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
-from mapperd.geometry.frames import pose_from_rpy
+from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.imaging.filter_chain import check_filters
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.build import build_pipeline
 from mapperd.pipeline.decoder import PosedPing, SessionDecoder
-from mapperd.pipeline.pose_lookup import FixedPose
-from mapperd.pipeline.step import Mapped, StepRunner, process_ping
+from mapperd.pipeline.executor import PingExecutor
+from mapperd.pipeline.pose_lookup import FixedPose, fixed_pose
+from mapperd.pipeline.step import PingResult, Stages, process_ping
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]
 HERE = pose_from_rpy((0, 0, 0), (0, 0, 0))
 ROWS, BEAMS = 50, 65
+
+
+def step_at(ping: Ping, pose: Pose, sonar_map: SonarMap) -> PingResult:
+    """Put a ping of a sonar at rest through the step."""
+    return process_ping(PosedPing(0, ping, fixed_pose(pose), None), Stages(sonar_map))
 
 
 def config_with(**sections: Any) -> Config:
@@ -33,22 +39,22 @@ def config_with(**sections: Any) -> Config:
     return msgspec.convert(coarse | sections, Config)
 
 
-def stepping_with(config: Config) -> tuple[StepRunner, ConfigStore, SonarMap, SessionDecoder]:
-    sonar_map, counters = SonarMap(config), PipelineCounters()
-    stepping = StepRunner(sonar_map, lambda: 0.0, counters)
-    engine = SessionDecoder(config, FixedPose(HERE), counters, confirm=False, obey=False)
+def stepping_with(config: Config) -> tuple[PingExecutor, ConfigStore, SonarMap, SessionDecoder]:
+    sonar_map = SonarMap(config)
+    pipeline = build_pipeline(sonar_map, FixedPose(HERE), remarks=None)
+    stepping, engine = pipeline.executor, pipeline.decoder
     store = ConfigStore(Layered(config))
-    store.follow(StepRunner.FOLLOWS, stepping.take, check_filters)
-    store.follow(StepRunner.FOLLOWS, engine.take)
+    store.follow(PingExecutor.FOLLOWS, stepping.reconfigure, check_filters)
+    store.follow(PingExecutor.FOLLOWS, engine.reconfigure)
     return stepping, store, sonar_map, engine
 
 
-def step_on(stepping: StepRunner, engine: SessionDecoder, *pings: Ping) -> None:
+def step_on(stepping: PingExecutor, engine: SessionDecoder, *pings: Ping) -> None:
     for ping in pings:
         engine.offer(ping, None, None)
     for settled in engine.end():
         assert isinstance(settled, PosedPing)
-        stepping.step(settled.ping, settled.pose)
+        stepping.map_ping(settled)
 
 
 @pytest.mark.parametrize(
@@ -80,8 +86,8 @@ def test_changed_map_goes_on_as_one_that_always_had_the_settings(
     assert sonar_map.config == store.current
     always, before = SonarMap(store.current), SonarMap(config_with())
     for one in pings:
-        process_ping(one, HERE, always)
-        process_ping(one, HERE, before)
+        step_at(one, HERE, always)
+        step_at(one, HERE, before)
     assert sonar_map.sha256() == always.sha256() != before.sha256()
 
 
@@ -138,8 +144,8 @@ def bright_spot() -> np.ndarray:
 def test_robots_are_reported_and_kept_out_of_the_map(ping: MakePing) -> None:
     seen = ping(1, image=bright_spot())
     kept_out = SonarMap(config_with(robot_detection={"enabled": True, "keep_out": True}))
-    result = process_ping(seen, HERE, kept_out)
-    assert isinstance(result, Mapped)
+    result = step_at(seen, HERE, kept_out)
+    assert result.reject is None
     ((robot, place_m),) = result.robots
     assert (robot.samples, robot.peak) == (15, 220)
     assert place_m == pytest.approx((2.15, 0, -0.5), abs=0.05)
@@ -147,7 +153,7 @@ def test_robots_are_reported_and_kept_out_of_the_map(ping: MakePing) -> None:
     assert ranges.min() > 3.5
 
     in_it = SonarMap(config_with(robot_detection={"enabled": True}))
-    process_ping(seen, HERE, in_it)
+    step_at(seen, HERE, in_it)
     ranges = np.linalg.norm(in_it.voxels("occupied").centres_m - [0, 0, -0.5], axis=1)
     assert ranges.min() < 2.5
 
@@ -168,6 +174,6 @@ def test_stripe_does_not_reach_the_map(ping: MakePing) -> None:
     image[33] = 180
     maps = [SonarMap(config_with(crosstalk={"enabled": on})) for on in (True, False, True)]
     for sonar_map, picture in zip(maps, (image, image, rope), strict=True):
-        process_ping(ping(1, image=picture), HERE, sonar_map)
+        step_at(ping(1, image=picture), HERE, sonar_map)
     clean, dirty, never = (sonar_map.sha256() for sonar_map in maps)
     assert clean == never != dirty

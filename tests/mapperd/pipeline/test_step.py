@@ -12,17 +12,23 @@ from mapperd.config.tree import (
     OrientationConfig,
     PositionConfig,
 )
-from mapperd.errors import Reject
-from mapperd.geometry.frames import pose_from_rpy
-from mapperd.mapping.sonar_map import SonarMap
+from mapperd.geometry.frames import Pose, pose_from_rpy
+from mapperd.mapping.sonar_map import PingStats, SonarMap
 from mapperd.pipeline import step
-from mapperd.pipeline.step import Mapped, process_ping
+from mapperd.pipeline.decoder import PosedPing
+from mapperd.pipeline.pose_lookup import fixed_pose
+from mapperd.pipeline.step import PingResult, Stages, process_ping
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]
 FORWARD = MountingConfig(orientation=OrientationConfig(pitch=0.0))
 COARSE = Config(octree=OctreeConfig(voxel_resolution=0.2), mounting=FORWARD)
 HERE = pose_from_rpy((0, 0, 0), (0, 0, 0))
+
+
+def step_at(ping: Ping, pose: Pose, sonar_map: SonarMap) -> PingResult:
+    """Put a ping of a sonar at rest through the step."""
+    return process_ping(PosedPing(0, ping, fixed_pose(pose), None), Stages(sonar_map))
 
 
 def test_the_step_fits_on_one_screen() -> None:
@@ -32,11 +38,11 @@ def test_the_step_fits_on_one_screen() -> None:
 
 def test_ping_changes_the_map_where_the_sonar_looks(ping: MakePing) -> None:
     sonar_map = SonarMap(COARSE)
-    result = process_ping(ping(9), HERE, sonar_map)
-    assert isinstance(result, Mapped)
-    assert result.ping_id == 9
-    assert result.voxels_occupied > 0
-    assert result.voxels_free > 0
+    result = step_at(ping(9), HERE, sonar_map)
+    assert isinstance(result.stats, PingStats)
+    assert result.posed.ping.ping_id == 9
+    assert result.stats.occupied > 0
+    assert result.stats.free > 0
     occupied = sonar_map.voxels("occupied")
     ranges = np.linalg.norm(occupied.centres_m - [0, 0, -0.5], axis=1)
     assert np.abs(ranges - 3.1).max() < 0.3
@@ -45,7 +51,7 @@ def test_ping_changes_the_map_where_the_sonar_looks(ping: MakePing) -> None:
 
 def test_sonar_is_where_pose_and_mounting_put_it(ping: MakePing) -> None:
     sonar_map = SonarMap(COARSE)
-    process_ping(ping(), pose_from_rpy((100, 50, -10), (0, 0, 90)), sonar_map)
+    step_at(ping(), pose_from_rpy((100, 50, -10), (0, 0, 90)), sonar_map)
     centres = sonar_map.voxels("occupied").centres_m
     assert np.linalg.norm(centres - [100, 50, -10.5], axis=1) == pytest.approx(3.1, abs=0.3)
     assert centres[:, 1].min() > 50  # yaw 90 degrees: it looks north
@@ -63,19 +69,19 @@ def test_ping_that_cannot_be_mapped_leaves_the_map_alone(
 ) -> None:
     sonar_map = SonarMap(COARSE)
     before = sonar_map.sha256()
-    result = process_ping(ping(**changes), HERE, sonar_map)
-    assert isinstance(result, Reject)
-    assert result.reason == reason
+    result = step_at(ping(**changes), HERE, sonar_map)
+    assert result.reject is not None
+    assert result.reject.reason == reason
     assert sonar_map.sha256() == before
 
 
 def test_pose_beyond_the_reach_of_the_map_is_refused(ping: MakePing) -> None:
     fine = msgspec.structs.replace(COARSE, octree=OctreeConfig(voxel_resolution=0.001))
-    result = process_ping(
+    result = step_at(
         ping(range_resolution_m=0.001), pose_from_rpy((3e7, 0, 0), (0, 0, 0)), SonarMap(fine)
     )
-    assert isinstance(result, Reject)
-    assert result.reason == "refused_by_map"
+    assert result.reject is not None
+    assert result.reject.reason == "refused_by_map"
 
 
 def test_lever_arm_and_turned_mounting_are_of_the_base(ping: MakePing) -> None:
@@ -83,7 +89,7 @@ def test_lever_arm_and_turned_mounting_are_of_the_base(ping: MakePing) -> None:
         position=PositionConfig(x=2.0, y=1.0, z=-0.5), orientation=OrientationConfig(pitch=90)
     )
     sonar_map = SonarMap(msgspec.structs.replace(COARSE, mounting=mounting))
-    process_ping(ping(), pose_from_rpy((100, 50, -10), (0, 0, 90)), sonar_map)
+    step_at(ping(), pose_from_rpy((100, 50, -10), (0, 0, 90)), sonar_map)
     centres = sonar_map.voxels("occupied").centres_m
     # Yaw 90: forward is north, port is west. So 2 m north and 1 m west, looking straight down.
     sonar = np.array([99.0, 52.0, -10.5])

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from mapperd.events import EventLog
-from mapperd.pipeline.step import Mapped
+from mapperd.mapping.sonar_map import PingStats
 from mapperd.server.outbox import ClientOutbox
 from mapperd.server.pacer import Pacer
 from mapperd.wire.framing import client_inbox
@@ -44,7 +44,7 @@ def test_no_picture_is_older_than_the_one_before(ping: Callable[..., Ping]) -> N
     for number, (drawn, coarse) in enumerate(
         [({0, 1, 2}, 0), ({0}, 0), ({0}, 1), ({0, 1}, 1), ({1}, 2), ({1, 2}, 2), ({1, 2}, 0)], 1
     ):
-        feed.put(treated(ping(ping_id=number), fused(number), Mapped(1, 2, 3)))
+        feed.put(treated(ping(ping_id=number), fused(number), PingStats()))
         now_s += 1
         feed.refresh({"image"}, now_s)
         feed.draw({"image"}, drawn)

@@ -17,10 +17,10 @@ from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose as Place
 from mapperd.geometry.frames import pose_from_rpy, quaternion_to_matrix
 from mapperd.imaging.ping_image import PingImage
+from mapperd.mapping.sonar_map import PingStats
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.decoder import PosedPing
-from mapperd.pipeline.executor import PingResult
-from mapperd.pipeline.step import Mapped
+from mapperd.pipeline.step import PingResult
 from mapperd.server.state_feed import Feed, SettingLog
 from mapperd.server.state_messages import IMAGE_SIZES, Track, first_returns, image_message
 from mapperd.wire.framing import client_inbox
@@ -52,8 +52,8 @@ def fused(x: float, yaw_deg: float = 0.0) -> FusedPose:
     return FusedPose(pose, np.array([1.0, 0, 0]), None, np.eye(6) * 0.04, 0, 0.0)
 
 
-def treated(ping: Ping, pose: FusedPose | Reject, result: Mapped | Reject) -> PingResult:
-    return PingResult(PosedPing(0, ping, pose, 2_000, 1_000), pose, result)
+def treated(ping: Ping, pose: FusedPose | Reject, stats: PingStats | Reject) -> PingResult:
+    return PingResult(PosedPing(0, ping, pose, 2_000, 1_000), pose, stats)
 
 
 def feed_of(config: Config = MOUNTED) -> tuple[Feed, Told, FakeDaemon]:
@@ -70,7 +70,7 @@ def test_the_pose_is_the_pings_and_the_sonars_beside_it(ping: Ping) -> None:
     feed, _, _ = feed_of()
     feed.refresh({"pose"}, 0.0)
     assert feed.newest("pose").number == 0
-    feed.put(treated(ping, fused(5.0, yaw_deg=90.0), Mapped(1, 2, 3)))
+    feed.put(treated(ping, fused(5.0, yaw_deg=90.0), PingStats()))
     feed.refresh({"pose"}, 0.1)
     feed.refresh({"pose"}, 0.2)
     assert feed.newest("pose").number == 1
@@ -103,7 +103,7 @@ def test_a_ping_without_a_pose_moves_nothing(ping: Ping) -> None:
 def test_the_fan_is_told_when_it_changes(ping: Ping) -> None:
     feed, _, daemon = feed_of()
     for n in range(3):
-        feed.put(treated(ping, fused(n), Mapped(1, 2, 3)))
+        feed.put(treated(ping, fused(n), PingStats()))
         feed.refresh({"fan"}, n)
     assert feed.newest("fan").number == 1
     said = message(feed.newest("fan").frame)
@@ -113,7 +113,7 @@ def test_the_fan_is_told_when_it_changes(ping: Ping) -> None:
     assert said.min_range_m == 0.5
     assert said.max_range_m == pytest.approx(ping.max_range_m, abs=1e-3)
     daemon.settings.apply({"filtering.min_range": 0.7}, "test")
-    feed.put(treated(ping, fused(9), Mapped(1, 2, 3)))
+    feed.put(treated(ping, fused(9), PingStats()))
     feed.refresh({"fan"}, 9)
     assert message(feed.newest("fan").frame).min_range_m == 0.7
 
@@ -146,7 +146,7 @@ def test_robots_are_told_when_they_come_and_go() -> None:
 
 def test_pictures_are_drawn_only_when_somebody_wants_them(ping: Ping) -> None:
     feed, _, _ = feed_of()
-    feed.put(treated(ping, fused(1), Mapped(1, 2, 3)))
+    feed.put(treated(ping, fused(1), PingStats()))
     feed.refresh({"pose"}, 0.0)
     assert not feed.wants_drawing({"pose"}, 0.0)
     assert feed.wants_drawing({"image"}, 0.0)
@@ -154,7 +154,7 @@ def test_pictures_are_drawn_only_when_somebody_wants_them(ping: Ping) -> None:
     assert feed.image(0).number == feed.image(2).number == 1
     assert feed.image(1).number == 0
     assert not feed.wants_drawing({"image"}, 1.0)  # that ping has been drawn
-    feed.put(treated(ping, fused(2), Mapped(1, 2, 3)))
+    feed.put(treated(ping, fused(2), PingStats()))
     feed.refresh({"image"}, 2.0)
     assert feed.wants_drawing({"image"}, 2.0)
 
@@ -228,7 +228,7 @@ def test_the_sonar_sits_where_the_settings_say(ping: Ping) -> None:
     feed, _, _ = feed_of(Config())
     base = pose_from_rpy((1, 2, 3), (10, 20, 30))
     pose = FusedPose(base, None, None, np.full((6, 6), np.nan), 0, 0.0)
-    feed.put(treated(ping, pose, Mapped(1, 2, 3)))
+    feed.put(treated(ping, pose, PingStats()))
     feed.refresh({"pose"}, 0.0)
     said = message(feed.newest("pose").frame)
     assert said.covariance is None
@@ -242,7 +242,7 @@ def test_what_is_no_number_is_counted_and_never_told(ping: Ping) -> None:
     feed, _, _ = feed_of()
     for x, speed in ((1.0, math.nan), (2.0, math.inf), (1e300, 0.5)):
         pose = FusedPose(fused(x).pose, np.array([0, speed, 0]), None, np.eye(6), 0, 0.0)
-        feed.put(treated(ping, pose, Mapped(1, 2, 3)))
+        feed.put(treated(ping, pose, PingStats()))
         feed.refresh({"pose"}, x)
         said = message(feed.newest("pose").frame)
         check_message(said)  # a client takes it

@@ -17,14 +17,14 @@ from mapperd.config.live import Applied, ConfigStore
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.daemon.session import Live
-from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import PosedPing
+from mapperd.pipeline.executor import PingExecutor
 from mapperd.pipeline.ingest import SONAR
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
-from mapperd.pipeline.step import Mapped, StepRunner
+from mapperd.pipeline.step import PingResult
 from mapperd.session.recordings import files_in, sessions_of
 from mapperd.session_log import (
     DECISIONS,
@@ -36,7 +36,6 @@ from mapperd.session_log import (
     Skip,
     decision_of,
 )
-from oculus_driver.ping import Ping
 from oculus_driver.recording import RecordingWriter
 
 MakeBytes = Callable[..., bytes]
@@ -105,17 +104,16 @@ def dive(
             yield Event(t_ns + 40 * MS, "reset")
 
 
-class Watched(StepRunner):
-    """Takes a while for each ping, by a clock of its own."""
+def slow_steps(live: Live, clock: list[int], step_ns: int) -> None:
+    """Let each ping take a while, by a clock that nothing else moves on."""
+    executor = live.mapping.pipeline.executor
+    map_ping = executor.map_ping
 
-    def __init__(self, live: Live, sonar_map: SonarMap, clock: list[int], step_ns: int) -> None:
-        super().__init__(sonar_map, lambda: 0.0, live.counters)
-        self.clock = clock
-        self.step_ns = step_ns
+    def slow(posed: PosedPing) -> PingResult | None:
+        clock[0] += step_ns
+        return map_ping(posed)
 
-    def step(self, ping: Ping, pose: FusedPose | Reject) -> Mapped | Reject:
-        self.clock[0] += self.step_ns
-        return super().step(ping, pose)
+    executor.map_ping = slow  # type: ignore[method-assign]
 
 
 def mapped_live(
@@ -133,21 +131,21 @@ def mapped_live(
     store, sonar_map, clock = ConfigStore(Layered(config)), SonarMap(config), [START_NS]
     live = Live(sonar_map, OdometryPoses(config), session="abc", clock=lambda: clock[0])
     live.queue._limit = room
-    live.mapping.integration.stepping = Watched(live, sonar_map, clock, step_ns)
-    store.follow(StepRunner.FOLLOWS, live.take)
+    slow_steps(live, clock, step_ns)
+    store.follow(PingExecutor.FOLLOWS, live.reconfigure)
 
     async def work() -> None:
         async with live.recorder:
-            live.inlet.order(live._beginning())
+            live.ingest.order(live._beginning())
             for k, event in enumerate(events):
                 if k == round(at_once * len(events)):
                     live.mapping.start()
                 if event.link == "settings":
                     assert isinstance(store.apply(event.changes or {}, "test"), Applied)
                 elif event.link == "reset":
-                    live.inlet.order(Reset(k, "test"))
+                    live.ingest.order(Reset(k, "test"))
                 else:
-                    live.inlet.bytes_came(event.link, event.data, event.t_ns, gap=event.gap)
+                    live.ingest.receive(event.link, event.data, event.t_ns, gap=event.gap)
             while live.queue.waiting_bytes or len(live.mapping.backlog):  # noqa: ASYNC110
                 await asyncio.sleep(0.01)  # at the end nothing is dropped any more
             live.queue.close()
@@ -201,10 +199,10 @@ def short_session(sonar_map: SonarMap, session: str, pings: list[bytes], pose: P
 
     async def work() -> None:
         async with live.recorder:
-            live.inlet.order(live._beginning())
+            live.ingest.order(live._beginning())
             live.mapping.start()
             for k, data in enumerate(pings):
-                live.inlet.bytes_came(SONAR, data, START_NS + 100 * k * MS, gap=False)
+                live.ingest.receive(SONAR, data, START_NS + 100 * k * MS, gap=False)
             live.queue.close()
             await asyncio.to_thread(live.mapping.join)
 

@@ -18,7 +18,7 @@ from mapperd.errors import ReplayError
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import PipelineCounters
-from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses, PoseLookup
+from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.session.replay import Replay, Window
 from oculus_driver.recording import open_recording
 
@@ -38,7 +38,7 @@ def replayed(
     path: Path,
     config: Config = COARSE,
     window: Window | None = None,
-    poses: PoseLookup | None = None,
+    poses: FixedPose | None = None,
 ) -> tuple[PipelineCounters, SonarMap]:
     sonar_map = SonarMap(config)
     source = OdometryPoses(config) if poses is None else poses
@@ -216,7 +216,7 @@ def test_times_of_the_step_are_summed_up() -> None:
     counters = PipelineCounters()
     assert counters.ms_per_ping() == {"p50": 0.0, "p95": 0.0, "max": 0.0}
     for seconds in (0.001, 0.002, 0.009):
-        counters.took(seconds)
+        counters.add_time(seconds)
     assert counters.ms_per_ping()["p50"] == pytest.approx(2)
     assert counters.ms_per_ping()["max"] == pytest.approx(9)
 

@@ -17,7 +17,6 @@ from mapperd.odometry.records import GeoPoint, Odometry
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import SessionDecoder
 from mapperd.pipeline.pose_lookup import OdometryPoses
-from mapperd.pipeline.step import StepRunner
 from mapperd.session.startup import open_map
 from mapperd.session.store_session import SqlitePersistence
 from mapperd.session_log import Reset
@@ -60,7 +59,6 @@ class Session:
         self.engine = SessionDecoder(
             CONFIG, OdometryPoses(CONFIG), counters, confirm=False, obey=True
         )
-        self.stepping = StepRunner(sonar_map, time.perf_counter, counters)
         self.keep = SqlitePersistence(
             self.store,
             sonar_map,
@@ -146,7 +144,7 @@ def test_anybody_may_ask_for_a_save(session: Session) -> None:
 def test_a_save_does_not_wait_for_ever_for_a_ping(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mapperd.session.store_session.PATIENCE_S", 0.1)
+    monkeypatch.setattr("mapperd.session.store_session.TIMEOUT_S", 0.1)
     with pytest.raises(StoreError, match="a ping is being mapped"):
         session.keep.save()
 

@@ -62,10 +62,10 @@ class Estimators:
                 gap_before=chunk.gap_before,
             )
         else:
-            for arrival in self.stream.feed(chunk.link, chunk.data, chunk.arrival_ns):
-                assert isinstance(arrival.ping, Ping)
-                clock = self.clocks.setdefault(arrival.ping.source_id, SonarClock())
-                self.poses.add_ping(arrival.ping, ping_time_ns(arrival.ping, clock))
+            for _, ping in self.stream.feed(chunk.link, chunk.data, chunk.arrival_ns):
+                assert isinstance(ping, Ping)
+                clock = self.clocks.setdefault(ping.source_id, SonarClock())
+                self.poses.add_ping(ping, ping_time_ns(ping, clock))
         return self.settled(chunk.arrival_ns)
 
     def settled(self, now_ns: int | None, *, final: bool = False) -> list[Any]:

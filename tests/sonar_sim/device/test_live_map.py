@@ -53,7 +53,7 @@ def test_the_live_map_is_the_scene(floor_scenario: MakeScenario) -> None:
             await live.run(seen_enough())
             assert counters.pings_total == counters.pings_mapped + counters.pings_dropped.total()
             assert poses.odometry.accepted >= 0.9 * poses.odometry.received > 100
-            placed = live.mapping.facts.clocks["placed"]
+            placed = live.mapping.snapshot.clocks["placed"]
             assert placed["device"] > placed["arrival"]
             return sonar_map
 

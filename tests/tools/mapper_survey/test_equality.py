@@ -48,7 +48,7 @@ def caught(path: Path, config: Config) -> list[tuple[Any, ...]]:
     def note(settled: PosedPing) -> None:
         sonar_map.t_ns = settled.t_ns
 
-    replay.on_settled = note
+    replay.on_posed = note
     for _ in replay.run(session):
         pass
     return sonar_map.pings

@@ -288,7 +288,7 @@ def course(recording: Path, config: Config, path: Trajectory) -> Course:
         raise ValueError("localization is off")
     onboard = localizing.onboard
     poses = OdometryPoses(blind)
-    replay = Replay(SonarMap(blind), poses, Window(), time.process_time, onboard=onboard)
+    replay = Replay(SonarMap(blind), poses, Window(), time.process_time, localization=onboard)
     rows, updates = [], 0
     with open_recording(recording) as chunks:
         for _ in chain(replay.run(chunks), [None]):  # its end settles the last pings

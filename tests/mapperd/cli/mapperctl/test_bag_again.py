@@ -76,10 +76,10 @@ def test_session_is_reported_as_it_was_mapped(tmp_path: Path, call: Call) -> Non
 
     async def work() -> None:
         async with live.recorder:
-            live.inlet.order(live._beginning())
+            live.ingest.order(live._beginning())
             live.mapping.start()
             for k in range(1, 4):
-                live.inlet.bytes_came(SONAR, make_ping(k), START_NS + k * SECOND // 10, gap=False)
+                live.ingest.receive(SONAR, make_ping(k), START_NS + k * SECOND // 10, gap=False)
             live.queue.close()
             await asyncio.to_thread(live.mapping.join)
 

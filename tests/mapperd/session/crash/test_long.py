@@ -13,10 +13,10 @@ import pytest
 from mapperd.config.loader import config_from_text
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import PipelineCounters
-from mapperd.pipeline.decoder import SessionDecoder
 from mapperd.pipeline.pose_lookup import OdometryPoses
 from mapperd.session.recordings import Tail
-from mapperd.session.recovery import Going, go_on
+from mapperd.session.recovery import StoredSession, map_rest
+from mapperd.session_log import Remarks
 from mapperd.store.position import RecordingOffset
 from mapperd.store.tile_store import TileStore
 from oculus_driver.recording import OCULUS, Chunk
@@ -63,12 +63,13 @@ class Round(Tail):
 
 def test_nothing_grows_however_long_the_dive_is(tmp_path: Path) -> None:
     sonar_map, counters = SonarMap(CONFIG), PipelineCounters()
-    engine = SessionDecoder(CONFIG, OdometryPoses(CONFIG), counters, confirm=False, obey=True)
+    poses = OdometryPoses(CONFIG)
     warm_files = 0
     most_bytes = [0] * 10  # in each tenth of the dive
     with TileStore(tmp_path / "dive.map", sonar_map, tile_size_m=6.4, cache_tiles=2) as store:
-        going = Going(store, sonar_map, "long", interval_s=0.2)
-        for chunk, _ in enumerate(go_on(going, engine, Round())):
+        stored = StoredSession(store, sonar_map, "long", interval_s=0.2)
+        steps = map_rest(stored, poses, Round(), Remarks(), counters=counters)
+        for chunk, _ in enumerate(steps):
             if chunk == round(6 * PINGS * WARM):
                 warm_files = open_files()
             if chunk % 60 == 0:

@@ -15,11 +15,9 @@ from mapperd.config.tree import Config
 from mapperd.errors import StoreError
 from mapperd.events import EventLog
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.counters import PipelineCounters
-from mapperd.pipeline.decoder import SessionDecoder
 from mapperd.pipeline.pose_lookup import OdometryPoses
 from mapperd.session.recordings import Tail, files_of
-from mapperd.session.recovery import Going, go_on, map_sessions_again
+from mapperd.session.recovery import StoredSession, map_rest, replay_sessions
 from mapperd.session.startup import open_map
 from mapperd.session_log import (
     DECISIONS,
@@ -83,7 +81,7 @@ def record(config: Config, number: int, session: str, pings: range, **decided: A
 
 def reference(config: Config, *sessions: str) -> str:
     sonar_map = SonarMap(config)
-    assert map_sessions_again(sonar_map, sessions, Path(config.recording.folder))
+    assert replay_sessions(sonar_map, sessions, Path(config.recording.folder))
     return sonar_map.sha256()
 
 
@@ -99,13 +97,10 @@ def mapped(config: Config, session: str, *, chunks: int | None = None, save_at: 
     )
     position = position_in(store.position)
     before = () if position is None else position.sessions
-    engine = SessionDecoder(
-        config, OdometryPoses(config), PipelineCounters(), confirm=False, obey=True
-    )
     files = files_of(Path(config.recording.folder), session)
-    going = Going(store, sonar_map, session, None, before, 3600.0)
+    stored = StoredSession(store, sonar_map, session, None, before, 3600.0)
     remarks = remarks_in(Tail(files, RecordingOffset()))
-    steps = go_on(going, engine, Tail(files, RecordingOffset()), remarks)
+    steps = map_rest(stored, OdometryPoses(config), Tail(files, RecordingOffset()), remarks)
     for count, _ in enumerate(steps):
         if count == save_at:
             store.save()
@@ -261,16 +256,16 @@ def test_mapping_again_that_is_cut_short_is_begun_anew(
     data = path.read_bytes()
     path.write_bytes(data[:100] + b"x" * 4000 + data[4100:])
 
-    def killed(going: Going, *rest: Any) -> Any:
-        for count, _ in enumerate(go_on(going, *rest)):
+    def killed(stored: StoredSession, *rest: Any, **more: Any) -> Any:
+        for count, _ in enumerate(map_rest(stored, *rest, **more)):
             if count == 10:
-                going.store.save()
+                stored.store.save()
             if count == 15:
                 raise KeyboardInterrupt
             yield
 
     with monkeypatch.context() as patch:
-        patch.setattr("mapperd.session.recovery.go_on", killed)
+        patch.setattr("mapperd.session.recovery.map_rest", killed)
         with pytest.raises(KeyboardInterrupt):
             opened(config)
     assert codes(opened(config)) == ["store_damaged", "map_rebuilt"]

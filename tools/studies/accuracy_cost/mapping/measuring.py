@@ -9,12 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.counters import PipelineCounters
-from mapperd.pipeline.decoder import PosedPing, SessionDecoder
-from mapperd.pipeline.executor import PingExecutor
-from mapperd.pipeline.persistence import MemoryPersistence
+from mapperd.pipeline.build import build_pipeline
+from mapperd.pipeline.decoder import PosedPing
 from mapperd.pipeline.pose_lookup import OdometryPoses
-from mapperd.pipeline.step import StepRunner
 from oculus_driver.recording import open_recording
 from studies.accuracy_cost.mapping import metrics
 from studies.accuracy_cost.mapping.dives import Made, capture_of, made_by, once, truth_of
@@ -61,31 +58,29 @@ def drive(setting: Setting, made: Made, capture: Path) -> Driven:
     """Map a capture with a setting; what is timed is a ping's filters and its integration."""
     config, thinning = config_for(setting, made)
     sonar_map = SonarMap(config)
-    counters = PipelineCounters()
-    integration = PingExecutor(
-        StepRunner(sonar_map, time.thread_time), MemoryPersistence(sonar_map)
+    pipeline = build_pipeline(
+        sonar_map, OdometryPoses(config), remarks=None, clock=time.thread_time
     )
-    engine = SessionDecoder(config, OdometryPoses(config), counters, confirm=False, obey=False)
+    decoder, executor = pipeline.decoder, pipeline.executor
     mapped_ms: list[float] = []
 
     def do(work: object) -> None:
         if not isinstance(work, PosedPing):
             raise TypeError(f"a capture of the simulator asks for {work}")
-        settled = replace(work, ping=thinning.of(work.ping))
-        before = integration.stepping.counters.pings_mapped
+        posed = replace(work, ping=thinning.of(work.ping))
         began_s = time.thread_time()
-        integration.do(settled)
+        result = executor.map_ping(posed)
         took_ms = 1e3 * (time.thread_time() - began_s)
-        if integration.stepping.counters.pings_mapped > before:
+        if result is not None and result.reject is None:
             mapped_ms.append(took_ms)
 
     with open_recording(capture) as recording:
         for chunk in recording:
-            for work in engine.feed(chunk):
+            for work in decoder.feed(chunk):
                 do(work)
-        for work in engine.end():
+        for work in decoder.end():
             do(work)
-    return Driven(sonar_map, mapped_ms, engine.pings)
+    return Driven(sonar_map, mapped_ms, decoder.pings)
 
 
 CONVERGED = Setting("converged", {"mapping.detail": 8.0})
