@@ -1,4 +1,4 @@
-"""At the start of the daemon: the map's file is opened, brought up to date, and repaired."""
+"""Opens the map's file when the daemon starts, brings it up to date and repairs it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -29,13 +29,13 @@ __all__ = ["OpenMap", "open_map"]
 
 @dataclass(frozen=True, slots=True)
 class OpenMap:
-    """A map that a session can go into.
+    """An open map for a session.
 
     Attributes:
         sonar_map: the map.
-        persistence: of it.
-        close: lets go of its file.
-        origin_deg: latitude and longitude of its zero; None where nobody said a place on Earth.
+        persistence: of the map.
+        close: closes its file.
+        origin_deg: latitude and longitude of its origin; None without a position on Earth.
     """
 
     sonar_map: SonarMap
@@ -51,34 +51,31 @@ def open_map(
     environ: Mapping[str, str],
     interval_s: Callable[[], float],
 ) -> OpenMap:
-    """Open the map of the settings, with all that earlier sessions brought.
+    """Open the map of the settings with the data of all earlier sessions.
 
     Args:
         config: the settings.
-        session: id of the one that begins.
-        events: is told what was missing and what became of it.
-        environ: the process's variables.
-        interval_s: between saves.
+        session: id of the new session.
+        events: receives what was missing or damaged, and the result of the repair.
+        environ: environment variables of the process.
+        interval_s: returns the time between saves.
 
     Raises:
         StoreError: the file cannot be used.
-        ExportError: its folder cannot be made.
+        ExportError: its folder cannot be created.
     """
     if not config.outofcore.use:
         sonar_map = SonarMap(config)
         return OpenMap(sonar_map, MemoryPersistence(sonar_map), lambda: None)
-    opening = _Startup(
+    startup = _Startup(
         config, map_path(config, environ), recordings_folder(config, environ), events
     )
-    make_folder(opening.path.parent)
-    sonar_map, store, position = opening.opened()
+    make_folder(startup.path.parent)
+    sonar_map, store, position = startup.opened()
     sessions = () if position is None else position.sessions
 
-    def tell(problem: str | None) -> None:
-        opening.tell_trouble(problem)
-
     persistence = SqlitePersistence(
-        store, sonar_map, session, sessions, interval_s=interval_s, on_trouble=tell
+        store, sonar_map, session, sessions, interval_s=interval_s, on_trouble=startup.log_trouble
     )
     if sessions:
         text = (
@@ -99,13 +96,13 @@ class _Startup:
         self._trouble: str | None = None
 
     def opened(self) -> tuple[SonarMap, TileStore, Position | None]:
-        """The map, up to date and whole as far as the recordings go."""
+        """Return the map, up to date and complete as far as the recordings reach."""
         sonar_map, store = self._open()
         position = position_in(store.position)
         try:
             if position is not None:
                 if not position.whole:
-                    self._say_recovered(recover(store, sonar_map, position, self._folder))
+                    self._log_recovery(recover(store, sonar_map, position, self._folder))
                     sonar_map, store = self._again(store)
                     position = position_in(store.position)
                 if store.lost and position is not None and position.whole:
@@ -116,34 +113,34 @@ class _Startup:
             raise
         return sonar_map, store, position
 
-    def tell_trouble(self, problem: str | None) -> None:
-        """Say when saving begins to fail, and when it works again."""
+    def log_trouble(self, problem: str | None) -> None:
+        """Log when saving starts to fail, and when it works again."""
         before, self._trouble = self._trouble, problem
         if problem is not None and before is None:
-            self._events.add(Severity.WARNING, "store_stuck", f"not saved: {problem}")
+            self._events.add(Severity.WARNING, "store_stuck", f"the map cannot be saved: {problem}")
         elif problem is None and before is not None:
             self._events.add(Severity.NOTICE, "store_saves", "the map is saved again")
 
     @property
     def _rebuilding(self) -> Path:
-        """Lies beside a file that the recordings are being mapped into."""
+        """Marker beside a file that is being rebuilt from recordings."""
         return self.path.with_name(f"{self.path.name}.rebuilding")
 
     def _open(self) -> tuple[SonarMap, TileStore]:
         try:
             if self._rebuilding.exists():
-                self._at_path()[1].close()  # refused where another mapperd is at it
-                return self._anew(
-                    StoreError(f"{self.path}: mapping again was cut short", "damaged")
+                self._at_path()[1].close()  # fails if another mapperd uses the file
+                return self._rebuild_file(
+                    StoreError(f"{self.path}: rebuilding was interrupted", "damaged")
                 )
             return self._checked()
         except StoreError as error:
             if error.reason != "damaged":
                 raise
-            return self._anew(error)
+            return self._rebuild_file(error)
 
     def _checked(self) -> tuple[SonarMap, TileStore]:
-        """Open the file; whoever was cut short may have left damage."""
+        """Open the file; check it after an interrupted session."""
         sonar_map, store = self._at_path()
         position = position_in(store.position)
         try:
@@ -154,15 +151,15 @@ class _Startup:
             raise
         return sonar_map, store
 
-    def _anew(self, error: StoreError) -> tuple[SonarMap, TileStore]:
-        """Put the damaged file aside, and map what was recorded into a new one."""
+    def _rebuild_file(self, error: StoreError) -> tuple[SonarMap, TileStore]:
+        """Put the damaged file aside and map the recordings into a new one."""
         mark = self._rebuilding
         try:
             mark.touch()
         except OSError as problem:
             raise StoreError(f"{mark}: {problem.strerror}", "read_only") from problem
         aside = put_aside(self.path)
-        text = f"{error}; it is put aside as {aside.name}, and a new one begins"
+        text = f"{error}; it was renamed to {aside.name}, and a new file was created"
         self._events.add(Severity.ERROR, "store_damaged", text, path=str(aside))
         sessions = sessions_for(self._config, self._folder)
         sonar_map, store = self._at_path()
@@ -175,12 +172,12 @@ class _Startup:
             store.close()
             raise
         mark.unlink()
-        text = f"{pings} pings of {len(sessions)} recorded sessions are mapped again"
+        text = f"{pings} pings of {len(sessions)} recorded sessions were mapped again"
         self._events.add(Severity.WARNING, "map_rebuilt", text, pings=pings)
         if headless := headless_in(self._folder):
             text = (
-                f"{headless} recorded sessions have lost their first files to the disk budget: "
-                "what they mapped is not in the map"
+                f"{headless} recorded sessions cannot be mapped again: the disk budget has "
+                "deleted their first files"
             )
             self._events.add(Severity.ERROR, "sessions_lost", text, sessions=headless)
         return self._again(store)
@@ -208,20 +205,20 @@ class _Startup:
         )
         left = len(store.lost)
         if left:
-            text = f"{left} of {count} damaged bricks of the map could not be rebuilt as a whole"
+            text = f"{left} of {count} damaged bricks of the map could not be rebuilt completely"
             self._events.add(Severity.ERROR, "bricks_lost", text, bricks=left)
         else:
             text = f"{count} damaged bricks of the map were rebuilt from recordings"
             self._events.add(Severity.WARNING, "bricks_rebuilt", text, bricks=count)
 
-    def _say_recovered(self, recovered: Recovered | None) -> None:
+    def _log_recovery(self, recovered: Recovered | None) -> None:
         if recovered is None:
             return
         session, pings = recovered.session, recovered.pings
         if recovered.problem is None:
-            text = f"session {session} was cut short: its last {pings} pings are mapped now"
+            text = f"session {session} was interrupted: its last {pings} pings were mapped now"
             if recovered.from_start:
-                text += f", read from the recording's start because {recovered.from_start}"
+                text += f", decoded from the start of the recording because {recovered.from_start}"
             self._events.add(Severity.NOTICE, "recovered", text, session=session, pings=pings)
         else:
             text = f"the end of session {session} is not in the map: {recovered.problem}"
