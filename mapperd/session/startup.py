@@ -218,7 +218,7 @@ class _Startup:
         if recovered.problem is None:
             text = f"session {session} was interrupted: its last {pings} pings were mapped now"
             if recovered.from_start:
-                text += f", decoded from the start of the recording because {recovered.from_start}"
+                text += f", read from the recording's start because {recovered.from_start}"
             self._events.add(Severity.NOTICE, "recovered", text, session=session, pings=pings)
         else:
             text = f"the end of session {session} is not in the map: {recovered.problem}"

@@ -24,7 +24,7 @@ def test_library_example_runs(ping: Callable[..., Ping]) -> None:
     (example,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     names: dict[str, Any] = {"ping": ping()}
     exec(example, names)  # noqa: S102 our own page
-    assert names["result"].voxels_occupied > 0
+    assert names["result"].stats.occupied > 0
     assert len(names["occupied"]) > 0
 
 
