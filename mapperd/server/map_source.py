@@ -106,7 +106,7 @@ class MapSource:
     Attributes:
         now_ns: of the last look, Unix.
         trouble: why something of the map's file cannot be told at the moment; None: all is well.
-        teller: makes messages.
+        encoder: encodes blocks as messages.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class MapSource:
         self._origin_deg = origin_deg
         path = None if self._store is None else self._store.path
         self._files = None if path is None else StoredBricks(path, sonar_map.config)
-        self.teller = BlockEncoder(self._core, self._files)
+        self.encoder = BlockEncoder(self._core, self._files)
         self._subscriptions: weakref.WeakSet[Subscription] = weakref.WeakSet()
         self._views: dict[tuple[int, str], View] = {}
         self._revision, self._replaced_at, *_ = self._core.changed_blocks(1 << 62, NO_BRICKS)
@@ -210,7 +210,7 @@ class MapSource:
         """
         self.now_ns = now_ns
         self.trouble = None
-        self.teller.begin(now_ns)
+        self.encoder.begin(now_ns)
         try:
             self._look(vector_of(position_m))
         except StoreError as error:
@@ -227,7 +227,7 @@ class MapSource:
             self._begin_anew()
             rows, changed, calm = self._changes()
             self._revision, _, blocks, revisions, here = changed
-        self.teller.times.note(self._revision, self.now_ns)
+        self.encoder.times.note(self._revision, self.now_ns)
         for view in self._views.values():
             view.note_blocks(blocks[revisions > view.looked])
             if rows is not None:

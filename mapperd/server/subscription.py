@@ -84,7 +84,7 @@ QUIET_NS = 1_000_000_000
 class Source(Protocol):
     """Where a subscription has the map from."""
 
-    teller: BlockEncoder
+    encoder: BlockEncoder
     now_ns: int
     trouble: str | None
 
@@ -223,7 +223,7 @@ class Subscription:
         """
         message = self.next_message(position_m, most_bytes, part)
         if isinstance(message, Blocks):
-            return self._source.teller.framed(message)
+            return self._source.encoder.framed(message)
         return None if message is None else framed(message)
 
     def next_message(
@@ -245,13 +245,13 @@ class Subscription:
         return Reset(map=self._source.facts(), revision=self._view.looked, interest=self.interest)
 
     def _next(self, most_bytes: int, part: Part) -> Blocks | None:
-        teller, detail = self._source.teller, self.interest.detail
-        most = min(teller.blocks_in(most_bytes, self._view.level, detail), MAX_BLOCKS)
+        encoder, detail = self._source.encoder, self.interest.detail
+        most = min(encoder.blocks_in(most_bytes, self._view.level, detail), MAX_BLOCKS)
         while True:
             numbers, wanted = self._chosen(most, part)
             if not len(numbers):
                 return None if len(self._queue) else self._quiet()
-            body = teller.body(self._view, detail, numbers, wanted, self._body)
+            body = encoder.body(self._view, detail, numbers, wanted, self._body)
             if 2 * len(body.data) <= 3 * most_bytes or len(numbers) == 1:
                 break
             most = max(min(most, len(numbers)) // 2, 1)
@@ -280,8 +280,8 @@ class Subscription:
         if self._complete is not None and now_ns - self._told_ns < QUIET_NS:
             return None
         nothing = np.zeros(0, np.int64)
-        teller = self._source.teller
-        body = teller.body(self._view, self.interest.detail, nothing, nothing != 0, self._body)
+        encoder = self._source.encoder
+        body = encoder.body(self._view, self.interest.detail, nothing, nothing != 0, self._body)
         return self._message(body, nothing)
 
     def _message(self, body: Body, numbers: Numbers) -> Blocks:
@@ -290,7 +290,7 @@ class Subscription:
         is_all = not len(self._queue) and not self._view.left and self._is_drawn
         complete = self._view.settled if is_all else None
         self._complete, self._told_ns = complete, self._source.now_ns
-        return self._source.teller.message(body, self.left, complete)
+        return self._source.encoder.message(body, self.left, complete)
 
     @property
     def _is_drawn(self) -> bool:

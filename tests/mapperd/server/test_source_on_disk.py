@@ -117,7 +117,7 @@ def test_tiles_that_leave_in_the_middle_are_told(tmp_path: Path, asked: str, sav
         core = Interrupted(daemon.map.core, asked, lambda: daemon.dive(35, 45))
         monkey = pytest.MonkeyPatch()
         monkey.setattr(daemon.source, "_core", core)
-        monkey.setattr(daemon.source.teller, "_core", core)
+        monkey.setattr(daemon.source.encoder, "_core", core)
         daemon.look()
         for one in (client, late):
             one.hear()
