@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 MANUALS = [page for page in PAGES if page.parent.name in ("getting-started", "guides")]
-MAX_WORDS = 72_500
+MAX_WORDS = 70_000
 
 
 def anchors(page: Path) -> set[str]:

@@ -58,9 +58,9 @@ def test_the_two_parts_are_two_sentences_or_paragraphs(gap: str) -> None:
     assert case.naive == "Naively, it fails."
 
 
-def test_a_bar_in_a_sentence_is_no_column() -> None:
+def test_a_case_is_an_item_below_its_area() -> None:
     case = case_of("test_clock_any.py", "test_any", "|q| is 1. Naively it is not.")
-    assert "| `test_any` | \\|q\\| is 1. |" in catalogue([case])
+    assert "### Clock (1)\n\n- `test_any`: |q| is 1." in catalogue([case])
 
 
 @pytest.mark.parametrize("page", ["", "<!-- other: begin, x -->\n<!-- other: end -->"])

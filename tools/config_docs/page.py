@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from itertools import groupby
+from typing import Any, get_args
 
 import msgspec
 
@@ -12,7 +13,7 @@ from mapperd.config.catalog import Parameter, hint_at, inner_parameters, paramet
 __all__ = ["configuration_page"]
 
 HEAD = """\
-<!-- Written by `python -m config_docs` from the types in mapperd/config*.py. -->
+<!-- Written by `python -m config_docs` from the types in mapperd/config. -->
 
 # Configuration
 
@@ -54,6 +55,9 @@ SIGHUP reads the files again and overrides changes made since. Settings that nee
 named and keep their value.
 
 ## All settings
+
+The interval of a number is in the unit that follows: `[` and `]` include the limit, `(` and `)`
+exclude it.
 
 """
 
@@ -126,11 +130,22 @@ def _section(name: str, found: list[Parameter]) -> Iterator[str]:
 
 def _row(parameter: Parameter) -> str:
     live = "yes" if parameter.dynamic else ""
-    allowed = parameter.allowed.replace("|", "\\|")
+    allowed = _interval(parameter.annotation) or parameter.allowed
     return (
         f"| `{parameter.name}` | {_default(parameter)} | {allowed} | {live} "
         f"| {parameter.description} |"
     )
+
+
+def _interval(annotation: Any) -> str:  # noqa: ANN401 an annotation
+    """Return the interval of a number and its unit, "" for another type."""
+    base, meta = get_args(annotation)
+    if base not in (int, float):
+        return ""
+    low = f"[{meta.ge:g}" if meta.gt is None else f"({meta.gt:g}"
+    high = f"{meta.le:g}]" if meta.lt is None else f"{meta.lt:g})"
+    kind = "integer" if base is int else ""
+    return " ".join(filter(None, (kind, f"{low}, {high}", meta.extra["unit"])))
 
 
 def _default(parameter: Parameter) -> str:

@@ -86,6 +86,18 @@ def test_written_files_are_those_of_the_types() -> None:
     assert json.loads(written) == json.loads(json.dumps(json_schema())), again
 
 
+def shown(parameter: Parameter) -> str:
+    """A number's limits as an interval: "a number > 0 and <= 9 (m)" is "(0, 9] m"."""
+    number = re.fullmatch(
+        r"a (whole )?number (>=?) (\S+) and (<=?) (\S+)(?: \((.*)\))?", parameter.allowed
+    )
+    if number is None:
+        return parameter.allowed
+    whole, low, least, high, most, unit = number.groups()
+    interval = f"{'[' if low == '>=' else '('}{least}, {most}{']' if high == '<=' else ')'}"
+    return f"{'integer ' if whole else ''}{interval}{f' {unit}' if unit else ''}"
+
+
 def test_page_has_every_setting_with_default_limits_and_meaning() -> None:
     rows = re.findall(
         r"^\| `([^`]*)` \| (.*?) \| (.*?) \| (.*?) \| (.*) \|$", PAGE.read_text(), re.MULTILINE
@@ -93,7 +105,7 @@ def test_page_has_every_setting_with_default_limits_and_meaning() -> None:
     page = {name: rest for name, *rest in rows}
     for name, one in parameters().items():
         default, allowed, live, meaning = page[name]
-        assert (allowed, meaning) == (one.allowed, one.description)
+        assert (allowed, meaning) == (shown(one), one.description)
         assert live == ("yes" if one.dynamic else "")
         assert default
         assert all(inner.name in page for inner in inner_parameters(one))

@@ -21,3 +21,11 @@ def test_every_setting_has_a_meaning() -> None:
         if isinstance(section, type) and issubclass(section, Section):
             assert set(section.__struct_fields__) <= names, section
     assert [line for line in lines if line.endswith("|  |")] == []
+
+
+def test_limits_of_numbers_are_intervals() -> None:
+    page = reference()
+    assert "| `temperature_c` | [-2, 40] | °C | 10.0 | Temperature. |" in page
+    assert "| `count` | integer [1, 1000] |  | required |" in page
+    assert "| (0, " in page
+    assert "list of 2 x number" in page

@@ -11,7 +11,6 @@ from sonar_sim.scene_file import SHIPPED, load_scenario, scene_names, schema
 from sonar_sim.scene_file.schema import Section
 
 PAGE = Path("docs/reference/scene-files.md")
-SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
 INTRODUCTION = """# Scene files
 
 A scene is one YAML file: the water, objects, the sonar, and the vehicle with its path and the
@@ -25,6 +24,7 @@ errors of its odometry. `load_scenario(name_or_path)` reads it; errors name the 
   `false` or `null`.
 - Paths of meshes and height tables start at the scene's file. Triangles without an area are
   ignored; vertices that are not finite, and files without a triangle, are errors.
+- Of an interval, `[` and `]` include the limit, `(` and `)` exclude it.
 - An emitter whose pulse is as long as its period sounds continuously: a thruster, a pump.
 - Moving objects are not part of a map's truth.
 """
@@ -132,10 +132,16 @@ def _takes(kind: mi.Type) -> str:
 
 
 def _number(kind: mi.FloatType | mi.IntType) -> str:
-    name = "number" if isinstance(kind, mi.FloatType) else "whole number"
-    limits = {sign: getattr(kind, key) for key, sign in SIGNS.items()}
-    bounds = [f"{sign} {limit:g}" for sign, limit in limits.items() if limit is not None]
-    return " ".join([name, *bounds])
+    name = "integer" if isinstance(kind, mi.IntType) else ""
+    low = _bound(kind.ge, "[{:g}") or _bound(kind.gt, "({:g}")
+    high = _bound(kind.le, "{:g}]") or _bound(kind.lt, "{:g})")
+    if low or high:
+        return f"{name} {low or '(-∞'}, {high or '∞)'}".lstrip()
+    return name or "number"
+
+
+def _bound(limit: float | None, form: str) -> str:
+    return "" if limit is None else form.format(limit)
 
 
 def _anchor(kind: mi.StructType) -> str:

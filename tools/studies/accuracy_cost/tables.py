@@ -49,6 +49,9 @@ What to turn first on a weak computer: the cheapest setting of each knob with at
 {100 * LITTLE:g} % more error than the default."""
 
 
+KNOBS = "All knobs; each figure is the error at the cost, `=` the default's."
+
+
 def section(study: Study, results: Results) -> str:
     """All that stands between a study's marks, as Markdown."""
     head = results.head
@@ -59,10 +62,6 @@ def section(study: Study, results: Results) -> str:
         f"{dives}. Commit {head.get('commit')} on {head.get('machine')}; all figures: "
         f"[{study.name}.csv](accuracy-cost/{study.name}.csv)."
     )
-    command = (
-        f"python -m studies accuracy-cost run --only {study.name} --knob KNOB\n"
-        f"python -m studies accuracy-cost plot --only {study.name} --knob KNOB"
-    )
     parts = [f"![All settings of {study.name}]({IMAGES}/{study.name}.png)", _wrapped(about)]
     if has_bins(results):
         parts.append(f"![Reliability]({IMAGES}/{study.name}-reliability.png)")
@@ -71,9 +70,8 @@ def section(study: Study, results: Results) -> str:
         FIRST,
         "\n".join(_saving_rows(study, results)),
         *remarks(study, results),
-        "All knobs; each figure is the error at the cost.",
+        KNOBS,
         "\n".join(_knob_rows(study, results)),
-        f"Each picture is drawn again, from nothing, by\n\n```sh\n{command}\n```",
     ]
     return "\n\n".join(parts)
 
@@ -123,14 +121,16 @@ def _saving(study: Study, results: Results, knob: Knob) -> Point | None:
 
 
 def _knob_rows(study: Study, results: Results) -> list[str]:
-    rows = [
-        "| knob | default | published | least error | least cost | the default | what it does |",
-        "|---|---|---|---|---|---|---|",
+    has_published = any(knob.published is not None for knob in study.knobs)
+    titles = ["knob", "default", "published", "least error", "least cost", "on the front", "effect"]
+    rows = [titles, ["---"] * len(titles), *(_knob_row(study, results, k) for k in study.knobs)]
+    left_out = () if has_published else (titles.index("published"),)
+    return [
+        f"| {' | '.join(cell for i, cell in enumerate(row) if i not in left_out)} |" for row in rows
     ]
-    return rows + [_knob_row(study, results, knob) for knob in study.knobs]
 
 
-def _knob_row(study: Study, results: Results, knob: Knob) -> str:
+def _knob_row(study: Study, results: Results, knob: Knob) -> list[str]:
     points = _points(study, results, knob)
     known = [point for point in points if point.known]
     (default,) = (point for point in points if not point.setting.overrides)
@@ -138,13 +138,13 @@ def _knob_row(study: Study, results: Results, knob: Knob) -> str:
     cells = [
         f"[{knob.name}]({IMAGES}/{study.name}-{knob.name}.png){own}",
         _text(default),
-        _text(_labelled(points, knob.published)),
-        _text(min(known, key=lambda point: point.error, default=None)),
-        _text(min(known, key=lambda point: point.cost, default=None)),
+        _text(_labelled(points, knob.published), default),
+        _text(min(known, key=lambda point: point.error, default=None), default),
+        _text(min(known, key=lambda point: point.cost, default=None), default),
         _place(study, results, knob),
         knob.advice,
     ]
-    return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
+    return [cell.replace("|", "/") for cell in cells]
 
 
 def _points(study: Study, results: Results, knob: Knob) -> list[Point]:
@@ -158,7 +158,7 @@ def _place(study: Study, results: Results, knob: Knob) -> str:
     if judged is None:
         return "not measured"
     if judged.better is None:
-        return "on the front"
+        return "yes"
     margin = f"margin {100 * knob.margin:g} %"
     return f"{100 * judged.share:.2g} % behind {judged.better.label} ({margin})"
 
@@ -167,9 +167,11 @@ def _labelled(points: Sequence[Point], label: str | None) -> Point | None:
     return next((point for point in points if point.setting.label == label), None)
 
 
-def _text(point: Point | None) -> str:
+def _text(point: Point | None, default: Point | None = None) -> str:
     if point is None:
         return "-"
+    if point is default:
+        return "="
     return f"{point.setting.label}: {_figure(point.error)} at {_figure(point.cost)}"
 
 

@@ -69,7 +69,7 @@ def cases(folder: Path = CASES) -> Iterator[Case]:
 
 
 def catalogue(found: list[Case]) -> str:
-    """The tables, a section an area."""
+    """Return the lists, a section an area."""
     rank = {area: (place, "") for place, area in enumerate(AREAS)}
     last = len(AREAS)
     ordered = sorted(found, key=lambda case: rank.get(case.area, (last, case.area)))
@@ -82,13 +82,8 @@ def _area_of(case: Case) -> str:
 
 
 def _section(area: str, found: list[Case]) -> str:
-    rows = "\n".join(f"| `{c.name}` | {_cell(c.guard)} |" for c in found)
-    head = "| case | what holds |\n|---|---|"
-    return f"\n### {area.capitalize()} ({len(found)})\n\n{head}\n{rows}"
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|")
+    items = "\n".join(f"- `{c.name}`: {c.guard}" for c in found)
+    return f"\n### {area.capitalize()} ({len(found)})\n\n{items}"
 
 
 def main() -> None:

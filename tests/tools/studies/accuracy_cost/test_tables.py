@@ -30,7 +30,7 @@ def test_a_twentieth_of_the_time_is_no_saving(fake: Study) -> None:
 def test_a_default_behind_the_front_is_reported_with_its_margin(fake: Study) -> None:
     text = page(fake, _1=(1.0, 10.0), _2=(0.8, 5.0))
     assert "| 20 % behind 2 (margin 10 %) |" in text
-    assert "| on the front |" in text
+    assert "| yes |" in text
 
 
 def test_what_was_not_measured_is_no_figure(fake: Study) -> None:
