@@ -12,7 +12,7 @@ STAMP := $(VENV)/.installed
 TOOL := PYTHONPATH=tools $(BIN)/python -m
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
 
-# Programs and tests start hundreds of Pythons, which must not compile every module anew.
+# Programs and tests start hundreds of Pythons, which must not compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check tidy cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install prerequisites test-prerequisites clean
@@ -175,9 +175,9 @@ $(TOOLS): pyproject.toml | prerequisites
 	$(PIP) 'scikit-build-core>=0.10' 'pybind11>=3.0' 'cmake>=3.25' 'ninja>=1.11' 'cmeel-octomap>=1.9'
 	touch $@
 
-# Installed anew when the build's inputs change; Python sources are used from the tree. The build's
+# Installed again when the build's inputs change; Python sources are used from the tree. The build's
 # own tools are installed before and stay: in a new environment for every build, as pip makes them,
-# the compiler would begin anew too, and the C++ tests could not share the tree.
+# the compiler would start from scratch too, and the C++ tests could not share the tree.
 $(STAMP): pyproject.toml $(CPP_SOURCES) $(TOOLS)
 	env -u MAKEFLAGS $(PIP) --no-build-isolation -e '.[dev,docs,octomap,render,sim,topside]'
 	touch $@

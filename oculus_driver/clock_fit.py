@@ -68,7 +68,7 @@ class _Points:
 
     def __init__(self) -> None:
         self._points: deque[_Point] = deque()
-        self._hull: list[_Point] | None = []  # of all but the last; None: to be made anew
+        self._hull: list[_Point] | None = []  # of all but the last; None: to be rebuilt
 
     def __len__(self) -> int:
         return len(self._points)

@@ -189,7 +189,7 @@ class Ping:
 
 
 def decode_ping(message: Message, *, deliver_mismatched: bool = False) -> Ping | Reject:
-    """Return the ping in a message, or why there is none. Never raises on any bytes.
+    """Return the ping in a message, or why it is invalid. Never raises on any bytes.
 
     Args:
         message: message of any id.

@@ -40,7 +40,7 @@ class Status:
         model: from the part number; an unknown part number gives a model, too.
         status_bits: raw.
         address, netmask: of the sonar.
-        client_address: the connected client, None if there is none.
+        client_address: the connected client, None without one.
         mac: six bytes.
         firmware: versions of ARM 0, ARM 1 and FPGA, raw.
         temperatures_c: eight internal temperatures; None = not available.

@@ -119,7 +119,7 @@ class StreamParser:
     Args:
         source_id: the sonar's id (low 16 bits of its device id). None: learn it from the pings.
         confirm: hold each ping back until the next header has arrived, and warn (unconfirmed_end)
-            if there is none. For recordings. Without it a ping is returned with its last byte,
+            without one. For recordings. Without it a ping is returned with its last byte,
             unless another ping seems to start inside it. Without it the next ping is lost if
             exactly one byte is missing.
     """

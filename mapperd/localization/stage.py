@@ -129,11 +129,11 @@ class LocalizationStage:
         self._config = config
 
     def correct(self, ping: Ping, pose: FusedPose | Reject, t_ns: int | None) -> FusedPose | Reject:
-        """Localize by a ping; return the pose to map it at, or why there is none.
+        """Localize by a ping; return the pose to map it at, or why it has no pose.
 
         Args:
             ping: the decoded ping.
-            pose: of the odometry at the ping's time, or why there is none.
+            pose: of the odometry at the ping's time, or why it has no pose.
             t_ns: time of the ping.
         """
         if isinstance(pose, Reject):

@@ -29,7 +29,7 @@ _FAULT_HELP = {
     "lose": "pings that are not sent",
     "garbage": "pings preceded by noise",
     "restart": "pings preceded by a restart of the sonar",
-    "restart_ids": "pings at which ids and device time start anew",
+    "restart_ids": "pings at which ids and device time start again",
     "reorder_statuses": "statuses sent after the next one",
 }
 

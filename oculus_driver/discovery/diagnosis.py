@@ -228,7 +228,7 @@ def _max_temperature(status: Status) -> str:
 
 
 def _example_address(status: Status) -> str:
-    """Return another address in the sonar's subnet as an example, empty if there is none."""
+    """Return another address in the sonar's subnet as an example, empty without one."""
     try:
         network = IPv4Network((int(status.address), str(status.netmask)), strict=False)
     except ValueError:  # not a contiguous netmask

@@ -107,7 +107,7 @@ def evaluate(result: ProbeResult) -> list[Layer]:
 
 
 def first_failure(layers: list[Layer]) -> Layer | None:
-    """Return the first layer that failed, None if there is none."""
+    """Return the first layer that failed, None if all passed."""
     return next((layer for layer in layers if layer.verdict == "failed"), None)
 
 

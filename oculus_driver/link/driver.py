@@ -176,7 +176,7 @@ class LinkDriver:
 
     Attributes:
         link: as given.
-        failure: the exception that ended the link, None if there is none.
+        failure: the exception that ended the link, None without one.
     """
 
     def __init__(

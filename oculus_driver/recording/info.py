@@ -63,7 +63,7 @@ class RecordingInfo:
         format: see `oculus_driver.recording.recording`.
         size_bytes: of the file.
         truncated, damage, faults: problems of the file, see `Recording`.
-        start_ns, end_ns: earliest and latest stamp, None if there is none.
+        start_ns, end_ns: earliest and latest stamp, None without stamps.
         metadata: of the recording.
         links: by name.
         messages: complete messages of all sonars.

@@ -192,7 +192,7 @@ def segment_of(link_type: int, data: bytes) -> Segment | None:
 
 
 def _ip_offset(link_type: int, data: bytes) -> int | None:
-    """Return the offset of the IP header, None if there is none."""
+    """Return the offset of the IP header, None without one."""
     known = _LINK_HEADERS.get(link_type)
     if known is not None:
         return known

@@ -244,7 +244,7 @@ class _Items:
         self.progress.report(text)
 
     def _search(self) -> bool:
-        """Go to the next item head; return False if there is none."""
+        """Go to the next item head; return False at the end."""
         start = self.position
         if self._find(max(0, start - ITEM_HEADER.size) + 1):
             self._lost(f"damaged at byte {start}: no valid item")
@@ -253,7 +253,7 @@ class _Items:
         return False
 
     def _find(self, start: int) -> bool:
-        """Go to the first plausible item head at or after `start`; stay if there is none."""
+        """Go to the first plausible item head at or after `start`; stay without one."""
         wanted = ITEM_HEADER.pack({"magic": self.magic})[:8]
         for place, window in windows(self.file, start, self.size, ITEM_HEADER.size):
             at = window.find(wanted)

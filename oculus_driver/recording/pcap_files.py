@@ -116,7 +116,7 @@ class _Records:
         return length <= MAX_PACKET and length <= original and fraction * self.unit_ns < NS_PER_S
 
     def _search(self, start: int) -> int | None:
-        """Return the position of the next two consecutive valid heads, None if there is none.
+        """Return the position of the next two consecutive valid heads, None without any.
 
         Candidates share the upper half of the last valid head's seconds.
         """

@@ -42,7 +42,7 @@ def find_record(
         search_range: first offset to examine, and the offset to stop at.
         size: of the file.
         channels: valid channel numbers of messages.
-        near_ns: a stamp before the damage; None if there was none.
+        near_ns: a stamp before the damage; None without one.
     """
     start, stop = search_range
     while start < stop:

@@ -23,8 +23,8 @@ class Faults:
         lose: share of pings that are not sent; their ids are skipped.
         garbage: share of pings preceded by up to 4096 bytes of noise.
         restart: share of pings preceded by a restart: the connection ends, ids and device time
-            start anew.
-        restart_ids: share of pings at which only ids and device time start anew.
+            start again.
+        restart_ids: share of pings at which only ids and device time start again.
         reorder_statuses: share of statuses sent after the next one, which is sent twice.
         refuse_second: reject a second client at once instead of letting it wait.
         silent_after_s: stop sending to a client without a fire message for so long; None: never.

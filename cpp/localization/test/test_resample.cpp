@@ -46,7 +46,7 @@ Particles in_a_row(std::size_t count) {
   return particles;
 }
 
-TEST_CASE("independent draws come as often as their weights say (chi-square)") {
+TEST_CASE("independent draws come as often as their weights require (chi-square)") {
   const auto weight = uneven(101);
   ResampleRule rule{50000, 50000, {}, Scheme::kMultinomial};
   for (std::uint64_t seed = 1; seed <= 5; ++seed) {
@@ -72,7 +72,7 @@ TEST_CASE("weights of any sum are drawn as those of sum 1 are") {
   }
 }
 
-TEST_CASE("the comb takes each particle as often as its weight says, give or take one") {
+TEST_CASE("the comb takes each particle as often as its weight requires, give or take one") {
   const auto weight = uneven(101);
   for (const double offset : {0.0, 0.3, 0.999999}) {
     const auto parents = comb(weight, 1777, offset);

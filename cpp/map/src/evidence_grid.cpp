@@ -82,11 +82,11 @@ EvidenceGrid::EvidenceGrid(GridMemory& memory, const PingImage& image, const Pin
       edge_sines_(beam_edge_sines(image.bearings_rad, image.beams)) {
   Sums sums;
   sum_returns(image, rule, settings.carve_no_return, sums);
-  const double told_m = settings.carve_no_return
-                            ? image.max_range_m()
-                            : static_cast<double>(sums.end_row) * image.range_resolution_m;
-  if (!(told_m > min_range_)) return;
-  reach_m_ = told_m + kFootprintReach * edge_m;
+  const double evidence_m = settings.carve_no_return
+                                ? image.max_range_m()
+                                : static_cast<double>(sums.end_row) * image.range_resolution_m;
+  if (!(evidence_m > min_range_)) return;
+  reach_m_ = evidence_m + kFootprintReach * edge_m;
   choose_pitch(image, settings.detail);
   index_bearings();
   const double rows = std::ceil(reach_m_ / row_pitch_) + std::ceil(kRowsBeyond * settings.detail);

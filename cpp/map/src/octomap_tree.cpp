@@ -19,7 +19,7 @@ class TreeReader {
       refuse_octomap(at_, std::to_string(file_.size() - at_) + " bytes follow the end of the tree");
     }
     if (nodes_ != header_.nodes) {
-      refuse_octomap(at_, "the tree has " + std::to_string(nodes_) + " nodes, its header says " +
+      refuse_octomap(at_, "the tree has " + std::to_string(nodes_) + " nodes, its header states " +
                               std::to_string(header_.nodes));
     }
   }

@@ -12,7 +12,7 @@ constexpr int kElevations = 4;
 
 // Range up to which the ping has evidence, m: the end of its last return, or max_range if it
 // carves.
-double said_range_m(const PingImage& image, const PingParams& settings, const IwloRule& rule) {
+double evidence_range_m(const PingImage& image, const PingParams& settings, const IwloRule& rule) {
   if (settings.carve_no_return) return image.max_range_m();
   for (std::size_t row = image.rows; row > 0; --row) {
     const float* const first = image.intensity + (row - 1) * image.beams;
@@ -39,7 +39,7 @@ std::optional<BlockBox> blocks_of_ping(const VoxelMap& map, const PingImage& ima
                                        const PingMotion& motion) {
   check_ping(image, settings);
   check_reach(map, map_T_sonar, image.max_range_m(), motion);
-  const double range_m = said_range_m(image, settings, map.rule());
+  const double range_m = evidence_range_m(image, settings, map.rule());
   if (!(range_m > 0)) return std::nullopt;
   const double block_m = map.resolution_m() * kBlockEdge;
   const BlockPose start = at_transmission(map_T_sonar, motion, block_m);

@@ -186,8 +186,8 @@ class Extractor {
   }
 
   void encode() {
-    for (std::size_t i = 0; i < kStreamCells; ++i) bits_[i] = told_bits(counts_[i]);
-    if (view_.detail == StreamDetail::kClasses) return tell_classes();
+    for (std::size_t i = 0; i < kStreamCells; ++i) bits_[i] = count_bits(counts_[i]);
+    if (view_.detail == StreamDetail::kClasses) return encode_classes();
     for (std::size_t i = 0; i < kStreamCells; ++i) {
       const double steps = rounded(map_.rule().log_odds(static_cast<std::int16_t>(highest_[i])) /
                                    view_.log_odds_step);
@@ -216,7 +216,7 @@ class Extractor {
     return static_cast<std::int8_t>(steps);
   }
 
-  void tell_classes() {
+  void encode_classes() {
     for (std::size_t i = 0; i < kStreamCells; ++i) {
       if (counts_[i] == 0) continue;
       const VoxelState state = map_.state_of({static_cast<std::int16_t>(highest_[i]), counts_[i]});
@@ -234,7 +234,7 @@ class Extractor {
     }
   }
 
-  std::uint8_t told_bits(std::uint16_t count) const {
+  std::uint8_t count_bits(std::uint16_t count) const {
     return count < bits_of_.size() ? bits_of_[count] : bit_length(count);
   }
 

@@ -115,7 +115,7 @@ TEST_CASE("without a floor a voxel once believed free is held there, as publishe
   // 84 and 2850 in real numbers; the first steps are rounded to whole units of 2^-11.
   CHECK(pings_back(set_a(), 1) == near(84, 2));
   CHECK(pings_back(set_a(), 2) == near(2850, 1000));
-  // 209 764 in real numbers, by steps of a hundredth of a unit at first: these are none.
+  // 209 764 in real numbers, by steps of a hundredth of a unit at first: these change nothing.
   CHECK(pings_back(set_a(), 5) == kForEver);
 }
 

@@ -1,5 +1,5 @@
-// Motion within the ping: what holds for a sonar at rest holds for one that moves. Where its ping
-// says what is for test_evidence.cpp.
+// Motion within the ping: what holds for a sonar at rest holds for one that moves.
+// test_evidence.cpp tests where a ping has evidence.
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>

@@ -269,7 +269,7 @@ TEST_CASE("a tree that ends early, late, or has another size is refused with the
     check_refused(file + "x", "1 bytes follow the end of the tree");
     std::string grown = file;
     grown.replace(file.find("size ") + 5, 1, "9");
-    check_refused(grown, "nodes, its header says 9");
+    check_refused(grown, "nodes, its header states 9");
   }
   check_refused(header(false, "0") + "12345", "5 bytes follow");
 }
@@ -277,7 +277,7 @@ TEST_CASE("a tree that ends early, late, or has another size is refused with the
 TEST_CASE("a promise of billions of nodes is refused without room made for them") {
   for (const char* size : {"4294967295", "4294967296", "18446744073709551615"}) {
     check_refused(header(false, size), "the file ends inside the tree");
-    check_refused(header(true, size) + bt_chain(15) + bt_record(1), "its header says");
+    check_refused(header(true, size) + bt_chain(15) + bt_record(1), "its header states");
   }
 }
 

@@ -79,7 +79,7 @@ def settings_for(demand: FireRequest, sonar: SonarSettings, water: Water) -> Son
         gain_percent=min(max(gain, 0.0), 100.0),
         gamma_byte=demand.gamma,
         bits=requested_bits(demand),
-        told_speed_mps=_told_speed_mps(demand, water),
+        told_speed_mps=_assumed_speed_mps(demand, water),
         source_level_db=sonar.source_level_db,
         noise_excess_db=sonar.noise_excess_db,
     )
@@ -116,7 +116,7 @@ def _has_mode(model: str, mode: int) -> bool:
     return True
 
 
-def _told_speed_mps(demand: FireRequest, water: Water) -> float | None:
+def _assumed_speed_mps(demand: FireRequest, water: Water) -> float | None:
     """Assumed speed of sound: as set, or from the salinity set; None is the true one."""
     slowest_mps, fastest_mps = SPEEDS_MPS
     if slowest_mps <= demand.speed_of_sound_demand_mps <= fastest_mps:

@@ -235,8 +235,8 @@ def displacement(view: PingPreview) -> dict[str, Displacement]:
 
 def range_scale(view: PingPreview) -> float:
     """Apparent range over true range, by the speed of sound that the sonar assumes."""
-    told_mps = view.sonar.told_speed_mps
-    return 1.0 if told_mps is None else told_mps / view.speed_mps
+    assumed_mps = view.sonar.told_speed_mps
+    return 1.0 if assumed_mps is None else assumed_mps / view.speed_mps
 
 
 def doppler_shift_s(sonar: SonarSettings, speed_mps: float) -> float:

@@ -32,8 +32,9 @@ from sonar_sim.raycast.fan import CENTRE_SINE, ELEVATIONS
 
 def decide_sound_speed(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the farthest echo moves by more than the tolerated part of a row."""
-    told_mps = view.sonar.told_speed_mps or view.speed_mps
-    reason = f"told {told_mps:.1f} m/s, true {view.speed_mps:.1f} m/s, echoes to {view.far_m:.1f} m"
+    assumed_mps = view.sonar.told_speed_mps or view.speed_mps
+    speeds = f"assumed {assumed_mps:.1f} m/s, true {view.speed_mps:.1f} m/s"
+    reason = f"{speeds}, echoes to {view.far_m:.1f} m"
     return displacement_result("sound_speed", view, tolerance, reason)
 
 
@@ -44,15 +45,15 @@ def configure_sound_speed(physics: Physics, view: PingPreview) -> None:
 
 SOUND_SPEED = Effect(
     name="sound_speed",
-    does="shifts ranges by the error of the speed the sonar reckons with",
-    needs="true and told speed of sound",
+    does="shifts ranges by the error of the speed that the sonar assumes",
+    needs="true and assumed speed of sound",
     formula="dR / R = dc / c; c by Medwin 1975 or the profile",
     source="Medwin 1975",
     rule="the picture's parts move too far with this and the lesser movers left out",
     cost=Cost.FREE,
     parameters=(
         EffectParameter(
-            "sonar.told_speed_mps", "m/s", "speed the sonar reckons with; none: the true one"
+            "sonar.told_speed_mps", "m/s", "speed that the sonar assumes; without it the true one"
         ),
         EffectParameter("water.profile", "m, m/s", "speed over depth"),
     ),

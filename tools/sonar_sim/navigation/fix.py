@@ -133,7 +133,7 @@ EARLY = 1e-6
 
 
 class RateLimiter:
-    """Says when a message is due.
+    """Decides when a message is due.
 
     Args:
         period_s: between two of them.

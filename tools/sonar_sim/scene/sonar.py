@@ -40,7 +40,7 @@ class SonarSettings:
         max_range_m: what may be asked for.
         bits: of a sample, 8, 16 or 32.
         forced_rows: rows of the image whatever an Oculus would choose; None lets it choose.
-        told_speed_mps: speed of sound that the sonar reckons with; None is the true one.
+        told_speed_mps: speed of sound that the sonar assumes; None is the true one.
         pulse_s: length of the transmitted chirp, for the Doppler shift.
         crosstalk_db: electrical, of a row's mean power into all its beams; None has none.
     """

@@ -195,7 +195,7 @@ def _vehicle(section: schema.VehicleSection) -> Vehicle:
 
 @contextmanager
 def _place(where: str) -> Iterator[None]:
-    """Say where in the file something cannot be."""
+    """Prefix errors with their place in the file."""
     try:
         yield
     except SceneError as error:

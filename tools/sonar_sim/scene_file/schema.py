@@ -382,7 +382,7 @@ class SonarSection(Section, frozen=True):
     ] = None
     told_speed_mps: Annotated[
         Annotated[float, Meta(ge=1300, le=1700)] | None,
-        field_info("Speed of sound it reckons with.", "m/s"),
+        field_info("Speed of sound that it assumes.", "m/s"),
     ] = None
     source_level_db: Annotated[
         Annotated[float, Meta(ge=0, le=260)] | UnsetType,

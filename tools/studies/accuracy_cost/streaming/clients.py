@@ -45,7 +45,7 @@ Made = tuple[bytes, float]
 
 
 class Sender(Protocol):
-    """Tells one client of a map."""
+    """Sends a map to one client."""
 
     pacer: Pacer
     cpu_s: float
