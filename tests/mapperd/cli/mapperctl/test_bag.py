@@ -335,7 +335,7 @@ def test_bag_of_what_fails_is_not_there(
     ("words", "code", "reported"),
     [
         (["nowhere.mcap", "bag"], 2, "nowhere.mcap"),
-        (["dive.mcap", "bag", "--as-recorded"], 2, "how it was mapped"),
+        (["dive.mcap", "bag", "--as-recorded"], 2, "settings"),
         (["dive.mcap", "bag", "--as-recorded", "--pose", "0,0,0,0,0,0"], 2, "--as-recorded"),
         (["dive.mcap", "missing/bag"], 73, "No such file"),
     ],
