@@ -1,4 +1,4 @@
-"""The command line of `mapperd`: what may be said, checked before anything is opened."""
+"""The command line of `mapperd`, checked before anything is opened."""
 
 import argparse
 import math
@@ -14,7 +14,7 @@ __all__ = ["Arguments", "parse_arguments"]
 
 MAX_POSITION_M = 1e7
 EPILOG = """\
-`mapperd doctor` checks every link and says what to do about the first thing that fails.
+`mapperd doctor` checks every link and names a remedy for the first failure.
 
 exit codes: 0 the map is written; 2 the command cannot be done as given; 65 the file is no
 recording, or nothing in it or from the sonar could be mapped; 66 the file cannot be opened; 69 a
@@ -48,7 +48,7 @@ class Arguments:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
+    """Reports errors in one line."""
 
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""
@@ -83,7 +83,7 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
 
 
 def _contradiction(args: argparse.Namespace) -> str | None:
-    """What cannot be said beside --as-recorded, which takes all from the recording."""
+    """Return which option contradicts --as-recorded, which takes all from the recording."""
     if not args.replay:
         return "--as-recorded is of recordings: it needs --replay"
     others = ("config", "store", "pose", "integrator", "start", "duration")

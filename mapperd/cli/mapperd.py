@@ -21,7 +21,7 @@ from mapperd.config.tree import Config
 from mapperd.daemon.journal import goes_to_journal
 from mapperd.daemon.map_folder import write_results
 from mapperd.daemon.run import LiveRun, map_live
-from mapperd.daemon.supervisor import only_told_to_stop
+from mapperd.daemon.supervisor import graceful_stop
 from mapperd.daemon.systemd import Notifier
 from mapperd.errors import (
     CheckpointError,
@@ -92,15 +92,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _live(arguments: Arguments) -> Exit:
-    """Map until told to stop, write."""
+    """Map until stopped, then write the results."""
     store = ConfigStore(_settings(arguments))
     make_folder(arguments.out)
     if not can_draw():
-        _say(MISSING)
+        _print(MISSING)
     again = partial(_settings, arguments)
     notifier = Notifier(os.environ)
-    run = LiveRun(store, partial(_poses, arguments), arguments.duration_s, _say, again, notifier)
-    with contextlib.closing(notifier), only_told_to_stop():
+    run = LiveRun(store, partial(_poses, arguments), arguments.duration_s, _print, again, notifier)
+    with contextlib.closing(notifier), graceful_stop():
         sonar_map, summary = map_live(run)
         with notifier.patience():
             write_results(arguments.out, sonar_map, summary)
@@ -115,7 +115,7 @@ def _replay(arguments: Arguments) -> Exit:
     def ready() -> None:
         make_folder(arguments.out)
         if not can_draw():
-            _say(MISSING)
+            _print(MISSING)
 
     def settings() -> Config:
         return _settings(arguments).config
@@ -133,7 +133,7 @@ def _settings(arguments: Arguments) -> Layered:
     given = [] if arguments.config is None else [arguments.config]
     layered = load_settings(given, os.environ)
     if layered.notice:
-        _say(layered.notice)
+        _print(layered.notice)
     check_filters(layered.config)
     if arguments.integrator is None:
         return layered
@@ -153,7 +153,7 @@ def _poses(arguments: Arguments, config: Config) -> FixedPose | OdometryPoses:
 
 
 def _verdict(arguments: Arguments, summary: dict[str, Any]) -> Exit:
-    """Say how it went; a map without a single ping is a failure, unless somebody ended it."""
+    """Print the result; a map without a ping is a failure, unless a user stopped it."""
     dropped = ", ".join(f"{why} {count}" for why, count in summary["pings_dropped"].items())
     damage = summary["recording"]["damage"] if "recording" in summary else None
     source = _source(arguments)
@@ -166,7 +166,7 @@ def _verdict(arguments: Arguments, summary: dict[str, Any]) -> Exit:
         damaged = f" (damaged: {damage})" if damage else ""
         return _fail(Exit.BAD_DATA, f"{source}: {_why_empty(summary, dropped)}{damaged}")
     if damage:
-        _say(f"{source}: damaged: {damage}")
+        _print(f"{source}: damaged: {damage}")
     lost = f" (dropped: {dropped})" if dropped else ""
     problem = _written(
         sys.stdout,
@@ -214,7 +214,7 @@ def _written(stream: TextIO, text: str) -> str | None:
     return None
 
 
-def _say(message: object) -> None:
+def _print(message: object) -> None:
     _line(6, message)
 
 
@@ -226,4 +226,4 @@ def _fail(code: Exit, message: object) -> Exit:
 def _line(priority: int, message: object) -> None:
     """A line of standard error; where that is the journal, with its priority."""
     mark = f"<{priority}>" if goes_to_journal(os.environ, STDERR) else "mapperd: "
-    _written(sys.stderr, f"{mark}{message}\n")  # if not, nobody is there to be told
+    _written(sys.stderr, f"{mark}{message}\n")  # a closed stderr is ignored

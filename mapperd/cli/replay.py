@@ -64,7 +64,7 @@ def map_recordings(
     Raises:
         ConfigError: the settings are wrong, or those of the sessions make no common map.
         ReplayError: the recordings cannot become a map with the options given.
-        RecordingError: one of them is none, or nothing is in it.
+        RecordingError: one is not a recording, or is empty.
     """
     sessions = sessions_of(files_in(arguments.replay, begun=True))
     if not sessions:
@@ -131,7 +131,7 @@ def _require_data(sessions: Sequence[RecordedSession], *, odometry: bool) -> Non
     if odometry and not has_odometry:
         raise ReplayError(
             f"no odometry in it{damage}, so nobody knows where the vehicle was; if it stood "
-            "still, say where with --pose x,y,z,roll,pitch,yaw"
+            "still, give its pose with --pose x,y,z,roll,pitch,yaw"
         )
 
 

@@ -32,7 +32,7 @@ from mapperd.session_log import Request, Reset
 __all__ = ["Daemon"]
 
 RESET_S = 60.0
-"""A reset waits for the pings before it; whoever asks does not wait longer for it."""
+"""Timeout of a reset request, which waits for the pings before it."""
 
 
 class Daemon:
@@ -48,7 +48,7 @@ class Daemon:
 
     Attributes:
         settings, events: as given.
-        servers: name to what tells the status of a server.
+        servers: status functions of the servers by name.
         phase: starting, mapping or stopping.
     """
 
@@ -101,7 +101,7 @@ class Daemon:
         """
         loop = asyncio.get_running_loop()
         watch = Watch(self._events, self._live)
-        self._live.mapping.on_snapshot = watch.told
+        self._live.mapping.on_snapshot = watch.update
         self._live.mapping.on_reset = lambda reset, problem: _in_loop(
             loop, lambda: self._reset_done(reset, problem)
         )
@@ -178,7 +178,7 @@ class Daemon:
             return {"changed": {}, "refused": {error.path: str(error)}, "waiting": []}
         refused = dict(reloaded.result.reasons) if isinstance(reloaded.result, Refused) else {}
         changes = reloaded.result.changes if isinstance(reloaded.result, Applied) else ()
-        for line in _said(refused, reloaded.waiting, nothing=not changes):
+        for line in _problems(refused, reloaded.waiting, nothing=not changes):
             self._events.add(Severity.NOTICE, "settings_reloaded", line)
         return {
             "changed": {change.name: change.after for change in changes},
@@ -234,7 +234,7 @@ class Daemon:
         return keep.whole()
 
     def _take(self, config: Config) -> None:
-        """Follow the settings, and say what changed."""
+        """Follow the settings, and log changes."""
         before, self._config = self._config, config
         self._live.reconfigure(config)
         for name, value in changes_between(before, config).items():
@@ -259,12 +259,12 @@ def _check(config: Config) -> None:
 
 
 def _in_loop(loop: asyncio.AbstractEventLoop, what: Callable[[], None]) -> None:
-    """Call something in the event loop; nobody is left to be told where that has ended."""
+    """Call something in the event loop, unless the loop has ended."""
     with contextlib.suppress(RuntimeError):
         loop.call_soon_threadsafe(what)
 
 
-def _said(refused: dict[str, str], waiting: tuple[str, ...], *, nothing: bool) -> Iterator[str]:
+def _problems(refused: dict[str, str], waiting: tuple[str, ...], *, nothing: bool) -> Iterator[str]:
     for name, reason in refused.items():
         yield f"settings stay as they are: {name}: {reason}"
     for name in waiting:

@@ -1,4 +1,4 @@
-"""What the filters make of a ping, as pictures: for whoever sets their thresholds.
+"""Pictures of a ping before and after each filter, to set their thresholds.
 
 Rows are ranges, the nearest at the bottom; columns are beams, port on the left. And where
 localization believes that the vehicle is.
@@ -97,23 +97,23 @@ async def draw_pictures(
     Args:
         newest: the ping that was mapped last.
         settings: in force.
-        events: is told once of what stands in the way.
+        events: where a failure is logged once.
         folder: for the pictures.
         localized: how localization goes; None where it is off.
     """
-    settings.follow(("visualization",), lambda _: None)  # read anew every second
+    settings.follow(("visualization",), lambda _: None)  # read again every second
     artist = _Artist(folder)
-    told = ""
+    reported = ""
     while True:
         config, facts = settings.current, localized()
         if config.visualization.show_opencv_visualization:
             try:
                 await asyncio.to_thread(artist.draw, newest(), facts, config)
-                told = ""
+                reported = ""
             except (ExportError, MapError) as error:
-                if str(error) != told:
+                if str(error) != reported:
                     events.add(Severity.WARNING, "debug_pictures", f"not drawn: {error}")
-                told = str(error)
+                reported = str(error)
         await asyncio.sleep(DRAW_S)
 
 

@@ -141,7 +141,7 @@ def _without_odometry(name: str) -> str:
 
 def _poses(evidence: LinkEvidence) -> tuple[Verdict, str]:
     if not evidence.owns:
-        return "doubtful", "nothing is taken from this source: others own what it says"
+        return "doubtful", "no quantity of this source is used: other sources own them"
     owned = ", ".join(evidence.owns)
     if evidence.fault is not None:
         return "failed", f"{owned} come from here, but no pose can be had: {evidence.fault}"

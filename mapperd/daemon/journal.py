@@ -34,7 +34,7 @@ class Writable(Protocol):
 
 
 class Journal:
-    """Writes events as lines; what repeats is counted and said once.
+    """Writes events as lines; repeated events are counted and logged once.
 
     Args:
         stream: standard error.
@@ -55,26 +55,26 @@ class Journal:
         self._clock = clock
         self._priorities = priorities
         self._least = PRIORITIES[least]
-        self._said: dict[tuple[str, str], tuple[float, int]] = {}
+        self._logged: dict[tuple[str, str], tuple[float, int]] = {}
 
     def write(self, event: Event) -> None:
         """Write an event, unless the same was written just now."""
         if PRIORITIES[event.severity] > self._least:
             return
         key, now_s = (event.code, event.text), self._clock()
-        said_s, repeats = self._said.get(key, (float("-inf"), 0))
-        if now_s - said_s < REPEAT_S:
-            self._said[key] = (said_s, repeats + 1)
+        logged_s, repeats = self._logged.get(key, (float("-inf"), 0))
+        if now_s - logged_s < REPEAT_S:
+            self._logged[key] = (logged_s, repeats + 1)
             return
         again = f" (and {repeats} times more since)" if repeats else ""
         self._remember(key, now_s)
         self._line(event.severity, f"{event.text}{again}")
 
     def _remember(self, key: tuple[str, str], now_s: float) -> None:
-        self._said.pop(key, None)
-        while len(self._said) >= MAX_REMEMBERED:
-            self._said.pop(next(iter(self._said)))
-        self._said[key] = (now_s, 0)
+        self._logged.pop(key, None)
+        while len(self._logged) >= MAX_REMEMBERED:
+            self._logged.pop(next(iter(self._logged)))
+        self._logged[key] = (now_s, 0)
 
     def _line(self, severity: Severity, text: str) -> None:
         mark = f"<{PRIORITIES[severity]}>" if self._priorities else "mapperd: "
@@ -87,7 +87,7 @@ class Journal:
 
 
 def goes_to_journal(environ: Mapping[str, str], file_number: int) -> bool:
-    """Whether a stream is the one that journald reads: `JOURNAL_STREAM` says device and inode."""
+    """Return whether journald reads a stream: `JOURNAL_STREAM` gives device and inode."""
     try:
         facts = os.fstat(file_number)
     except OSError:

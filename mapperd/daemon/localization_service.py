@@ -50,7 +50,7 @@ MAX_BYTES = 200
 Ask = Callable[[Request], Awaitable[Reject | None]]
 
 ORDER_S = 60.0
-"""A request waits for the pings before it; whoever asks does not wait longer for it."""
+"""Timeout of a request, which waits for the pings before it."""
 
 MAP_S = 600.0
 """And for a map to be loaded."""
@@ -217,7 +217,7 @@ class Requests:
         self._loop = asyncio.get_running_loop()
 
     def close(self) -> None:
-        """Nothing more is answered: whoever waits is told."""
+        """Fail all pending requests."""
         self._loop = None
         for answer in self._waiting.values():
             if not answer.done():
@@ -246,7 +246,7 @@ class Requests:
         """A request was carried out, or refused; any thread."""
         loop = self._loop
         if loop is not None:
-            with contextlib.suppress(RuntimeError):  # nobody is left to be told
+            with contextlib.suppress(RuntimeError):  # the loop has ended
                 loop.call_soon_threadsafe(self._answer, request.number, refused)
 
     def _answer(self, number: int, refused: Reject | None) -> None:
@@ -256,20 +256,20 @@ class Requests:
 
 
 LOOK_S = 0.2
-"""So often facts are told."""
+"""Period of status updates."""
 
 
 class PoseKeeper:
     """Writes the newest estimate at `amcl.save_pose_rate`, and once at the end.
 
-    An ambiguous one is not written: whoever began there again would hold it for sure.
+    An ambiguous estimate is not written, because a restart would treat it as certain.
 
     Args:
         path: of the file.
         facts: the newest.
         amcl: the settings in force.
         clock: Unix time, nanoseconds.
-        events: is told when saving begins to fail.
+        events: where a failure to save is logged.
     """
 
     def __init__(
@@ -309,11 +309,11 @@ class PoseKeeper:
         try:
             save_pose(self._path, facts.belief.best, amcl.global_frame_id, self._clock())
         except ExportError as error:
-            self._say_stuck(str(error))
+            self._report_stuck(str(error))
         else:
             self._written, self._stuck = facts.stamp_ns, False
 
-    def _say_stuck(self, problem: str) -> None:
+    def _report_stuck(self, problem: str) -> None:
         if self._events is not None and not self._stuck:
             text = f"the estimated pose is not saved: {problem}"
             self._events.add(Severity.WARNING, "pose_not_saved", text)

@@ -48,7 +48,7 @@ def checked_name(name: str) -> str:
     """A file's name that can only lie in the folder: letters, digits, and ` ._+-` inside.
 
     Raises:
-        OperationError: it is none (`bad_name`), or its suffix no format (`bad_format`).
+        OperationError: invalid name (`bad_name`) or suffix (`bad_format`).
     """
     if not NAME.fullmatch(name) or len(name.encode(errors="replace")) > MAX_BYTES:
         raise OperationError(
@@ -90,7 +90,7 @@ class MapFolder:
         """Write the map; takes seconds, in a thread of its own.
 
         Args:
-            name: of the file; its suffix says the format.
+            name: file name; its suffix selects the format.
             whole_map: gives the map when it is needed; may be slow, may raise what a store does.
             origin: where the map's zero lies on Earth; None where nobody knows.
 
@@ -196,7 +196,7 @@ def summary_of(
     counters: PipelineCounters,
     wall_s: float,
 ) -> dict[str, Any]:
-    """Everything that there is to say about a run; units are in the names.
+    """Build the summary of a run; keys carry units.
 
     Args:
         source: where pings and odometry came from, by its kind: `recording` or `live`.
@@ -248,7 +248,7 @@ def _poses(poses: FixedPose | OdometryPoses) -> dict[str, Any]:
 
 
 def recording_facts(sessions: Sequence[RecordedSession]) -> dict[str, Any]:
-    """What there is to say about recordings that were read to the end of the chosen part."""
+    """Summarize recordings that were read to the end of the chosen part."""
     facts = {
         "format": sessions[0].format,
         "files": sum(len(session.paths) for session in sessions),
@@ -264,7 +264,7 @@ def recording_facts(sessions: Sequence[RecordedSession]) -> dict[str, Any]:
 def localization_summary(facts: LocalizationFacts) -> dict[str, Any]:
     """How localization stood at the end."""
     belief = facts.belief
-    told = {
+    reported = {
         "state": facts.state,
         "map": None if facts.known is None else facts.known.path,
         "map_sha256": None if facts.known is None else facts.known.sha256,
@@ -275,7 +275,7 @@ def localization_summary(facts: LocalizationFacts) -> dict[str, Any]:
         "ambiguous": None if belief is None else belief.ambiguous,
         "pose": None if belief is None else _gaussian(belief.best),
     }
-    return {"localization": told}
+    return {"localization": reported}
 
 
 def _gaussian(pose: PlanarGaussian) -> dict[str, Any]:

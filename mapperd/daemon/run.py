@@ -1,4 +1,4 @@
-"""`mapperd` without a recording: maps what the network brings until it is told to stop."""
+"""`mapperd` without a recording: map live data until stopped."""
 
 import asyncio
 import contextlib
@@ -41,10 +41,10 @@ __all__ = ["LiveRun", "map_live"]
 
 STDERR = 2
 
-TELL_S = 10.0
-"""Between lines that say how it goes."""
+STATUS_PERIOD_S = 10.0
+"""Period of status lines."""
 
-Say = Callable[[str], None]
+Printer = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class LiveRun:
         settings: in force.
         poses: makes what gives poses: fixed, or from the vehicle's odometry.
         duration_s: seconds to map; None is until somebody stops it.
-        say: is told, in one line each, what goes on beside the events.
+        print_line: prints status lines, in addition to events.
         read: the settings' files again; raises `ConfigError`.
         notifier: of the service manager.
     """
@@ -63,7 +63,7 @@ class LiveRun:
     settings: ConfigStore
     poses: Callable[[Config], FixedPose | OdometryPoses]
     duration_s: float | None
-    say: Say
+    print_line: Printer
     read: Callable[[], Layered]
     notifier: Notifier
 
@@ -74,7 +74,7 @@ def map_live(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
     Raises:
         ConfigError: a library that a link needs is not installed, or the settings are wrong.
         LiveError: the control socket cannot be listened at.
-        OculusError: the sonar cannot be looked for, or not be asked for what the settings say.
+        OculusError: the sonar cannot be looked for, or not be configured as the settings require.
         StoreError: the map's file cannot be used.
     """
     return asyncio.run(_map(run))
@@ -115,7 +115,7 @@ async def _map(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
 async def _served(
     run: LiveRun, opened: OpenMap, live: Live, events: EventLog, clock: Callable[[], int]
 ) -> tuple[SonarMap, dict[str, Any]]:
-    """Map, and serve whoever asks meanwhile."""
+    """Map, and serve requests meanwhile."""
     folder = state_folder(run.settings.current, os.environ)
     daemon = Daemon(
         run.settings, opened.sonar_map, live, events, read=run.read, folder=folder / "maps"
@@ -138,16 +138,16 @@ async def _served(
             run.notifier,
             watchdog_s=watchdog_s(os.environ, os.getpid()),
             stop=stop.set,
-            say=run.say,
+            print_line=run.print_line,
         )
         await stack.enter_async_context(feeding)
-        telling = asyncio.create_task(_tell(live, run.say))
-        stack.callback(telling.cancel)
+        printing = asyncio.create_task(_print_status(live, run.print_line))
+        stack.callback(printing.cancel)
         await stack.enter_async_context(_poses_kept(run.settings, live, events, clock))
         began_s = time.perf_counter()
         await daemon.run(_until(stop, run.duration_s))
         wall_s = time.perf_counter() - began_s
-        source = {"live": _live_facts(daemon, told_to_stop=stop.is_set())}
+        source = {"live": _live_facts(daemon, stop_requested=stop.is_set())}
         if (facts := live.mapping.snapshot.localization) is not None:
             source |= localization_summary(facts)
         whole = await asyncio.to_thread(opened.persistence.whole)
@@ -227,7 +227,7 @@ def _start_localization(config: Config, events: EventLog) -> LocalizationSession
 
 
 def _saved_pose(config: Config, events: EventLog) -> PlanarGaussian | None:
-    """The pose of before a restart; a file that is none keeps nobody from beginning."""
+    """Read the pose from before a restart; an invalid file is ignored with an event."""
     if config.localization.mode == "off":
         return None
     try:
@@ -244,18 +244,18 @@ def _same(one: Path, other: Path) -> bool:
     )
 
 
-async def _tell(live: Live, say: Say) -> None:
-    """Say every now and then how it goes."""
+async def _print_status(live: Live, print_line: Printer) -> None:
+    """Print the status now and then."""
     while True:
-        await asyncio.sleep(TELL_S)
+        await asyncio.sleep(STATUS_PERIOD_S)
         pings = live.mapping.snapshot.pings
         dropped = sum(pings["dropped"].values())
         sonar = f"{pings['mapped']} pings mapped, {dropped} dropped, sonar {live.link.state}"
-        say(sonar + _where(live.mapping.snapshot.localization))
+        print_line(sonar + _where(live.mapping.snapshot.localization))
 
 
 def _where(facts: LocalizationFacts | None) -> str:
-    """Where the vehicle is on the known map, for the line that says how it goes."""
+    """Localization as text for the status line."""
     if facts is None:
         return ""
     state = f", {state_of(facts)}"
@@ -271,12 +271,12 @@ async def _until(stop: asyncio.Event, duration_s: float | None) -> None:
             await stop.wait()
 
 
-def _live_facts(daemon: Daemon, *, told_to_stop: bool) -> dict[str, Any]:
+def _live_facts(daemon: Daemon, *, stop_requested: bool) -> dict[str, Any]:
     status, device = daemon.status(), daemon.settings.current.device
     sonar = status["sonar"]
     return {
         "session": status["session"],
-        "told_to_stop": told_to_stop,
+        "told_to_stop": stop_requested,
         "sonar": f"{sonar['address'] or device.address or 'found by status'}:{device.port}",
         "odometry": status["odometry"]["connections"],
         "recording": status["recording"],

@@ -46,12 +46,12 @@ __all__ = [
 async def serving(
     daemon: Daemon, folder: Path, environment: Mapping[str, str], clock: Callable[[], int]
 ) -> AsyncIterator[None]:
-    """Run them as long as this lasts; they end after the daemon, so that its end is told.
+    """Run the servers; they end after the daemon, so that its end is reported.
 
     Args:
-        daemon: what they tell of, and ask.
+        daemon: source of data and target of requests.
         folder: for its state.
-        environment: says where systemd has put credentials.
+        environment: gives the systemd credentials directory.
         clock: Unix time in nanoseconds that is never set back.
 
     Raises:
@@ -87,7 +87,7 @@ STREAM_CREDENTIAL = "stream-token"
 """Name of systemd's credential."""
 
 FOLLOWS = ("stream.rate",)
-"""Live settings of its own, read anew whenever they count."""
+"""Live settings of the server, read when needed."""
 
 
 def stream_server(
@@ -102,7 +102,7 @@ def stream_server(
     """Open the doors and listen to the pings; nobody is served before the server is entered.
 
     Args:
-        operations: the daemon; its settings say where to listen.
+        operations: the daemon; its settings give the addresses.
         live: its session.
         source: the map.
         environ: the process's variables: folders and credentials of systemd, or the user's.
@@ -136,11 +136,11 @@ def map_listeners(
             doors = [inherited_listener(inherited, "stream")]
         undo.callback(doors[0].close)
         if inherited is None and mode & 0o007:
-            said = (
+            warning = (
                 f"stream.mode {config.stream.mode}: every user of this computer may steer the "
                 "mapper; 660 lets its group alone"
             )
-            events.add(Severity.WARNING, "stream_for_all", said)
+            events.add(Severity.WARNING, "stream_for_all", warning)
         if config.stream.address:
             doors.append(_stream_tcp_listener(config, environ, events))
         undo.pop_all()
@@ -165,11 +165,11 @@ def _stream_tcp_listener(config: Config, environ: Mapping[str, str], events: Eve
     if stream.tls_certificate:
         tls = server_tls(stream.tls_certificate, stream.tls_key, "stream")
     elif not host.is_loopback:
-        said = (
+        warning = (
             f"map stream at {stream.address}: everybody on that network can read along, and take "
             "over a connection; stream.tls_certificate prevents it"
         )
-        events.add(Severity.WARNING, "stream_in_clear", said)
+        events.add(Severity.WARNING, "stream_in_clear", warning)
     return open_tcp_listener(stream.address, token, tls, "stream")
 
 
@@ -179,7 +179,7 @@ def control_server(
     """Open the doors; nobody is served before the server is entered, `async with`.
 
     Args:
-        operations: the daemon; its settings say where to listen.
+        operations: the daemon; its settings give the addresses.
         environ: the process's variables: folders and credentials of systemd, or the user's.
         inherited: a Unix socket that the service manager opened, instead of our own; it stays,
             and clients wait at it, when we end.

@@ -114,7 +114,7 @@ class LocalizationWatch:
     """Compares facts with those before; one thread at a time.
 
     Args:
-        events: is told.
+        events: the event log.
     """
 
     def __init__(self, events: EventLog) -> None:
@@ -123,8 +123,8 @@ class LocalizationWatch:
         self._state = ""
         self._level = "OK"
 
-    def told(self, facts: LocalizationFacts) -> None:
-        """Look at new facts."""
+    def update(self, facts: LocalizationFacts) -> None:
+        """Report changes."""
         name = map_name_of(facts)
         if name != self._map:
             self._map = name
@@ -157,7 +157,7 @@ class LocalizationWatch:
 
 
 LOOK_S = 1.0
-TELL_S = 10.0
+STATUS_PERIOD_S = 10.0
 """Between looks at whether odometry still comes."""
 
 
@@ -165,7 +165,7 @@ class Watch:
     """Looks at one session.
 
     Args:
-        events: is told.
+        events: the event log.
         live: the session.
     """
 
@@ -177,10 +177,10 @@ class Watch:
         self._recording: object = None
         self._localization = LocalizationWatch(events)
 
-    def told(self, facts: StatusSnapshot) -> None:
+    def update(self, facts: StatusSnapshot) -> None:
         """Look at new facts; in the mapping thread."""
         if facts.localization is not None:
-            self._localization.told(facts.localization)
+            self._localization.update(facts.localization)
         behind = facts.behind
         if behind["late"] == self._late:
             return
@@ -194,7 +194,7 @@ class Watch:
         self._events.add(Severity.NOTICE, "caught_up", text, pings_dropped=dropped)
 
     async def look(self) -> NoReturn:
-        """Look every now and then at what tells nobody, until cancelled."""
+        """Poll what sends no notification, until cancelled."""
         heard, silent_s = self._heard(), 0.0
         while True:
             await asyncio.sleep(LOOK_S)
@@ -202,8 +202,8 @@ class Watch:
             now_heard = self._heard()
             silent_s = 0.0 if now_heard != heard else silent_s + LOOK_S
             heard = now_heard
-            if silent_s == TELL_S and self._live.links:
-                text = f"no odometry for {TELL_S:g} s; see `mapperd doctor`"
+            if silent_s == STATUS_PERIOD_S and self._live.links:
+                text = f"no odometry for {STATUS_PERIOD_S:g} s; see `mapperd doctor`"
                 self._events.add(Severity.WARNING, "no_odometry", text)
 
     def _heard(self) -> int:

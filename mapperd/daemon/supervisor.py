@@ -17,7 +17,7 @@ from mapperd.errors import MapperdError
 from mapperd.events import Severity
 from mapperd.pipeline.watchdog import Watchdog, Worker
 
-__all__ = ["StatusLine", "only_told_to_stop", "stack_lines", "supervised"]
+__all__ = ["StatusLine", "graceful_stop", "stack_lines", "supervised"]
 
 MIB = 1 << 20
 
@@ -80,7 +80,7 @@ ORIGINS = {signal.SIGHUP: "SIGHUP", signal.SIGUSR1: "SIGUSR1"}
 
 
 @contextlib.contextmanager
-def only_told_to_stop() -> Iterator[None]:
+def graceful_stop() -> Iterator[None]:
     """Ignore what asks for work while there is nobody who could do it: at the start and the end.
 
     Unheard, SIGHUP and the others would end the program, and systemd takes that for a clean end.
@@ -104,9 +104,9 @@ async def supervised(
     *,
     watchdog_s: float | None,
     stop: Callable[[], None],
-    say: Callable[[str], None],
+    print_line: Callable[[str], None],
 ) -> AsyncIterator[None]:
-    """Say that the daemon works, feed the watchdog while it does, and obey signals; `async with`.
+    """Report readiness, feed the watchdog while the daemon works, and handle signals; `async with`.
 
     SIGINT and SIGTERM stop, a second one at once; SIGHUP reads the settings again; SIGUSR1 brings
     the map to the disk; SIGUSR2 writes what every thread does.
@@ -117,9 +117,9 @@ async def supervised(
         notifier: of the manager.
         watchdog_s: how long the manager waits for a sign of life; None where it does not.
         stop: makes the daemon end.
-        say: writes a line for whoever looks for what hangs.
+        print_line: prints diagnostics of a hang.
     """
-    session = _Session(daemon, workers, notifier, watchdog_s, say)
+    session = _Session(daemon, workers, notifier, watchdog_s, print_line)
     loop = asyncio.get_running_loop()
     actions: dict[signal.Signals, Callable[[], None]] = {
         signal.SIGHUP: lambda: session.begin(session.reload()),
@@ -127,14 +127,14 @@ async def supervised(
         signal.SIGUSR2: session.dump,
     }
 
-    def told_to_stop() -> None:
+    def stop_requested() -> None:
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.remove_signal_handler(number)
         notifier.stopping("stopping")
         stop()
 
     for number in (signal.SIGINT, signal.SIGTERM):
-        actions[number] = told_to_stop
+        actions[number] = stop_requested
     before = {number: signal.getsignal(number) for number in actions}
     for number, action in actions.items():
         loop.add_signal_handler(number, action)
@@ -160,13 +160,13 @@ class _Session:
         workers: Callable[[], Iterable[Worker]],
         notifier: Notifier,
         watchdog_s: float | None,
-        say: Callable[[str], None],
+        print_line: Callable[[str], None],
     ) -> None:
         self.tasks: set[asyncio.Task[None]] = set()
         self._daemon = daemon
         self._workers = workers
         self._notifier = notifier
-        self._say = say
+        self._print = print_line
         self._line = StatusLine()
         self._feeds = watchdog_s is not None
         self._period_s = min(LOOK_S, max(MIN_LOOK_S, (watchdog_s or LOOK_S * 3) / 3))
@@ -182,17 +182,17 @@ class _Session:
         return self._line.of(self._daemon.status(), time.monotonic())
 
     async def look(self) -> None:
-        """Tell the manager how it goes; feed its watchdog if every thread gets on."""
+        """Report the status to systemd; feed its watchdog if every thread makes progress."""
         while True:
             stuck = self._watchdog.stuck(self._workers(), time.monotonic())
             if stuck != self._stuck:
-                self._tell_stuck(stuck)
+                self._report_stuck(stuck)
             self._notifier.status(f"stuck: {', '.join(stuck)}" if stuck else self.line())
             if self._feeds and not stuck:
                 self._notifier.alive()
             await asyncio.sleep(self._period_s)
 
-    def _tell_stuck(self, stuck: tuple[str, ...]) -> None:
+    def _report_stuck(self, stuck: tuple[str, ...]) -> None:
         self._stuck = stuck
         if stuck:
             names = ", ".join(stuck)
@@ -217,5 +217,5 @@ class _Session:
 
     def dump(self) -> None:
         for line in stack_lines():
-            self._say(line)
-        self._say(f"status: {self._daemon.status()}")
+            self._print(line)
+        self._print(f"status: {self._daemon.status()}")

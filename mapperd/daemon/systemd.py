@@ -16,7 +16,7 @@ MAX_STATUS = 200
 
 
 class Notifier:
-    """Sends datagrams to the manager's socket; where there is none, does nothing. Never waits.
+    """Sends datagrams to systemd's socket, if there is one. Never blocks.
 
     Args:
         environ: `NOTIFY_SOCKET` names the socket: a path, or `@` and an abstract name.
@@ -44,7 +44,7 @@ class Notifier:
         self._send(_status(text))
 
     def reloading(self, monotonic_ns: int) -> None:
-        """Settings are read again; `ready` says when that is done."""
+        """Report that settings are being reloaded; `ready` reports the end."""
         self._send("RELOADING=1", f"MONOTONIC_USEC={monotonic_ns // 1000}")
 
     def stopping(self, status: str = "") -> None:
@@ -83,7 +83,7 @@ class Notifier:
             thread.join()
 
     def close(self) -> None:
-        """Say nothing more."""
+        """Close the socket."""
         self._address = None
         if self._socket is not None:
             self._socket.close()

@@ -104,7 +104,7 @@ class PingExecutor:
                 self.stages.localization.request(work)
 
     def map_ping(self, posed: PosedPing) -> PingResult | None:
-        """Put a ping through the step; None if the recording says that it was dropped."""
+        """Put a ping through the step; None if it was dropped according to the recording."""
         result = None
         if posed.number in self._remarks.drops:
             self.counters.drop(TOO_SLOW)

@@ -28,7 +28,7 @@ class Stages:
     localization: LocalizationStage | None = None
 
     def correct(self, posed: PosedPing) -> FusedPose | Reject:
-        """Localize by a ping; return the pose to map it at, or why there is none."""
+        """Localize by a ping; return the pose to map it at, or a reject."""
         if self.localization is None:
             return posed.pose
         return self.localization.correct(posed.ping, posed.pose, posed.t_ns)

@@ -66,7 +66,7 @@ class RecordedSession:
 
     @property
     def read_error(self) -> OSError | None:
-        """What the disk said, where it did not let a file be read: it may do so later."""
+        """Error of the disk that prevented reading a file; a later attempt may succeed."""
         return self._seen.read_error
 
     def __iter__(self) -> Iterator[Chunk]:
@@ -123,7 +123,7 @@ def sessions_of(paths: Iterable[Path]) -> list[RecordedSession]:
 
 
 def _begins(path: Path) -> bool:
-    """Whether a first piece can be read, or what keeps it from that is worth telling."""
+    """Whether the first chunk can be read, or the reason why not is worth reporting."""
     try:
         with open_recording(path) as recording:
             return next(iter(recording), None) is not None or not recording.truncated

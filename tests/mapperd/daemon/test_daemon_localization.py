@@ -118,23 +118,23 @@ def test_map_and_pose_are_given_and_it_is_localized(
             await until(lambda: state(daemon) == "waiting for a pose")
             assert await daemon.initial_pose(POSE, "test") == {}
             await until(lambda: daemon.localization()["updates"] > 2)
-            said = daemon.localization(20)
-            json.dumps(said)
-            assert said["map"] == "wall.yaml"
-            assert said["pose"]["frame"] == "map"
-            assert 0 < len(said["sample"]) <= 20
-            assert said["map_odom"]["position_m"][2] == 0.0
-            assert said["clusters"]
+            stated = daemon.localization(20)
+            json.dumps(stated)
+            assert stated["map"] == "wall.yaml"
+            assert stated["pose"]["frame"] == "map"
+            assert 0 < len(stated["sample"]) <= 20
+            assert stated["map_odom"]["position_m"][2] == 0.0
+            assert stated["clusters"]
             status = daemon.status()["localization"]
             assert status["mode"] == "track"
-            assert status["x_m"] == pytest.approx(said["pose"]["x_m"], abs=2.0)
+            assert status["x_m"] == pytest.approx(stated["pose"]["x_m"], abs=2.0)
             assert await daemon.request_nomotion_update("test") == {}
             await daemon.set_map("wall.yaml", POSE, "test")
             await daemon.global_localization("test")
-        told = codes(daemon)
+        reported = codes(daemon)
         for code in ("map_set", "map_loaded", "pose_set", "global_localization"):
-            assert code in told
-        assert set(told) & {"localized", "ambiguous", "lost"}
+            assert code in reported
+        assert set(reported) & {"localized", "ambiguous", "lost"}
 
     run(work())
 

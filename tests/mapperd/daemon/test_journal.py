@@ -79,7 +79,7 @@ def test_ever_new_texts_take_no_memory() -> None:
     writer, _, _ = journal()
     for i in range(10_000):
         writer.write(event(f"text {i}"))
-    assert len(writer._said) <= 256
+    assert len(writer._logged) <= 256
 
 
 class Broken(io.StringIO):
@@ -105,14 +105,14 @@ def test_only_the_journals_own_stream_gets_priorities() -> None:
 
 def test_events_are_numbered_kept_for_a_while_and_reported() -> None:
     log = EventLog(lambda: 5_000_000_000, kept=3)
-    told: list[int] = []
-    end = log.listen(lambda one: told.append(one.number))
+    reported: list[int] = []
+    end = log.listen(lambda one: reported.append(one.number))
     for i in range(5):
         log.add(Severity.INFO, "code", f"text {i}", range_m=i)
     end()
     log.add(Severity.ERROR, "code", "not told")
     kept, lost = log.since(1)
-    assert told == [1, 2, 3, 4, 5]
+    assert reported == [1, 2, 3, 4, 5]
     assert [one.number for one in kept] == [4, 5, 6]
     assert lost == 2
     assert log.since(6) == ([], 0)

@@ -157,7 +157,7 @@ def test_pose_that_is_invalid_is_refused(bench: Bench, pose: PoseRequest, words:
 
 
 @pytest.mark.parametrize(
-    "said",
+    "stated",
     [
         {"x_m": 1e7, "y_m": 0, "yaw_rad": 0},
         {"x_m": 0, "y_m": 0, "yaw_rad": 1e3},
@@ -170,9 +170,9 @@ def test_pose_that_is_invalid_is_refused(bench: Bench, pose: PoseRequest, words:
         {"x_m": 0, "y_m": 0, "yaw_rad": 0, "z_m": 0},
     ],
 )
-def test_pose_of_another_form_is_not_read(said: dict[str, Any]) -> None:
+def test_pose_of_another_form_is_not_read(stated: dict[str, Any]) -> None:
     with pytest.raises(msgspec.ValidationError):
-        msgspec.convert(said, PoseRequest)
+        msgspec.convert(stated, PoseRequest)
 
 
 @pytest.mark.parametrize(

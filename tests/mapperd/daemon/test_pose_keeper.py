@@ -48,42 +48,42 @@ class Told:
 
 
 @pytest.fixture
-def told(tmp_path: Path) -> Told:
+def reported(tmp_path: Path) -> Told:
     return Told(tmp_path / "pose.json", settings(write_room(tmp_path)))
 
 
-def test_newest_estimate_is_saved(told: Told) -> None:
-    told.keeper.save()
-    assert told.saved_x_m is None  # there is none yet
-    told.now_at(1.0, 1)
-    told.keeper.save()
-    assert told.saved_x_m == 1.0
-    told.path.unlink()
-    told.keeper.save()
-    assert told.saved_x_m is None  # nothing new
+def test_newest_estimate_is_saved(reported: Told) -> None:
+    reported.keeper.save()
+    assert reported.saved_x_m is None  # there is none yet
+    reported.now_at(1.0, 1)
+    reported.keeper.save()
+    assert reported.saved_x_m == 1.0
+    reported.path.unlink()
+    reported.keeper.save()
+    assert reported.saved_x_m is None  # nothing new
 
 
-def test_ambiguous_estimate_is_not_saved(told: Told) -> None:
-    told.now_at(1.0, 1)
-    told.keeper.save()
-    told.now_at(2.0, 2, elsewhere=0.5)
-    told.keeper.save()
-    assert told.saved_x_m == 1.0
+def test_ambiguous_estimate_is_not_saved(reported: Told) -> None:
+    reported.now_at(1.0, 1)
+    reported.keeper.save()
+    reported.now_at(2.0, 2, elsewhere=0.5)
+    reported.keeper.save()
+    assert reported.saved_x_m == 1.0
 
 
-def test_rate_of_zero_saves_nothing(told: Told) -> None:
-    told.amcl = AmclConfig(save_pose_rate=0.0)
-    told.now_at(1.0, 1)
-    told.keeper.save()
-    assert told.saved_x_m is None
+def test_rate_of_zero_saves_nothing(reported: Told) -> None:
+    reported.amcl = AmclConfig(save_pose_rate=0.0)
+    reported.now_at(1.0, 1)
+    reported.keeper.save()
+    assert reported.saved_x_m is None
 
 
-def test_it_saves_while_it_runs(told: Told) -> None:
+def test_it_saves_while_it_runs(reported: Told) -> None:
     async def work() -> None:
-        running = asyncio.create_task(told.keeper.run())
-        told.now_at(3.0, 1)
+        running = asyncio.create_task(reported.keeper.run())
+        reported.now_at(3.0, 1)
         async with asyncio.timeout(10):
-            while told.saved_x_m != 3.0:  # noqa: ASYNC110 another thread writes it
+            while reported.saved_x_m != 3.0:  # noqa: ASYNC110 another thread writes it
                 await asyncio.sleep(0.01)
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)
@@ -91,12 +91,12 @@ def test_it_saves_while_it_runs(told: Told) -> None:
     asyncio.run(work())
 
 
-def test_full_disk_is_reported_once(told: Told) -> None:
-    told.path.mkdir()
+def test_full_disk_is_reported_once(reported: Told) -> None:
+    reported.path.mkdir()
     for k in (1, 2):
-        told.now_at(float(k), k)
-        told.keeper.save()
-    codes = [event.code for event in told.events.since(0)[0]]
+        reported.now_at(float(k), k)
+        reported.keeper.save()
+    codes = [event.code for event in reported.events.since(0)[0]]
     assert codes == ["pose_not_saved"]
 
 
@@ -114,19 +114,21 @@ def test_map_that_is_being_made_is_not_the_known_one(tmp_path: Path) -> None:
         _start_localization(config(mapping="off"), events)
 
 
-def test_saved_pose_that_is_invalid_is_reported_and_passed_over(told: Told, tmp_path: Path) -> None:
-    config = config_from_text(settings(write_room(tmp_path), pose_path=f"'{told.path}'"))
+def test_saved_pose_that_is_invalid_is_reported_and_passed_over(
+    reported: Told, tmp_path: Path
+) -> None:
+    config = config_from_text(settings(write_room(tmp_path), pose_path=f"'{reported.path}'"))
     for text, codes in (("{}", ["saved_pose_ignored"]), (None, [])):
-        told.path.unlink(missing_ok=True)
+        reported.path.unlink(missing_ok=True)
         if text is not None:
-            told.path.write_text(text, encoding="utf-8")
+            reported.path.write_text(text, encoding="utf-8")
         events = EventLog(lambda: 0)
         found = _start_localization(config, events)
         assert found is not None
         assert found.saved is None
         assert [event.code for event in events.since(0)[0]] == codes
-    told.now_at(3.0, 1)
-    told.keeper.save()
+    reported.now_at(3.0, 1)
+    reported.keeper.save()
     found = _start_localization(config, EventLog(lambda: 0))
     assert found is not None
     assert found.saved is not None

@@ -39,10 +39,10 @@ def test_the_status_of_a_real_daemon_can_be_reported(tmp_path: Path) -> None:
     outbox = Outbox(100)
     reporter = Reporter(daemon, Topics.of(daemon.settings.current.mqtt), outbox, dict, dict)
     reporter.collect(CLOCK() / 1e9)
-    said = drained(outbox)
-    assert {"state", "sonar", "map", "health", "tf"} <= set(said)
-    assert said["state"][0]["phase"] == "starting"
-    assert said["map"][0]["resolution_m"] == 0.05
+    stated = drained(outbox)
+    assert {"state", "sonar", "map", "health", "tf"} <= set(stated)
+    assert stated["state"][0]["phase"] == "starting"
+    assert stated["map"][0]["resolution_m"] == 0.05
 
 
 def test_a_dead_broker_is_in_the_status_and_the_daemon_goes_on(tmp_path: Path) -> None:

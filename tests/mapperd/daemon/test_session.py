@@ -131,11 +131,11 @@ def test_a_port_that_is_taken_is_reported_and_tried_again(ping_bytes: PingBytes)
                         await asyncio.sleep(0.01)
 
                 await live.run(freed())
-        told = [one for one in events.since(0)[0] if one.code == "odometry_link"]
+        reported = [one for one in events.since(0)[0] if one.code == "odometry_link"]
         phases = ["opening", "backing off", "opening", "waiting", "closed"]
-        assert [one.facts["state"] for one in told] == phases
-        assert {one.facts["link"] for one in told} == {"odometry"}
-        assert "in use" in told[1].text
+        assert [one.facts["state"] for one in reported] == phases
+        assert {one.facts["link"] for one in reported} == {"odometry"}
+        assert "in use" in reported[1].text
 
     run(work())
 
@@ -195,9 +195,9 @@ def test_the_command_writes_the_same_folder(
     assert summary["poses"]["source"] == "fixed"
     assert summary["live"]["pings_placed_by"]
     assert (tmp_path / "out" / "map.bt").exists()
-    said = capsys.readouterr()
-    assert "mapped" in said.out
-    assert "sonar: pinging" in said.err
+    stated = capsys.readouterr()
+    assert "mapped" in stated.out
+    assert "sonar: pinging" in stated.err
 
 
 def test_no_sonar_is_reported_in_one_line(

@@ -15,7 +15,7 @@ from mapperd.api import OperationError, PoseRequest
 from mapperd.config.layers import Layered
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
-from mapperd.daemon.supervisor import StatusLine, only_told_to_stop, supervised
+from mapperd.daemon.supervisor import StatusLine, graceful_stop, supervised
 from mapperd.daemon.systemd import Notifier
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog
@@ -112,7 +112,7 @@ def manager(tmp_path: Path) -> Iterator[Manager]:
 
 async def run(daemon: Daemon, manager: Manager, scene: Any, watchdog_s: float | None = 0.3) -> Any:
     stop = asyncio.Event()
-    said: list[str] = []
+    stated: list[str] = []
     with closing(Notifier(manager.environ)) as notifier:
         async with supervised(
             daemon,
@@ -120,9 +120,9 @@ async def run(daemon: Daemon, manager: Manager, scene: Any, watchdog_s: float | 
             notifier,
             watchdog_s=watchdog_s,
             stop=stop.set,
-            say=said.append,
+            print_line=stated.append,
         ):
-            return await scene(stop, said)
+            return await scene(stop, stated)
 
 
 def test_ready_first_and_stopping_last(manager: Manager) -> None:
@@ -140,14 +140,14 @@ def test_ready_first_and_stopping_last(manager: Manager) -> None:
 def test_the_watchdog_is_fed_by_progress_alone(manager: Manager) -> None:
     daemon = Daemon()
 
-    async def scene(_: asyncio.Event, said: list[str]) -> None:
+    async def scene(_: asyncio.Event, stated: list[str]) -> None:
         daemon.waiting = 1  # and nothing is done from now on, though the loop goes round
         await manager.hears("STATUS=stuck: integration")
         manager.heard.clear()
         await asyncio.sleep(0.4)
         assert "WATCHDOG=1" not in manager.listen()
-        assert any(line.startswith("thread MainThread") for line in said)
-        assert any("test_supervisor" in line for line in said)
+        assert any(line.startswith("thread MainThread") for line in stated)
+        assert any("test_supervisor" in line for line in stated)
         daemon.done += 1
         await manager.hears("WATCHDOG=1")
 
@@ -211,11 +211,11 @@ def test_snapshot_on_signal(manager: Manager, *, refuses: bool) -> None:
 
 
 def test_dump_on_signal(manager: Manager) -> None:
-    async def scene(_: asyncio.Event, said: list[str]) -> None:
+    async def scene(_: asyncio.Event, stated: list[str]) -> None:
         os.kill(os.getpid(), signal.SIGUSR2)
-        await until(lambda: bool(said) and said[-1].startswith("status"))
-        assert said[-1].startswith("status: {'phase': 'mapping'")
-        assert any("scene" in line for line in said)
+        await until(lambda: bool(stated) and stated[-1].startswith("status"))
+        assert stated[-1].startswith("status: {'phase': 'mapping'")
+        assert any("scene" in line for line in stated)
 
     asyncio.run(run(Daemon(), manager, scene))
 
@@ -244,7 +244,7 @@ def test_nobody_is_there_to_reload_at_the_start_and_the_end(manager: Manager) ->
     async def scene(_: asyncio.Event, __: list[str]) -> None:
         await manager.hears("READY=1")
 
-    with only_told_to_stop():
+    with graceful_stop():
         for _ in range(2):
             for number in asking:
                 os.kill(os.getpid(), number)

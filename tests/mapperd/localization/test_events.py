@@ -12,7 +12,7 @@ def reported(*all_facts: LocalizationFacts) -> list[tuple[str, str]]:
     events = EventLog(lambda: 0)
     watch = LocalizationWatch(events)
     for one in all_facts:
-        watch.told(one)
+        watch.update(one)
     return [(event.code, str(event.severity)) for event in events.since(0)[0]]
 
 
@@ -55,7 +55,7 @@ def test_another_map_and_a_level_are_reported() -> None:
 
 def test_text_reports_what_and_where() -> None:
     events = EventLog(lambda: 0)
-    LocalizationWatch(events).told(facts(0.7, std=0.5))
+    LocalizationWatch(events).update(facts(0.7, std=0.5))
     texts = [event.text for event in events.since(0)[0]]
     assert texts[0] == "localizing on tank.yaml"
     assert texts[1].endswith("x 1.00 m, y 2.00 m, 0.500 rad at best")

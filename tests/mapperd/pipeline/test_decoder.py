@@ -30,7 +30,7 @@ def numbers(work: list[Any]) -> list[int]:
     return [one.number for one in work if isinstance(one, PosedPing)]
 
 
-def told(engine: SessionDecoder, decision: Decision) -> list[Any]:
+def reported(engine: SessionDecoder, decision: Decision) -> list[Any]:
     return engine.feed(chunk_of(decision, T0))
 
 
@@ -47,7 +47,7 @@ def test_ping_comes_out_with_its_number_and_the_time_of_its_last_byte(
 
 def test_numbers_count_every_ping_message(ping_bytes: MakeBytes) -> None:
     engine = engine_of()
-    told(engine, Settings({"processing.frame_skip": 2}))
+    reported(engine, Settings({"processing.frame_skip": 2}))
     twice = ping_bytes(1)
     work = [engine.feed(sonar(data)) for data in (twice, twice, ping_bytes(2), ping_bytes(3))]
     assert [numbers(one) for one in work] == [[0], [], [], [3]]
@@ -60,7 +60,7 @@ def test_bytes_behind_a_gap_do_not_join_those_before_it(ping_bytes: MakeBytes) -
     for gap in (Gap("sonar"), Skip("sonar", 7)):
         engine = engine_of()
         engine.feed(sonar(first[:-200]))
-        told(engine, gap)
+        reported(engine, gap)
         assert numbers(engine.feed(sonar(second)) + engine.feed(sonar(ping_bytes(3)))) == [0, 1]
         engine.end()
         assert engine.counters.messages_rejected == {"truncated": 1}
@@ -68,11 +68,11 @@ def test_bytes_behind_a_gap_do_not_join_those_before_it(ping_bytes: MakeBytes) -
 
 def test_gap_is_of_its_link_and_of_the_next_bytes_alone(ping_bytes: MakeBytes) -> None:
     engine = engine_of()
-    told(engine, Gap("vehicle"))
+    reported(engine, Gap("vehicle"))
     data = ping_bytes(1)
     engine.feed(sonar(data[:100]))
     assert numbers(engine.feed(sonar(data[100:]))) == [0]
-    told(engine, Gap("sonar"))
+    reported(engine, Gap("sonar"))
     for piece in (ping_bytes(2)[:100], ping_bytes(2)[100:]):
         engine.feed(sonar(piece))
     engine.end()
@@ -82,22 +82,22 @@ def test_gap_is_of_its_link_and_of_the_next_bytes_alone(ping_bytes: MakeBytes) -
 
 def test_orders_are_obeyed_where_they_stand(ping_bytes: MakeBytes) -> None:
     engine = engine_of()
-    (settings,) = told(engine, Settings({"filtering.min_range": 2.0}))
+    (settings,) = reported(engine, Settings({"filtering.min_range": 2.0}))
     assert isinstance(settings, NewSettings)
     assert settings.config.filtering.min_range == engine.config.filtering.min_range == 2.0
-    assert told(engine, Reset(4)) == [Reset(4)]
-    assert told(engine, Session("a", "1", {})) == []
-    assert told(engine, Drop(0)) == []
+    assert reported(engine, Reset(4)) == [Reset(4)]
+    assert reported(engine, Session("a", "1", {})) == []
+    assert reported(engine, Drop(0)) == []
     assert numbers(engine.feed(sonar(ping_bytes(1)))) == [0]
 
 
 def test_only_gaps_are_believed_where_decisions_are_not_obeyed(ping_bytes: MakeBytes) -> None:
     engine = engine_of(obey=False)
-    assert told(engine, Settings({"filtering.min_range": 2.0})) == []
-    assert told(engine, Reset(4)) == []
+    assert reported(engine, Settings({"filtering.min_range": 2.0})) == []
+    assert reported(engine, Reset(4)) == []
     data = ping_bytes(1)
     engine.feed(sonar(data[:100]))
-    told(engine, Skip("sonar", 5))
+    reported(engine, Skip("sonar", 5))
     assert numbers(engine.feed(sonar(data[100:]))) == [0]
 
 
@@ -115,10 +115,10 @@ def test_place_in_the_stream_is_the_same_however_it_was_cut(ping_bytes: MakeByte
     whole, cut = engine_of(), engine_of()
     data = ping_bytes(1)
     for engine, skips in ((whole, [9]), (cut, [4, 5])):
-        told(engine, Session("a", "1", {}))
+        reported(engine, Session("a", "1", {}))
         for size in skips:
-            told(engine, Skip("sonar", size))
-        told(engine, Drop(3))
+            reported(engine, Skip("sonar", size))
+        reported(engine, Drop(3))
     whole.feed(sonar(data))
     cut.feed(sonar(data[:9]))
     cut.feed(sonar(data[9:]))

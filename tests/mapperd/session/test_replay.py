@@ -294,7 +294,7 @@ def test_pings_are_placed_by_the_sonars_own_clock(
     tmp_path: Path, write_recording: Write, ping_bytes: PingBytes, odometry_bytes: OdometryBytes
 ) -> None:
     """A ping that arrives 60 ms late at 3 m/s is mapped where it was, not 18 cm on."""
-    said = [("odometry", odometry_bytes(p=(0.15 * k, 0.0, 0.0)), 0.05 * k) for k in range(60)]
+    stated = [("odometry", odometry_bytes(p=(0.15 * k, 0.0, 0.0)), 0.05 * k) for k in range(60)]
     pings = []
     for k in range(20):
         late_s = 0.06 if k % 2 else 0.0
@@ -302,7 +302,7 @@ def test_pings_are_placed_by_the_sonars_own_clock(
     prompt = [("ping", data, 0.5 + 0.1 * k) for k, (_, data, _) in enumerate(pings)]
     maps = []
     for events in (prompt, pings):
-        write_recording(tmp_path / "a", sorted([*said, *events], key=lambda event: event[2]))
+        write_recording(tmp_path / "a", sorted([*stated, *events], key=lambda event: event[2]))
         counters, sonar_map = replayed(tmp_path / "a")
         assert counters.pings_mapped == 20
         maps.append(sonar_map.sha256())

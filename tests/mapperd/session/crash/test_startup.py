@@ -237,7 +237,7 @@ def test_bricks_whose_recordings_are_gone_stay_on_record(tmp_path: Path) -> None
     assert codes(opened(config)) == ["recovered", "bricks_lost"]
 
 
-def test_recordings_that_are_gone_are_said_to_be(tmp_path: Path) -> None:
+def test_recordings_that_are_gone_are_reported_to_be(tmp_path: Path) -> None:
     config = config_of(tmp_path)
     path = record(config, 1, "a", range(30))
     mapped(config, "a", chunks=60)
@@ -245,7 +245,7 @@ def test_recordings_that_are_gone_are_said_to_be(tmp_path: Path) -> None:
     assert codes(opened(config)) == ["not_recovered"]
 
 
-def test_mapping_again_that_is_cut_short_is_begun_anew(
+def test_mapping_again_that_is_cut_short_is_begun_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = config_of(tmp_path)
