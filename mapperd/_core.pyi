@@ -115,7 +115,7 @@ class VoxelMap:
     def block_count(self) -> int: ...
     @property
     def memory_bytes(self) -> int:
-        """All that the map allocates, within 5 % of what the allocator says."""
+        """All that the map allocates, within 5 % of the allocator's figure."""
 
     @property
     def held_voxels(self) -> int:
@@ -228,7 +228,7 @@ class VoxelMap:
 
         Raises:
             ValueError: not all of a map, or one of another resolution, clamps or settled count;
-                the text says what is wrong. The map is as before.
+                the text states what is wrong. The map is as before.
         """
 
     def octomap_bt(self, occupied_log_odds: float, free_log_odds: float) -> bytes:
@@ -258,7 +258,7 @@ class VoxelMap:
                 By default 2^28, about 0.9 GB where no cell of 4^3 voxels is all alike.
 
         Raises:
-            ValueError: no whole tree of this resolution, or over `max_voxels`; the text says what
+            ValueError: no whole tree of this resolution, or over `max_voxels`; the text states what
                 and at which byte. The map is as before.
         """
 
@@ -404,7 +404,7 @@ class VoxelMap:
     ) -> tuple[Key, Key] | None:
         """A box of blocks, first and last, outside of which the ping changes nothing.
 
-        None for a ping that says nothing. Raises as `integrate_evidence_grid`, for the same pings.
+        None for a ping without evidence. Raises as `integrate_evidence_grid`, for the same pings.
         """
 
     def limit_to_tile(self, tile: Key, tile_bricks: int) -> None:
@@ -422,7 +422,7 @@ class VoxelMap:
 
         Args:
             tile_bricks: along an edge.
-            fetch: is told the tiles that a ping is about to change, in ascending order, and
+            fetch: receives the tiles that a ping is about to change, in ascending order, and
                 returns when they are here; what it raises refuses the ping, which leaves the map
                 as it was. No lock of the map is held meanwhile.
 
@@ -470,10 +470,10 @@ class VoxelMap:
     def stream_digests(
         self, view: StreamView, keys: NDArray[np.int32]
     ) -> tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.bool_]]:
-        """What a view tells of blocks of the map stream, as one number a block.
+        """Digest of what a view sends of blocks of the map stream, one number a block.
 
         Args:
-            view: how cells are told.
+            view: how cells are encoded.
             keys: (N, 3).
 
         Returns:
@@ -492,7 +492,7 @@ class VoxelMap:
         """
 
 class StreamView:
-    """How the map stream tells cells.
+    """How the map stream encodes cells.
 
     Args:
         level: cells are cubes of 2**level voxels.
@@ -928,11 +928,11 @@ class MclFilter:
     ) -> MclWeighed:
         """Log-likelihoods (N,) from elsewhere; NaN and +infinity count as likelihood 0.
 
-        `kind` says what `fit` is: `cube_sum_from_one`, `cube_sum` or `product`.
+        `kind` is the meaning of `fit`: `cube_sum_from_one`, `cube_sum` or `product`.
         """
 
     def resample_if_due(self, free: MclFreeSpace | None = None) -> bool:
-        """Resample when interval and effective size say so; random particles come from `free`."""
+        """Resample when interval and size require it; random particles come from `free`."""
 
     def resample(self, free: MclFreeSpace | None = None) -> None: ...
     def effective_size(self) -> float: ...

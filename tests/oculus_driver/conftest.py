@@ -33,7 +33,7 @@ def captured(capture: bytes) -> list[Message]:
 
 @pytest.fixture(scope="session")
 def make_ping() -> MakePing:
-    """Return a maker of ping messages: small and sound, unless told otherwise."""
+    """Return a maker of ping messages: small and sound, except for `changes`."""
 
     def make(**changes: Any) -> bytes:
         rows, beams = changes.pop("rows", 5), changes.pop("beams", 256)

@@ -156,7 +156,7 @@ def test_every_field_of_the_fixed_part_is_read(message: Message, golden: Golden)
     assert PING_RESULT_V1.pack(fields) == message.data[:122]
 
 
-def test_the_ping_says_what_the_message_says(ping: Ping, golden: Golden) -> None:
+def test_the_ping_holds_what_the_message_holds(ping: Ping, golden: Golden) -> None:
     assert (ping.ping_id, ping.offset, ping.version) == (golden.ping_id, golden.offset, 1)
     assert (ping.source_id, ping.part_number, ping.mode) == (7892, 0, 2)
     assert (ping.flags, ping.status, ping.gamma) == (0x19, 0, 127)

@@ -47,7 +47,7 @@ def arrival(start_s: float, delay_ns: int = 0, flight_ns: int = 20 * MS) -> int:
     return BOOT_NS + round(start_s * 1e9) + flight_ns + delay_ns
 
 
-def test_a_prompt_ping_left_when_its_clock_says(ping_at: Pings) -> None:
+def test_a_prompt_ping_left_when_its_clock_has_it(ping_at: Pings) -> None:
     time = SonarClock().place(ping_at(1, 5.0, arrival(5.0)))
     assert time == PingTime(1, BOOT_NS + 5 * S, BOOT_NS + 5 * S + 20 * MS, 0, "device")
 
@@ -66,7 +66,7 @@ def test_the_delay_of_network_and_host_is_taken_out(ping_at: Pings) -> None:
     assert clock.placed == {"device": 600}
 
 
-def test_lateness_is_told(ping_at: Pings) -> None:
+def test_lateness_is_reported(ping_at: Pings) -> None:
     pings = [ping_at(k, k + 1.0, arrival(k + 1.0, 30 * MS if k == 4 else 0)) for k in range(6)]
     assert [time.lateness_ns for time in placed(SonarClock(), pings)] == [0] * 4 + [30 * MS, 0]
 
@@ -97,7 +97,7 @@ def test_the_latency_that_is_known_is_subtracted(ping_at: Pings) -> None:
 
 
 @pytest.mark.parametrize("start_s", [None, 0.0, 1e10, 1e300])
-def test_without_a_start_time_the_arrival_tells(ping_at: Pings, start_s: float | None) -> None:
+def test_without_a_start_time_the_arrival_counts(ping_at: Pings, start_s: float | None) -> None:
     clock = SonarClock()
     for k in range(5):
         ping = ping_at(k, start_s, arrival(k + 1.0))
@@ -205,7 +205,7 @@ def test_wraps_that_nobody_saw_are_counted_by_the_arrivals(ping_at: Pings) -> No
     assert clock.period_s == pytest.approx(9.0)
 
 
-def test_ticks_start_anew_with_the_sonar(ping_at: Pings) -> None:
+def test_ticks_start_again_with_the_sonar(ping_at: Pings) -> None:
     clock = SonarClock(tick_ns=8.0)
     for n, ticks, host_s in ((900, 4_000_000_000, 0.0), (1, 125, 20.0), (2, 125_000_125, 21.0)):
         time = clock.place(ping_at(n, None, arrival(host_s), start_ticks=ticks))

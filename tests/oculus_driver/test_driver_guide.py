@@ -1,4 +1,4 @@
-"""What docs/guides/driver.md says can be done as it stands."""
+"""The examples of docs/guides/driver.md run as they stand."""
 
 from __future__ import annotations
 

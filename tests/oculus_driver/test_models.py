@@ -43,7 +43,7 @@ def test_the_m370s_has_one_mode() -> None:
 
 
 def test_the_beam_of_the_m750d_depends_on_when_it_was_made() -> None:
-    # quirk 35: nothing in the stream tells which
+    # quirk 35: nothing in the stream distinguishes them
     assert M750D.modes[1].elevation_deg == (12.0, 20.0)
 
 

@@ -1,4 +1,4 @@
-"""docs/reference/models.md says what the driver knows about models, no more and no less."""
+"""docs/reference/models.md states what the driver knows about models, no more and no less."""
 
 from __future__ import annotations
 
@@ -78,5 +78,5 @@ def test_the_table_agrees_with_the_driver(place: int, expected: list[str]) -> No
     assert tables_of(PAGE)[place] == expected
 
 
-def test_the_number_of_beams_is_told() -> None:
+def test_the_number_of_beams_is_reported() -> None:
     assert f"{BEAMS[0]} or {BEAMS[1]} beams" in PAGE

@@ -42,7 +42,7 @@ FAULTS = Faults(
 async def all_taken(sonar: OculusSonar) -> None:
     """Wait for a sign of life behind the last ping, and for the reader."""
     before = sonar.counters.messages.get(MessageId.DUMMY, 0)
-    while (  # noqa: ASYNC110 - nothing tells of dummies
+    while (  # noqa: ASYNC110 - nothing reports dummies
         sonar.counters.messages.get(MessageId.DUMMY, 0) == before or sonar.counters.queued
     ):
         await asyncio.sleep(0.01)

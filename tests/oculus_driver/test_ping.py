@@ -118,7 +118,7 @@ def test_impossible_readings_are_not_available(make_ping: MakePing, value: float
     assert (*readings, ping.pressure_bar) == (None,) * 5
 
 
-def test_numbers_that_are_none_stay_numbers_but_are_told(make_ping: MakePing) -> None:
+def test_numbers_that_are_invalid_stay_numbers_but_are_reported(make_ping: MakePing) -> None:
     nan = math.nan
     ping = ping_of(
         make_ping(
@@ -138,7 +138,9 @@ def test_a_range_in_percent_is_not_taken_for_metres(make_ping: MakePing) -> None
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 1299.9, 1700.1, math.nan, math.inf, 1e-300])
-def test_an_odd_sound_speed_is_told_and_timing_uses_1500(make_ping: MakePing, speed: float) -> None:
+def test_an_odd_sound_speed_is_reported_and_timing_uses_1500(
+    make_ping: MakePing, speed: float
+) -> None:
     ping = ping_of(make_ping(speed_of_sound_mps=speed))
     assert ping.warnings == {"odd_sound_speed"}
     start = ping.transmit_time_ns()
@@ -176,7 +178,7 @@ def test_amplitude_is_finite_at_full_scale(make_ping: MakePing) -> None:
     np.testing.assert_allclose(amplitude[:, 0], [2.0**32, 2.0**16], rtol=1e-6)
 
 
-def test_gain_words_are_told_by_size_not_by_flag(make_ping: MakePing) -> None:
+def test_gain_words_are_read_by_size_not_by_flag(make_ping: MakePing) -> None:
     with_words = ping_of(make_ping(gains=np.ones(5, np.uint32), flags=0x09))
     without = ping_of(make_ping(flags=0x0D))
     assert with_words.gains is not None
@@ -186,7 +188,9 @@ def test_gain_words_are_told_by_size_not_by_flag(make_ping: MakePing) -> None:
 
 
 @pytest.mark.parametrize("width", [1, 2, 3, 4])
-def test_an_unknown_data_size_is_told_by_the_only_fit(make_ping: MakePing, width: int) -> None:
+def test_an_unknown_data_size_is_inferred_from_the_only_fit(
+    make_ping: MakePing, width: int
+) -> None:
     data = make_ping(dtype=np.uint32, image=np.full((5, 256), 77, np.uint32), data_size=width)
     ping = ping_of(patched(data, PING_RESULT_V2, data_size=9))
     assert ping.bits_per_sample == 8 * width
@@ -264,7 +268,7 @@ def test_an_image_over_the_table_is_a_mismatch(make_ping: MakePing) -> None:
     assert reason_of(patched(data, PING_RESULT_V2, **over)) == "size_mismatch"
 
 
-def test_two_beams_in_one_direction_are_told(make_ping: MakePing) -> None:
+def test_two_beams_in_one_direction_are_reported(make_ping: MakePing) -> None:
     table = np.linspace(-6000, 6000, 256).astype(np.int16)
     table[7] = table[8]
     assert ping_of(make_ping(bearings_cdeg=table)).warnings == {"bad_bearings"}

@@ -64,7 +64,7 @@ def test_the_state_of_the_sonar_has_a_name(bits: int, state: str, reason: str | 
     assert (status.master_state, status.pause_reason) == (state, reason)
 
 
-def test_heat_and_failure_are_told() -> None:
+def test_heat_and_failure_are_reported() -> None:
     status = decoded(status_bits=3 | 3 << 14 | 1 << 16)
     assert status.temperature_state == "shut down"
     assert status.transmitter_failed

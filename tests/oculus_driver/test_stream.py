@@ -385,7 +385,7 @@ def test_any_bytes_are_parsed(stream: bytes, cuts: list[int]) -> None:
     assert parsed(stream, *(min(cut, len(stream)) for cut in cuts)) == parsed(stream)
 
 
-def test_a_ping_too_short_for_one_is_none_while_the_place_is_in_doubt() -> None:
+def test_a_ping_too_short_for_one_is_invalid_while_the_place_is_in_doubt() -> None:
     least = Header(MAGIC, 1, 0, MessageId.PING_RESULT, 2, MIN_PING_PAYLOAD, 0)
     assert header_fault(least, strict=True) is None
     short = least._replace(payload_size=MIN_PING_PAYLOAD - 1)

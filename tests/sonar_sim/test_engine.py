@@ -229,7 +229,7 @@ def test_a_silent_surface_hides_without_an_echo() -> None:
     assert not picture(scene, dataclasses.replace(MEAN, silent=frozenset({"near"}))).any()
 
 
-def test_the_sea_ends_the_water_and_scatters_if_told_to() -> None:
+def test_the_sea_ends_the_water_and_scatters_on_request() -> None:
     scene = Scene((plate(5.0),), sea=Sea(lambert_db=-20.0))
     below = pose_at((0.0, 0.0, -1.0))
     sonar = narrow_sonar(6.0, 0.01)

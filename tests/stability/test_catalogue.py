@@ -9,7 +9,7 @@ from studies.report import PAGES, section
 LEAST_CASES = 80
 
 
-def test_every_case_says_what_it_guards_against_and_what_happens_naively() -> None:
+def test_every_case_states_what_it_guards_against_and_what_happens_naively() -> None:
     found = list(cases())
     assert len(found) >= LEAST_CASES
     assert len({case.name for case in found}) == len(found), "two cases of one name"

@@ -233,10 +233,10 @@ def test_time_of_day_over_midnight() -> None:
     """
     day = UtcDay()
     day.learn("14", "11", "2023")  # 1 700 000 000 s is at 22:13:20 of it
-    said = ("235959.900", "000000.100", "235959.950", "000000.200")
+    times = ("235959.900", "000000.100", "235959.950", "000000.200")
     midnight_ns = (NOW_NS // DAY_NS + 1) * DAY_NS
     expected = [midnight_ns + off * MS for off in (-100, 100, -50, 200)]
-    assert [day.stamp(text, NOW_NS)[0] for text in said] == expected
+    assert [day.stamp(text, NOW_NS)[0] for text in times] == expected
     leap, _ = day.stamp("235960.5", NOW_NS)
     assert abs(leap - midnight_ns) <= S
 

@@ -104,15 +104,15 @@ def test_start_times_near_the_end_of_their_digits() -> None:
     start_s = 0.999e9
     clock = SonarClock()
     for k in range(50):
-        said = start_s + 0.1 * k
+        start = start_s + 0.1 * k
         with mp.workdps(40):
             exact_ns = int(mp.nint((mp.mpf(start_s) + mp.mpf(k) / 10) * S))
-        time = placed(clock, k, said, BOOT_NS + exact_ns + FLIGHT_NS)
+        time = placed(clock, k, start, BOOT_NS + exact_ns + FLIGHT_NS)
         assert abs(time.transmit_ns - (BOOT_NS + exact_ns)) <= 120
 
 
 @pytest.mark.parametrize("start_s", [0.0, -1.0, 1e9, 1e300, float("inf"), float("nan"), None])
-def test_start_time_that_is_none(start_s: float | None) -> None:
+def test_start_time_that_is_invalid(start_s: float | None) -> None:
     """Zero, left-over memory, or no number where the start time should be: the arrival counts.
 
     Naively infinity is rounded to an integer, which raises, and NaN is earlier and later than all.

@@ -130,7 +130,7 @@ def test_single_precision_of_the_notch_is_that_of_double() -> None:
     assert np.abs(got - exact).max() < 2e-5
 
 
-def test_a_fan_of_no_width_tells_no_stripe() -> None:
+def test_a_fan_of_no_width_shows_no_stripe() -> None:
     """Where all beams look one way a wall is as flat as a stripe; nothing separates them.
 
     Naively the bend of a plane over the fan is 1 / cos(0) - 1, by which a row is divided.

@@ -125,7 +125,7 @@ def test_zone_at_the_antimeridian(longitude_rad: float) -> None:
 def test_way_across_the_antimeridian() -> None:
     """A vehicle that dives over longitude 180 goes straight on, without a jump.
 
-    Naively its longitude falls by 360 degrees, and the map begins anew on the other side.
+    Naively its longitude falls by 360 degrees, and the map starts again on the other side.
     """
     fusion = Fusion()
     for k in range(11):
@@ -152,10 +152,10 @@ def test_pressure_in_single_precision(depth_m: float) -> None:
     with mp.workdps(30):
         per_m = mp.mpf(settings.water_density) * mp.mpf("9.80665") / 100
         exact = mp.mpf(settings.surface_pressure) + per_m * mp.mpf(depth_m)
-    said = np.float32(float(exact))
-    fields = _pressure(SimpleNamespace(press_abs=float(said)), settings)
+    pressure = np.float32(float(exact))
+    fields = _pressure(SimpleNamespace(press_abs=float(pressure)), settings)
     assert not isinstance(fields, Reject)
-    step_m = float(np.spacing(said)) / float(per_m)
+    step_m = float(np.spacing(pressure)) / float(per_m)
     assert fields["depth_m"] == pytest.approx(depth_m, abs=0.51 * step_m + 1e-9)
 
 
@@ -169,7 +169,7 @@ def test_pressure_that_cannot_be(hectopascal: float) -> None:
     assert isinstance(fields, Reject)
 
 
-def told(covariance: Floats) -> NativeRecord:
+def record_of(covariance: Floats) -> NativeRecord:
     """By a sender in NED and FRD, as the upper triangle."""
     triangle = tuple(covariance[np.triu_indices(6)].tolist())
     level = (1.0, 0.0, 0.0, 0.0)
@@ -183,7 +183,7 @@ def test_rank_deficient_covariance_of_a_sender(rank: int) -> None:
     Naively somebody inverts it, or its root is taken by Cholesky: the daemon dies of one record.
     """
     root = np.random.default_rng(rank).normal(size=(6, rank)) * 0.1
-    taken = odometry_of(told(root @ root.T))
+    taken = odometry_of(record_of(root @ root.T))
     assert isinstance(taken, Odometry)
     fusion = Fusion()
     for k in range(3):
@@ -217,7 +217,7 @@ def test_unknown_variance_beside_a_small_one(unknown: float) -> None:
     Naively both are turned in one product, and 1e12 times a rounded zero is added to 1e-6.
     """
     matrix = np.diag([unknown, 1e-6, 1e-6, 1e-8, 1e-8, 1e-8])
-    taken = odometry_of(told(matrix))
+    taken = odometry_of(record_of(matrix))
     assert isinstance(taken, Odometry)
     assert taken.pose_covariance is not None
     assert np.diag(taken.pose_covariance) == pytest.approx([1e-6, unknown, *np.diag(matrix)[2:]])
@@ -232,6 +232,6 @@ def test_variance_that_cannot_be(wrong: float) -> None:
     Naively its root is NaN, and a filter downstream weighs this record with it.
     """
     matrix = np.diag([0.1, 0.1, wrong, 0.1, 0.1, 0.1])
-    refused = odometry_of(told(matrix))
+    refused = odometry_of(record_of(matrix))
     assert isinstance(refused, Reject)
     assert refused.reason in ("not_finite", "negative_variance")

@@ -141,7 +141,7 @@ def test_slerp_of_nearly_equal_orientations(angle_rad: float, fraction: float) -
 def test_slerp_of_opposite_orientations(short_of_pi: float) -> None:
     """Half a revolution apart, the middle is a quarter from both ends, whichever way it went.
 
-    Naively the chord goes through zero, or its sign is told by rounding and the way is 3/4 long.
+    Naively the chord goes through zero, or its sign is decided by rounding and the way is 3/4 long.
     """
     end = quaternion_product(ODD, about(math.pi - short_of_pi))
     middle = quaternion_between(ODD, end, 0.5)

@@ -60,10 +60,10 @@ def test_float_seconds_of_a_sender() -> None:
     Naively it is added to others as float seconds again and again, and jitters by a microsecond.
     """
     for text in ("1700000000.123456", "1789999999.999999", "1234567890.000001"):
-        said = Position(float(text), (0, 0, 0), 0.1, (0, 0, 0), 0).odometry()
-        assert isinstance(said, Odometry)
+        record = Position(float(text), (0, 0, 0), 0.1, (0, 0, 0), 0).odometry()
+        assert isinstance(record, Odometry)
         with mp.workdps(40):
-            assert abs(said.stamp_ns - mp.mpf(text) * S) < 300
+            assert abs(record.stamp_ns - mp.mpf(text) * S) < 300
 
 
 def test_two_records_of_one_stamp() -> None:
@@ -113,7 +113,7 @@ def test_records_out_of_order() -> None:
 
 
 def test_motion_is_carried_on_to_its_limit_and_not_a_nanosecond_further() -> None:
-    """100 ms after the last record there is a pose, and a nanosecond later there is none.
+    """100 ms after the last record there is a pose, and no pose a nanosecond later.
 
     Naively the age of a record is a difference of float seconds of 1970, 238 ns sharp, and whether
     a ping at the limit is mapped changes from run to run.
@@ -230,7 +230,7 @@ def test_stamp_at_the_ends_of_64_bits(stamp_ns: int) -> None:
 
 
 @pytest.mark.parametrize("t_ns", [-(10**30), -1, 0, 10**30])
-def test_moment_that_no_clock_says(t_ns: int) -> None:
+def test_moment_that_no_clock_has(t_ns: int) -> None:
     """Asked for a pose at a time far outside its records, fusion reports the distance in time.
 
     Naively the time is cast to 64 bits and wraps to some other moment, or motion is carried there.

@@ -198,7 +198,7 @@ def test_no_particles() -> None:
 def test_identical_particles() -> None:
     """A cloud in one point has a covariance that can be inverted.
 
-    Naively its variances are 0, and whoever inverts it downstream gets infinities.
+    Naively its variances are 0, and its inverse is infinite downstream.
     """
     estimate = filter_at(np.tile(pose(1, 1, 1), (300, 1))).estimate()
     assert np.linalg.inv(estimate.covariance) == pytest.approx(np.eye(3) * 1e12)
@@ -281,7 +281,7 @@ def test_singular_initial_covariance(covariance: NDArray[np.float64]) -> None:
     ],
     ids=["negative", "asymmetric", "not a number", "infinite"],
 )
-def test_initial_covariance_that_is_none(covariance: NDArray[np.float64]) -> None:
+def test_initial_covariance_that_is_invalid(covariance: NDArray[np.float64]) -> None:
     """A matrix that is no covariance is refused, and the cloud there was is kept.
 
     Naively half of it is used, or NaN is drawn into every particle.
@@ -360,7 +360,7 @@ def test_one_seed_is_one_run_on_any_number_of_threads() -> None:
 def test_initialising_does_not_restart_the_generator() -> None:
     """Each start draws other particles.
 
-    Naively a generator seeded anew by every start draws the same unlucky cloud again and again.
+    Naively a generator seeded again by every start draws the same unlucky cloud again and again.
     """
     particles = cloud()
     first = particles.poses

@@ -62,7 +62,7 @@ def test_random_particles_come_once_for_one_bad_moment() -> None:
     """What has been answered by random particles is forgotten.
 
     Naively the averages still remember it at the next update, and at hundreds after that: each
-    brings random particles anew, and the cloud never settles.
+    brings random particles again, and the cloud never settles.
     """
     particles = recovering(3000)
     for range_m in (8.1, 8.1, 8.1, 3.0):

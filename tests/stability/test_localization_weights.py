@@ -156,7 +156,7 @@ def test_no_random_readings_and_no_hit() -> None:
 def test_beams_that_no_particle_explains_without_random_readings() -> None:
     """A beam model without random readings takes a reading beside all that it expects.
 
-    Naively each such beam is a factor of 0, and whatever the others say is lost.
+    Naively each such beam is a factor of 0, and the evidence of the others is lost.
     """
     model = BeamModel(
         z_hit=1.0,

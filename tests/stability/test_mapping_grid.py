@@ -61,7 +61,7 @@ def test_water_on_both_sides_of_zero_is_not_one_voxel() -> None:
     assert holding(voxels, np.full((1, 3), -0.0)) == [8.0]
 
 
-def test_a_point_on_a_face_lies_in_the_voxel_that_its_last_bit_says() -> None:
+def test_a_point_on_a_face_lies_in_the_voxel_that_its_last_bit_selects() -> None:
     """Grids of points at whole multiples of the voxel lie on faces, give or take a last bit.
 
     Naively the coordinate is multiplied by 1 / 0.05, rounded once more, or a small number is added

@@ -169,10 +169,10 @@ def test_a_range_of_less_than_a_voxel_marks_no_more_than_it_fills() -> None:
 
 @pytest.mark.parametrize("turned_by", [1e-9, 3e-7])
 def test_a_pose_that_drifted_off_its_rotation_maps_as_the_rotation(turned_by: float) -> None:
-    """A rotation that was multiplied a million times is none any more, by some 1e-10 to 1e-7.
+    """A rotation multiplied a million times is off a true rotation by some 1e-10 to 1e-7.
 
-    Naively it is refused as none, or its stretch is taken for lengths and the voxels at the end of
-    the range are others.
+    Naively it is refused as invalid, or its stretch is taken for lengths and the voxels at the end
+    of the range are others.
     """
     drifted = np.eye(3) * (1 + turned_by)
     look = Look(pose=at(0.013, 0.021, -0.034))

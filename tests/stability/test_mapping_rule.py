@@ -177,7 +177,7 @@ def test_a_voxel_hit_a_million_times_still_comes_free() -> None:
     """A quay that was mapped for days and is torn down must leave the map.
 
     Naively log-odds without a clamp stand at 286000 after a million hits, and three million pings
-    of free water are needed before the map says so.
+    of free water are needed before the map shows it.
     """
     voxels = one_voxel(Rule())
     observe(voxels, np.ones(1_000_000, bool))
@@ -204,7 +204,7 @@ def test_a_voxel_seen_free_a_million_times_can_be_occupied() -> None:
     assert state(voxels)[0] > 0
 
 
-def test_counts_stop_at_65535_and_do_not_begin_anew() -> None:
+def test_counts_stop_at_65535_and_do_not_start_again() -> None:
     """The slowest learning rate settles after 65535 pings, the last number of 16 bits.
 
     Naively the next ping makes the count 0, which means never observed: the voxel is gone and its
@@ -218,7 +218,7 @@ def test_counts_stop_at_65535_and_do_not_begin_anew() -> None:
     observe(voxels, np.array([True]))
     step = 3.5 * float(rule.weight(255.0)) / 65536
     assert step < unit / 2
-    assert state(voxels) == (before, 65535)  # a step of less than half a unit is none
+    assert state(voxels) == (before, 65535)  # a step of less than half a unit is 0
     # Its rate shows in one that counts 65536 times; at a rate of 1 it would end at the clamp.
     observe(voxels, np.array([True]), np.array([65536.0]))
     assert abs(state(voxels)[0] - before - 65536 * step) <= unit / 2
@@ -230,7 +230,7 @@ def test_a_million_tiny_steps_add_up_in_whole_units() -> None:
     """A million steps about as large as a unit are rounded each to a whole one: half a unit is lost
     at each at most, the sum of what is left is exact, and the same in any order.
 
-    Naively they are summed in single precision, which rounds the sum anew at each step: it is
+    Naively they are summed in single precision, which rounds the sum at each step: it is
     nearer to the rule, but in another order it is another map.
     """
     rule = Rule(decay_rate=0.0, adaptive_update=False, L_min=-15.0, L_max=15.0)
@@ -255,9 +255,9 @@ def test_a_million_tiny_steps_add_up_in_whole_units() -> None:
 @pytest.mark.slow
 def test_a_slow_learner_s_steps_are_whole_units_and_its_sum_is_theirs() -> None:
     """A learning rate of a thousandth makes steps of less than a unit, each of which is a whole one
-    or none: the map holds exactly their sum, which after a million is 3 where the rule says 74.
+    or 0: the map holds exactly their sum, which after a million is 3 where the rule gives 74.
 
-    Naively steps are cut off to whole units: those of seven tenths are none, and a voxel stands
+    Naively steps are cut off to whole units: those of seven tenths are 0, and a voxel stands
     still whatever is seen.
     """
     rule = Rule(min_alpha=0.001, decay_rate=10.0, adaptive_update=False, L_min=-127.0, L_max=127.0)
@@ -342,6 +342,6 @@ def test_probability_and_log_odds_are_each_other_s_way_back() -> None:
     """
     values = np.linspace(-30, 30, 601)
     back = np.array([log_odds_of(float(p), "p") for p in probabilities_of(values)])
-    # What p beside 1 can tell at all is half its last place times dL/dp = 1 / (p (1 - p)).
-    can_tell = 2**-53 * (1 + np.exp(np.maximum(values, 0))) + 1e-14
-    assert (np.abs(back - values) <= 3 * can_tell).all()
+    # What p beside 1 can resolve at all is half its last place times dL/dp = 1 / (p (1 - p)).
+    resolved = 2**-53 * (1 + np.exp(np.maximum(values, 0))) + 1e-14
+    assert (np.abs(back - values) <= 3 * resolved).all()

@@ -112,7 +112,7 @@ def test_two_surfaces_in_one_place_echo_as_one() -> None:
     """Two drawings of one quay lie on each other, triangle upon triangle.
 
     Naively each ray meets one or the other by the last bit, and from each edge between them it is
-    traced anew; or both echo, 3 dB too loud.
+    traced again; or both echo, 3 dB too loud.
     """
     wall = rectangle((3.0, 0.0, 0.0), (0.0, 4.0, 0.0), (0.0, 0.0, 4.0), DULL)
     twin = dataclasses.replace(wall, name="twin")

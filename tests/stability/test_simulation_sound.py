@@ -214,7 +214,7 @@ def test_levels_of_black_pictures_differ_by_nothing() -> None:
     """Rules compare pictures in dB, and a picture of open water is black.
 
     Naively 20 log of 0 is minus infinity, and the difference of two such no number: the rule for
-    each effect says no, or yes, for ever.
+    each effect answers no, or yes, for ever.
     """
     sonar = SonarSettings()
     black, faint = np.zeros((50, 64), np.float32), np.full((50, 64), 1e-30, np.float32)
@@ -233,7 +233,7 @@ def test_levels_of_black_pictures_differ_by_nothing() -> None:
     assert 500.0 < level_change_db(louder, black, wide, 0.001, (0.5, 0.5)) < 1000.0
 
 
-def test_speckle_of_next_to_no_mean_is_as_clipped_as_the_law_says() -> None:
+def test_speckle_of_next_to_no_mean_is_as_clipped_as_by_the_law() -> None:
     """The mean of clipped speckle is m erf(1 / m), from a mean of nothing to one beyond full scale.
 
     Naively 1 / m is infinite at 0, and at large m the product is that of a huge and a tiny number.

@@ -208,7 +208,7 @@ def test_a_map_of_more_changes_than_a_double_counts_goes_on(tmp_path: Path, revi
 
 
 @pytest.mark.parametrize("revision", [-1, -(2**63), 2**62, 2**63 - 1])
-def test_a_revision_that_no_map_has_is_damage_and_said_so(tmp_path: Path, revision: int) -> None:
+def test_a_revision_that_no_map_has_is_damage_and_reported(tmp_path: Path, revision: int) -> None:
     """One bit of a file may turn, and the sign of the revision is one.
 
     Naively the number is handed on as it is: opening ends in a TypeError, or the next save in an

@@ -58,7 +58,7 @@ def mirrored(voxels: _core.VoxelMap, step: float, level: int = 0) -> MapMirror:
 
 
 @pytest.mark.parametrize("step", [1e-6, 0.01, 0.25, 0.5, 1.0])
-def test_a_voxel_a_unit_beyond_a_threshold_is_told_on_its_side(step: float) -> None:
+def test_a_voxel_a_unit_beyond_a_threshold_is_sent_on_its_side(step: float) -> None:
     """The client's classes are the map's, although it receives log-odds in coarse steps.
 
     Naively log-odds are rounded to the nearest step, which lies on the other side of the threshold:
@@ -69,18 +69,18 @@ def test_a_voxel_a_unit_beyond_a_threshold_is_told_on_its_side(step: float) -> N
     values = np.concatenate([limits[0] + units, limits[1] + units])
     voxels, points = voxels_of(values, USUAL)
     assert (voxels.query(points)[0] == values).all()
-    told = mirrored(voxels, step).classify(points)
+    sent = mirrored(voxels, step).classify(points)
     expected = voxels.classify(points, OCCUPIED, FREE)
     assert (expected == np.where(values > OCCUPIED, 1, np.where(values < FREE, 0, -1))).all()
     assert set(expected.tolist()) == {-1, 0, 1}
     reached = 127 * step > OCCUPIED  # of so fine a step no multiple lies beyond the thresholds
-    assert (told == (expected if reached else -1)).all()
+    assert (sent == (expected if reached else -1)).all()
 
 
 def test_a_client_is_off_by_half_a_step_and_beside_a_threshold_by_less_than_one() -> None:
     """A client computes with what it received, within the error that the page states.
 
-    Naively half a step is told as the bound: 0.125. Beside a threshold the class has precedence,
+    Naively half a step is stated as the bound: 0.125. Beside a threshold the class has precedence,
     and the nearest step on its side is 0.155 away.
     """
     values = np.arange(-4.0, 4.0, UNIT)  # all that the map can hold there
@@ -89,9 +89,9 @@ def test_a_client_is_off_by_half_a_step_and_beside_a_threshold_by_less_than_one(
         points = np.zeros((len(eight), 3)) + 0.05
         points[:, 0] += 0.1 * np.arange(len(eight))
         voxels.set_log_odds(points, eight)
-        told = 0.25 * voxels.stream_blocks(view(0.25), ORIGIN)[1][0, : len(eight)]
-        off.append(np.abs(told - eight))
-        p_off.append(np.abs(1 / (1 + np.exp(-told)) - 1 / (1 + np.exp(-eight))))
+        sent = 0.25 * voxels.stream_blocks(view(0.25), ORIGIN)[1][0, : len(eight)]
+        off.append(np.abs(sent - eight))
+        p_off.append(np.abs(1 / (1 + np.exp(-sent)) - 1 / (1 + np.exp(-eight))))
     limits = np.array([OCCUPIED, FREE])
     away = np.abs(values[:, None] - limits).min(axis=1)
     assert np.concatenate(off)[away > 0.125].max() <= 0.125
@@ -99,7 +99,7 @@ def test_a_client_is_off_by_half_a_step_and_beside_a_threshold_by_less_than_one(
     assert np.concatenate(p_off).max() == pytest.approx(0.038, abs=5e-4)
 
 
-def test_the_ends_of_log_odds_are_told_as_such_and_not_as_unknown() -> None:
+def test_the_ends_of_log_odds_are_sent_as_such_and_not_as_unknown() -> None:
     """Cells are bytes, with -128 for unknown: certain water must not become that.
 
     Naively -127 / 0.25 is cut off to eight bits: 4, which is occupied, and -32 / 0.25 is unknown.
@@ -108,11 +108,11 @@ def test_the_ends_of_log_odds_are_told_as_such_and_not_as_unknown() -> None:
     voxels, _ = voxels_of(values)
     for step, expected in ((0.25, 127), (1e-6, 127), (1.0, None)):
         _, cells, _, _ = voxels.stream_blocks(view(step), ORIGIN)
-        told = cells[0, :8].astype(int)
-        assert (np.sign(told) == np.sign(values)).all()
-        assert UNKNOWN not in told
+        sent = cells[0, :8].astype(int)
+        assert (np.sign(sent) == np.sign(values)).all()
+        assert UNKNOWN not in sent
         if expected is not None:
-            assert (np.abs(told) == expected).all()
+            assert (np.abs(sent) == expected).all()
 
 
 def test_halves_of_a_step_do_not_lean_to_one_side() -> None:
@@ -124,11 +124,11 @@ def test_halves_of_a_step_do_not_lean_to_one_side() -> None:
     values = (np.arange(8) + 6.5) * 0.25
     up, _ = voxels_of(values)
     down, _ = voxels_of(-values)
-    told_up = up.stream_blocks(view(0.25), ORIGIN)[1][0, :8].astype(int)
-    told_down = down.stream_blocks(view(0.25), ORIGIN)[1][0, :8].astype(int)
-    assert (told_up == -told_down).all()
-    assert (told_up == np.round(values / 0.25)).all()
-    assert (told_up - values / 0.25).sum() == 0
+    sent_up = up.stream_blocks(view(0.25), ORIGIN)[1][0, :8].astype(int)
+    sent_down = down.stream_blocks(view(0.25), ORIGIN)[1][0, :8].astype(int)
+    assert (sent_up == -sent_down).all()
+    assert (sent_up == np.round(values / 0.25)).all()
+    assert (sent_up - values / 0.25).sum() == 0
 
 
 def test_probabilities_of_a_mirror_are_finite_at_the_surest_cells() -> None:
@@ -160,7 +160,7 @@ def test_a_coarse_cell_left_of_zero_holds_its_own_voxels() -> None:
         assert centre == pytest.approx([-edge / 2] * 3)
 
 
-def test_a_count_of_65535_is_told_within_a_factor_of_two() -> None:
+def test_a_count_of_65535_is_sent_within_a_factor_of_two() -> None:
     """Counts are sent as their number of bits, up to 16, and become 16 bits again.
 
     Naively 1 << 16 is made of it, which is 0 in 16 bits: what was seen most was never seen.
@@ -193,7 +193,7 @@ def test_blocks_at_the_end_of_all_keys_come_back_and_those_beyond_are_refused() 
 def test_a_block_that_is_50_days_old_is_not_new() -> None:
     """Ages are milliseconds in 32 bits, which end after 49.7 days; a block then is as old as that.
 
-    Naively the age begins anew at 0, or its nanoseconds overflow 32 bits in the client: the block
+    Naively the age starts again at 0, or its nanoseconds overflow 32 bits in the client: the block
     seems to have changed just now.
     """
     stamp_ns = 1_800_000_000 * 10**9
@@ -219,11 +219,11 @@ def test_distances_of_blocks_are_right_ten_thousand_kilometres_out() -> None:
     assert within(keys, block_m, interest, here, held).tolist() == [True, False]
 
 
-def test_revisions_beyond_2_to_the_53_are_told_apart() -> None:
+def test_revisions_beyond_2_to_the_53_are_distinguished() -> None:
     """A map's revision counts up for good, and what changed since one is asked by it.
 
     Naively revisions meet a signed number and become doubles, of which those beyond 2**53 are even:
-    the last change is not told.
+    the last change is not sent.
     """
     for start in (2**53, 2**62, 2**63 + 5):
         voxels = _core.VoxelMap(0.1, WIDE)
@@ -245,7 +245,7 @@ def test_a_block_of_unknown_cells_has_no_digest_and_others_never_share_that() ->
     """The digest 0 means that nothing is known; a known block must not get it by chance.
 
     Naively a sum of cells is the digest: cells of log-odds 0, observed and uncertain, add up to
-    nothing, and are never told.
+    nothing, and are never sent.
     """
     values = np.zeros(512)
     voxels, _ = voxels_of(values[:8])

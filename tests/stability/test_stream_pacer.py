@@ -36,7 +36,7 @@ def test_a_week_of_silence_is_no_credit_of_a_week() -> None:
         sound(pacer, now_s)
 
 
-def told(start_s: float) -> list[tuple[int, float, float]]:
+def rates(start_s: float) -> list[tuple[int, float, float]]:
     """A conversation of a minute that begins at a time, in ticks that doubles hold exactly."""
     pacer, wire, history = Pacer(), random.Random(5), []  # noqa: S311 the same in each run
     for tick in range(600):
@@ -57,7 +57,7 @@ def test_a_host_that_is_up_for_years_paces_as_one_just_started() -> None:
 
     Naively a time of 0 means "never", or the difference of large times loses the milliseconds.
     """
-    assert told(2.0**30) == told(0.0) == told(2.0**20)
+    assert rates(2.0**30) == rates(0.0) == rates(2.0**20)
 
 
 def test_a_wire_of_a_byte_a_second_still_takes_messages() -> None:
@@ -127,8 +127,8 @@ def test_a_length_of_all_bits_is_refused_before_it_is_waited_for(length: int) ->
 def test_messages_on_their_way_are_known_by_number_after_many_millions() -> None:
     """A client that reconnects names the message that it used last, of any number of messages.
 
-    Naively numbers begin anew at 2**32, or all of them are remembered: who comes back after a night
-    is told the wrong blocks, or the daemon is out of memory.
+    Naively numbers wrap at 2**32, or all of them are remembered: a client that comes back after a
+    night receives the wrong blocks, or the daemon is out of memory.
     """
     way = InFlight()
     way.number = 2**32 - 3

@@ -63,7 +63,7 @@ def test_pictures_of_16_bits_do_not_wrap_at_their_ends() -> None:
     assert pixels[0].tolist() == exact[0].tolist()
 
 
-def test_returns_behind_the_least_range_of_all_are_none() -> None:
+def test_returns_behind_the_least_range_of_all_are_invalid() -> None:
     """`filtering.min_range` may lie beyond the image, or be a whole number of rows.
 
     Naively the first row is a negative number or beyond the last, and counts from the end.
@@ -95,7 +95,7 @@ def test_a_path_of_a_year_stays_within_its_points() -> None:
     assert points[-1, 0] > 19_000
 
 
-def test_a_path_in_universal_coordinates_is_told_to_a_millimetre() -> None:
+def test_a_path_in_universal_coordinates_is_sent_to_a_millimetre() -> None:
     """A path goes on 4650 km from the zero of its zone, a decimetre from point to point.
 
     Naively its points are in single precision, in steps of half a metre: a staircase.

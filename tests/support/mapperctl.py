@@ -21,8 +21,8 @@ def no_settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def call(capsys: pytest.CaptureFixture[str]) -> Call:
     def run(*words: str | Path) -> tuple[int, list[str], str]:
         code = main(list(map(str, words)))
-        said = capsys.readouterr()
-        assert said.err.count("\n") == (code != 0)
-        return code, said.out.splitlines(), said.err
+        captured = capsys.readouterr()
+        assert captured.err.count("\n") == (code != 0)
+        return code, captured.out.splitlines(), captured.err
 
     return run

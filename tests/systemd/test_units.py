@@ -40,7 +40,7 @@ def analyze(*words: str) -> str:
 
 @needs_systemd
 @pytest.mark.parametrize("unit", UNITS, ids=lambda path: path.name)
-def test_verify_says_nothing(unit: Path, tmp_path: Path) -> None:
+def test_verify_is_silent(unit: Path, tmp_path: Path) -> None:
     # The program need not be installed where the tests run; all else is as shipped. A misspelt
     # key is a line of output and no failure: there must be no line.
     for each in UNITS:
@@ -54,13 +54,13 @@ def test_verify_says_nothing(unit: Path, tmp_path: Path) -> None:
 @needs_systemd
 @pytest.mark.parametrize("unit", SERVICES, ids=lambda path: path.name)
 def test_exposure_is_low(unit: Path) -> None:
-    said = analyze("security", "--offline=true", str(unit))
-    score = re.search(r"exposure level for \S+: ([0-9.]+)", said)
-    assert score is not None, said
+    report = analyze("security", "--offline=true", str(unit))
+    score = re.search(r"exposure level for \S+: ([0-9.]+)", report)
+    assert score is not None, report
     assert float(score[1]) <= MOST_EXPOSED
 
 
-def test_the_daemon_is_supervised_by_what_it_says() -> None:
+def test_the_daemon_is_supervised_by_its_messages() -> None:
     unit = settings(FOLDER / "mapperd.service")
     assert unit["Type"] == ["notify"]
     assert unit["NotifyAccess"] == ["main"]

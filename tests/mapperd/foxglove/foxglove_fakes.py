@@ -1,4 +1,4 @@
-"""A client of the map stream that is told what a test says, and another decoder of messages."""
+"""A client of the map stream fed by a test, and another decoder of messages."""
 
 import asyncio
 import time

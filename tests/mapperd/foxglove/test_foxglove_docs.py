@@ -1,4 +1,4 @@
-"""docs/guides/foxglove.md says what there is."""
+"""docs/guides/foxglove.md lists what exists."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Viewers are served what the client is told; they are plain WebSocket clients here."""
+"""Viewers are served what the client receives; they are plain WebSocket clients here."""
 
 import asyncio
 import base64
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.net
 
 
 class Viewer:
-    """What Foxglove would do, as its protocol says."""
+    """What Foxglove would do, by its protocol."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket = socket

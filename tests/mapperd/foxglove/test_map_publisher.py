@@ -1,4 +1,4 @@
-"""When the map is told, and how often."""
+"""When the map is published, and how often."""
 
 import math
 from typing import Any
@@ -19,7 +19,7 @@ KEY = (1, -2, 3)
 
 
 class ChangingMap:
-    """A map that changes, and who tells of it."""
+    """A map that changes, and its publisher."""
 
     def __init__(self, pace: Pace) -> None:
         self.mirror = MapMirror(FACTS, Interest())

@@ -1,4 +1,4 @@
-"""What is told is written, and read back by another reader."""
+"""Published messages are written, and read back by another reader."""
 
 import asyncio
 import errno
@@ -39,7 +39,7 @@ from tests.mapperd.foxglove.foxglove_fakes import (
 
 
 def recorded(path: Path, changing: Callable[[FakeClient, Recording], Awaitable[None]]) -> None:
-    """Record while something is told."""
+    """Record while something is published."""
 
     async def run() -> None:
         client = FakeClient()
@@ -88,7 +88,7 @@ def occupied(messages: list[tuple[str, Any]]) -> dict[tuple[float, ...], float]:
         for row in rows:
             place = (float(row["x"]), float(row["y"]), float(row["z"]))
             if topic == "/map_changes" and not row["occupied"]:
-                assert cells.pop(place, None) is not None, "gone, and never told"
+                assert cells.pop(place, None) is not None, "removed, and never published"
             else:
                 cells[place] = float(row["probability"])
     return cells
@@ -148,7 +148,7 @@ def test_stamps_are_the_daemons_and_logs_go_forward(tmp_path: Path) -> None:
     async def changing(client: FakeClient, recording: Recording) -> None:
         await feed_all(client, recording)
         before = recording.messages
-        client.feed(POSE)  # older than what was told
+        client.feed(POSE)  # older than what was published
         await until(lambda: recording.messages == before + 3)
 
     recorded(tmp_path / "a.mcap", changing)
@@ -235,7 +235,7 @@ def _salvaged(data: bytes, folder: Path) -> set[str]:
         while True:
             try:
                 record = next(records)
-            except Exception:  # noqa: BLE001 whatever the reader says of a cut file
+            except Exception:  # noqa: BLE001 whatever the reader raises for a cut file
                 return topics
             if isinstance(record, Channel):
                 channels[record.id] = record.topic

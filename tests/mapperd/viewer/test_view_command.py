@@ -1,4 +1,4 @@
-"""Who may talk to the page, and what is said when it cannot be served."""
+"""Who may talk to the page, and the error when it cannot be served."""
 
 import asyncio
 import sys

@@ -13,8 +13,8 @@ from oculus_driver.cli import main
 
 
 @dataclass(frozen=True)
-class Said:
-    """What a command said."""
+class CommandResult:
+    """Exit code and output of a command."""
 
     code: int
     out: str
@@ -25,17 +25,17 @@ class Said:
         return [json.loads(line) for line in self.out.splitlines()]
 
 
-Oculus = Callable[..., Said]
+Oculus = Callable[..., CommandResult]
 
 
 @pytest.fixture
 def oculus(capsys: pytest.CaptureFixture[str]) -> Oculus:
-    def call(*words: object) -> Said:
+    def call(*words: object) -> CommandResult:
         try:
             code = main([str(word) for word in words])
         except SystemExit as end:
             code = int(end.code or 0)
         out, err = capsys.readouterr()
-        return Said(code, out, err)
+        return CommandResult(code, out, err)
 
     return call

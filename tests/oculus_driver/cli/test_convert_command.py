@@ -22,7 +22,7 @@ def test_there_and_back_is_the_same_stream(
     assert back.read_bytes() == capture
 
 
-def test_what_the_format_cannot_hold_is_told(
+def test_data_the_format_cannot_hold_are_reported(
     oculus: Oculus, capture: bytes, tmp_path: Path
 ) -> None:
     (tmp_path / "a.raw").write_bytes(capture[:182016] + b"noise" + capture[182016:])
@@ -41,9 +41,9 @@ def test_a_file_that_exists_is_kept_unless_asked(
     assert oculus("convert", capture_path, out, "--overwrite").code == 0
 
 
-def test_a_name_that_says_no_format_is_one_line(
+def test_a_name_that_has_no_known_format_is_one_line(
     oculus: Oculus, capture_path: Path, tmp_path: Path
 ) -> None:
-    said = oculus("convert", capture_path, tmp_path / "a.xyz")
-    assert (said.code, said.err.count("\n")) == (2, 1)
+    result = oculus("convert", capture_path, tmp_path / "a.xyz")
+    assert (result.code, result.err.count("\n")) == (2, 1)
     assert oculus("convert", capture_path, tmp_path / "a.xyz", "--format", "pcap").code == 0

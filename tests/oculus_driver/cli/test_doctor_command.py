@@ -20,9 +20,9 @@ pytestmark = pytest.mark.net
 
 
 def verdicts(oculus: Oculus, *words: object) -> tuple[int, dict[str, str]]:
-    said = oculus("doctor", *words, "--listen", "127.0.0.1", "--json")
-    (facts,) = said.facts
-    return said.code, {layer["name"]: layer["verdict"] for layer in facts["layers"]}
+    result = oculus("doctor", *words, "--listen", "127.0.0.1", "--json")
+    (facts,) = result.facts
+    return result.code, {layer["name"]: layer["verdict"] for layer in facts["layers"]}
 
 
 WELL = {"address": "ok", "port": "ok", "bytes": "ok", "frames": "ok", "pings": "ok"}
@@ -56,7 +56,7 @@ def test_a_closed_port_is_the_first_that_fails(oculus: Oculus, capture_path: Pat
     assert list(found.values()) == ["ok", "failed", "not tested", "not tested", "not tested"]
 
 
-def test_a_sonar_that_is_held_by_another_client_is_told(
+def test_a_sonar_that_is_held_by_another_client_is_reported(
     oculus: Oculus, capture_path: Path
 ) -> None:  # quirk 20
     with (
@@ -65,21 +65,21 @@ def test_a_sonar_that_is_held_by_another_client_is_told(
     ):
         other.recv(1)
         words = ("--port", sonar.port, "--status-port", status_port, "--seconds", "1")
-        said = oculus("doctor", *words, "--listen", "127.0.0.1", "--json")
-    (facts,) = said.facts
+        result = oculus("doctor", *words, "--listen", "127.0.0.1", "--json")
+    (facts,) = result.facts
     assert facts["first_failure"] == "bytes"
     assert "held" in {finding["code"] for finding in facts["findings"]}
 
 
-def test_no_sonar_at_all_is_told(oculus: Oculus) -> None:
+def test_no_sonar_at_all_is_reported(oculus: Oculus) -> None:
     words = ("--listen", "127.0.0.1", "--status-port", free_udp_port(), "--seconds", "0.05")
-    said = oculus("doctor", *words)
-    assert said.code == 1
-    assert said.out.startswith("FAIL address")
+    result = oculus("doctor", *words)
+    assert result.code == 1
+    assert result.out.startswith("FAIL address")
     assert oculus("discover", *words).code == 1
 
 
-def test_something_else_on_the_port_is_told(oculus: Oculus) -> None:
+def test_something_else_on_the_port_is_reported(oculus: Oculus) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def greet() -> None:
@@ -90,21 +90,21 @@ def test_something_else_on_the_port_is_told(oculus: Oculus) -> None:
         thread = threading.Thread(target=greet)
         thread.start()
         words = ("127.0.0.1", "--port", server.getsockname()[1], "--seconds", "0.2")
-        said = oculus("doctor", *words, "--status-port", free_udp_port(), "--json")
+        result = oculus("doctor", *words, "--status-port", free_udp_port(), "--json")
         thread.join(20.0)
-    assert said.facts[0]["first_failure"] == "frames"
+    assert result.facts[0]["first_failure"] == "frames"
 
 
 def test_discover_lists_every_sonar(oculus: Oculus, capture_path: Path) -> None:
     with played(capture_path) as (_, status_port):
         words = ("--first", "--listen", "127.0.0.1", "--status-port", status_port)
-        said = oculus("discover", "--json", *words)
+        result = oculus("discover", "--json", *words)
         text = oculus("discover", *words)
-    (facts,) = said.facts
+    (facts,) = result.facts
     assert (facts["address"], facts["model"], facts["serial_number"]) == (
         "127.0.0.1",
         "M750d",
         7892,
     )
-    assert (said.code, text.code) == (0, 0)
+    assert (result.code, text.code) == (0, 0)
     assert text.out.startswith("127.0.0.1")

@@ -53,7 +53,7 @@ def end_of(program: subprocess.Popen[str]) -> dict[str, int]:
     return facts
 
 
-def test_a_recording_is_played_once_and_told_about(capture_path: Path, capture: bytes) -> None:
+def test_a_recording_is_played_once_and_reported(capture_path: Path, capture: bytes) -> None:
     with playing(capture_path, "--unthrottled") as (program, port):
         assert all_of(port) == capture
         facts = end_of(program)
@@ -77,7 +77,7 @@ def test_it_misbehaves_on_request(capture_path: Path, capture: bytes) -> None:
     assert (facts["cuts"], facts["pings"], facts["pings_damaged"]) == (3, 0, 3)
 
 
-def test_pings_are_made_anew_on_request(capture_path: Path) -> None:
+def test_pings_are_made_again_on_request(capture_path: Path) -> None:
     with playing(capture_path, "--unthrottled", "--remade", "--standby") as (_, port):
         data = all_of(port, encode_fire(range_demand=1.0, mode=2, ping_rate=2))
     sizes = 2048 + 352 * (512 + 4)
@@ -87,12 +87,12 @@ def test_pings_are_made_anew_on_request(capture_path: Path) -> None:
 
 def test_a_file_that_is_no_recording_is_one_line(oculus: Oculus, tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("hello")
-    said = oculus("play", tmp_path / "a.txt", "--port", "0")
-    assert (said.code, said.err.count("\n")) == (65, 1)
+    result = oculus("play", tmp_path / "a.txt", "--port", "0")
+    assert (result.code, result.err.count("\n")) == (65, 1)
 
 
 def test_a_port_that_is_taken_is_one_line(oculus: Oculus, capture_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        said = oculus("play", capture_path, "--port", taken.getsockname()[1])
-    assert said.code == 1
-    assert "another address or port" in said.err
+        result = oculus("play", capture_path, "--port", taken.getsockname()[1])
+    assert result.code == 1
+    assert "another address or port" in result.err

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 def test_every_ping_becomes_a_picture(oculus: Oculus, capture_path: Path, tmp_path: Path) -> None:
-    said = oculus("render", capture_path, tmp_path / "out", "--height", "300", "--json")
-    assert said.code == 0
-    (facts,) = said.facts
+    result = oculus("render", capture_path, tmp_path / "out", "--height", "300", "--json")
+    assert result.code == 0
+    (facts,) = result.facts
     assert facts["pings"] == 3
     names = [f"00000{index}_ping_{415323 + index}.png" for index in range(3)]
     assert facts["files"] == [str(tmp_path / "out" / name) for name in names]
@@ -30,8 +30,8 @@ def test_every_ping_becomes_a_picture(oculus: Oculus, capture_path: Path, tmp_pa
 
 def test_one_ping_becomes_one_picture(oculus: Oculus, capture_path: Path, tmp_path: Path) -> None:
     out = tmp_path / "one.png"
-    said = oculus("render", capture_path, out, "--ping", "415324")
-    assert (said.code, said.out) == (0, f"1 pings drawn: {out}\n")
+    result = oculus("render", capture_path, out, "--ping", "415324")
+    assert (result.code, result.out) == (0, f"1 pings drawn: {out}\n")
     assert oculus("render", capture_path, out, "--ping", "7").code == 1
 
 
@@ -59,11 +59,11 @@ def test_some_pings_can_be_chosen(oculus: Oculus, capture_path: Path, tmp_path: 
 
 @pytest.mark.parametrize("words", [("--height", "0"), ("--gamma", "nan"), ("--ping", "x"), ()])
 def test_what_cannot_be_is_one_line(oculus: Oculus, tmp_path: Path, words: tuple[str, ...]) -> None:
-    said = oculus("render", tmp_path / "missing.raw", tmp_path / "o", *words)
-    assert said.code == (2 if words else 65)
-    assert said.err.startswith("oculus")
-    assert said.err.count("\n") == 1
-    assert "Traceback" not in said.err
+    result = oculus("render", tmp_path / "missing.raw", tmp_path / "o", *words)
+    assert result.code == (2 if words else 65)
+    assert result.err.startswith("oculus")
+    assert result.err.count("\n") == 1
+    assert "Traceback" not in result.err
 
 
 def test_a_failure_is_json_too(oculus: Oculus, tmp_path: Path) -> None:

@@ -33,10 +33,10 @@ def test_fire_takes_one_ping_with_the_settings_asked_for_and_leaves_standby(
     picture = tmp_path / "ping.png"
     with played(capture_path, speed=20.0, standby=True, resampled=True) as (sonar, status_port):
         words = (*NEAR, "--bits", "16", "--beams", "256", "--picture", picture, "--json")
-        said = oculus("fire", *where(sonar, status_port), *words)
+        result = oculus("fire", *where(sonar, status_port), *words)
         demand = sonar.device.request
-    (facts,) = said.facts
-    assert said.code == 0
+    (facts,) = result.facts
+    assert result.code == 0
     assert (facts["rows"], facts["beams"], facts["bits_per_sample"]) == (704, 256, 16)
     assert (facts["confirmed"], facts["changed"]) == (True, [])
     assert cv2.imread(str(picture)) is not None
@@ -44,12 +44,12 @@ def test_fire_takes_one_ping_with_the_settings_asked_for_and_leaves_standby(
     assert demand.standby
 
 
-def test_fire_tells_what_the_sonar_did_otherwise(oculus: Oculus, capture_path: Path) -> None:
+def test_fire_reports_what_the_sonar_did_otherwise(oculus: Oculus, capture_path: Path) -> None:
     with played(capture_path, speed=20.0, standby=True) as (sonar, status_port):  # as recorded
         words = ("--range", "7", "--patience", "1", "--json")
-        said = oculus("fire", *where(sonar, status_port), *words)
-    (facts,) = said.facts
-    assert (said.code, facts["confirmed"]) == (1, False)
+        result = oculus("fire", *where(sonar, status_port), *words)
+    (facts,) = result.facts
+    assert (result.code, facts["confirmed"]) == (1, False)
     changed = {one["name"]: (one["asked"], one["shown"]) for one in facts["changed"]}
     assert changed["mode"] == (1, 2)
     assert changed["range, m"] == (7.0, 2.0)
@@ -57,10 +57,10 @@ def test_fire_tells_what_the_sonar_did_otherwise(oculus: Oculus, capture_path: P
 
 def test_a_shot_can_be_triggered(oculus: Oculus, capture_path: Path) -> None:  # quirk 9
     with played(capture_path, standby=True, resampled=True) as (sonar, status_port):
-        said = oculus("fire", *where(sonar, status_port), *NEAR, "--trigger")
+        result = oculus("fire", *where(sonar, status_port), *NEAR, "--trigger")
         pings = sonar.counters.pings
-    assert (said.code, pings) == (0, 1)
-    assert "settings confirmed" in said.out
+    assert (result.code, pings) == (0, 1)
+    assert "settings confirmed" in result.out
 
 
 def test_log_records_all_that_comes_and_starts_new_files(
@@ -68,10 +68,10 @@ def test_log_records_all_that_comes_and_starts_new_files(
 ) -> None:
     with played(capture_path, speed=50.0, standby=True) as (sonar, status_port):
         words = ("--out", tmp_path, "--duration", "1.5", "--file-mb", "1.1", "--free-mb", "0")
-        said = oculus("log", *where(sonar, status_port), "--rate", "highest", "--json", *words)
+        result = oculus("log", *where(sonar, status_port), "--rate", "highest", "--json", *words)
         sent = sonar.counters.pings
-    assert said.code == 0
-    end = said.facts[-1]
+    assert result.code == 0
+    end = result.facts[-1]
     assert end["event"] == "end"
     files = sorted(tmp_path.iterdir())
     infos = [oculus("info", file, "--json").facts[0] for file in files]
@@ -88,8 +88,8 @@ def test_a_log_goes_on_after_the_link_was_cut(
     faults = Faults(restart=0.2, seed=4)
     with played(capture_path, speed=50.0, faults=faults) as (sonar, status_port):
         words = ("--out", tmp_path, "--duration", "3", "--free-mb", "0", "--json")
-        said = oculus("log", *where(sonar, status_port), *words)
-    states = [facts["state"] for facts in said.facts if facts["event"] == "state"]
+        result = oculus("log", *where(sonar, status_port), *words)
+    states = [facts["state"] for facts in result.facts if facts["event"] == "state"]
     assert states.count("pinging") >= 2
     (info,) = oculus("info", *tmp_path.iterdir(), "--json").facts
     assert info["restarts"] >= 1
@@ -100,47 +100,47 @@ def test_a_log_goes_on_after_the_link_was_cut(
 
 def test_a_log_of_nothing_is_a_fault(oculus: Oculus, tmp_path: Path) -> None:
     words = ("--status-port", free_udp_port(), "--listen", "127.0.0.1", "--duration", "0.1")
-    said = oculus("log", "--out", tmp_path, *words)
-    assert said.code == 1
-    assert "nothing was recorded" in said.err
+    result = oculus("log", "--out", tmp_path, *words)
+    assert result.code == 1
+    assert "nothing was recorded" in result.err
 
 
-def test_watch_tells_of_statuses_without_connecting(oculus: Oculus, capture_path: Path) -> None:
+def test_watch_reports_statuses_without_connecting(oculus: Oculus, capture_path: Path) -> None:
     with played(capture_path) as (sonar, status_port):
         words = ("--duration", "0.5", "--json")
-        said = oculus("watch", *where(sonar, status_port), *words)
+        result = oculus("watch", *where(sonar, status_port), *words)
         assert sonar.counters.clients == 0
-    assert said.code == 0
-    assert {facts["serial_number"] for facts in said.facts} == {7892}
+    assert result.code == 0
+    assert {facts["serial_number"] for facts in result.facts} == {7892}
 
 
-def test_watch_tells_of_pings_on_request(oculus: Oculus, capture_path: Path) -> None:
+def test_watch_reports_pings_on_request(oculus: Oculus, capture_path: Path) -> None:
     with played(capture_path, speed=20.0, resampled=True) as (sonar, status_port):
         words = ("--ping", "--duration", "1.5", "--every", "0.2", "--json", *NEAR)
-        said = oculus("watch", *where(sonar, status_port), *words)
-    pings = [facts for facts in said.facts if facts["event"] == "pings"]
+        result = oculus("watch", *where(sonar, status_port), *words)
+    pings = [facts for facts in result.facts if facts["event"] == "pings"]
     assert pings[-1]["rate_hz"] > 0
     assert (pings[-1]["rows"], pings[-1]["beams"]) == (704, 512)
-    states = [facts["state"] for facts in said.facts if facts["event"] == "state"]
+    states = [facts["state"] for facts in result.facts if facts["event"] == "state"]
     assert "pinging" in states
 
 
 @pytest.mark.parametrize("command", ["log", "fire", "watch"])
 def test_settings_that_cannot_be_are_one_line(oculus: Oculus, command: str) -> None:
     words = ("--ping",) if command == "watch" else ()
-    said = oculus(command, "127.0.0.1", "--range", "-5", *words)
-    assert said.code == 2
-    assert "range_m" in said.err
-    assert said.err.count("\n") == 1
+    result = oculus(command, "127.0.0.1", "--range", "-5", *words)
+    assert result.code == 2
+    assert "range_m" in result.err
+    assert result.err.count("\n") == 1
 
 
 def test_watching_nothing_is_a_fault(oculus: Oculus) -> None:
-    said = oculus("watch", "--duration", 0.3, "--status-port", free_udp_port())
-    assert (said.code, said.out) == (1, "")
-    assert "no sonar" in said.err
-    said = oculus("watch", "127.0.0.1", "--ping", "--port", 9, "--duration", 0.3)
-    assert said.code == 1
-    assert "no ping" in said.err
+    result = oculus("watch", "--duration", 0.3, "--status-port", free_udp_port())
+    assert (result.code, result.out) == (1, "")
+    assert "no sonar" in result.err
+    result = oculus("watch", "127.0.0.1", "--ping", "--port", 9, "--duration", 0.3)
+    assert result.code == 1
+    assert "no ping" in result.err
 
 
 def test_a_log_goes_on_when_its_words_have_nowhere_to_go(

@@ -51,7 +51,9 @@ def test_a_sound_free_sonar_has_no_findings() -> None:
 
 @pytest.mark.parametrize("reason", range(8))
 @pytest.mark.parametrize("master", [0, 1])
-def test_a_halt_in_the_boot_loader_says_why_and_what_to_do(master: int, reason: int) -> None:
+def test_a_halt_in_the_boot_loader_states_the_reason_and_what_to_do(
+    master: int, reason: int
+) -> None:
     # quirk 18: after a bad power-up or with a bad cable
     (finding,) = status_findings(status(status_bits=master | reason << 3))
     assert (finding.code, finding.severity) == ("boot_loader", "error")
@@ -64,7 +66,7 @@ def test_a_sonar_that_boots_is_waited_for() -> None:
     assert (finding.code, finding.severity) == ("booting", "warning")
 
 
-def test_heat_is_told_with_the_warmest_place() -> None:
+def test_heat_is_reported_with_the_warmest_place() -> None:
     # quirk 17: first a lower rate, then no pings
     hot = (20.0, 21.0, float("nan"), 61.5, 20.0, 20.0, 20.0, 20.0)
     (warning,) = status_findings(status(status_bits=RUNNING | 1 << 14, temperatures_c=hot))
@@ -75,7 +77,7 @@ def test_heat_is_told_with_the_warmest_place() -> None:
     assert "61.5 °C" in error.text
 
 
-def test_a_failed_transmitter_is_told() -> None:
+def test_a_failed_transmitter_is_reported() -> None:
     assert codes(status_findings(status(status_bits=RUNNING | 1 << 16))) == ["transmitter_failed"]
 
 
@@ -165,7 +167,7 @@ def test_the_subnet_comes_first_of_all_findings() -> None:
     ],
 )
 def test_a_port_that_cannot_be_had_is_named(number: int, code: str) -> None:
-    finding = bind_finding(OSError(number, "as the system says"), "10.0.0.1", 52102)
+    finding = bind_finding(OSError(number, "as the system reports"), "10.0.0.1", 52102)
     assert (finding.code, finding.severity) == (code, "error")
     assert "10.0.0.1" in finding.text
 

@@ -142,11 +142,11 @@ def test_what_needs_somebody_is_logged_once(caplog: pytest.LogCaptureFixture) ->
 
     with caplog.at_level(logging.INFO, "oculus_driver.discovery.listener"):
         run(work())
-    said = [record.getMessage() for record in caplog.records]
-    assert sum("serial number 7" in line for line in said) == 1
-    assert sum("unknown model" in line for line in said) == 1  # quirk 24: warn once, go on
-    assert sum("overheated" in line for line in said) == 2  # quirk 17: each time that it begins
-    assert len(said) == 4
+    messages = [record.getMessage() for record in caplog.records]
+    assert sum("serial number 7" in line for line in messages) == 1
+    assert sum("unknown model" in line for line in messages) == 1  # quirk 24: warn once, go on
+    assert sum("overheated" in line for line in messages) == 2  # quirk 17: each time that it begins
+    assert len(messages) == 4
 
 
 def test_leaving_while_a_reader_waits_leaks_nothing(recwarn: pytest.WarningsRecorder) -> None:

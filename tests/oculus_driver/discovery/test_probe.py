@@ -27,7 +27,7 @@ def seen(**values: Any) -> DiscoveredSonar:
 
 
 def evidence(**values: Any) -> ProbeResult:
-    """Of a sonar that is well, unless told otherwise."""
+    """Of a healthy sonar, except for `values`."""
     good: dict[str, Any] = {
         "address": "192.168.2.3",
         "sonar": seen(),

@@ -52,7 +52,7 @@ def test_a_sonar_is_followed_over_its_statuses() -> None:
     assert list(state.sonars.values()) == [seen]
 
 
-def test_several_sonars_are_told_apart_by_serial_and_by_part_number() -> None:
+def test_several_sonars_are_distinguished_by_serial_and_by_part_number() -> None:
     state = DiscoveryState()
     for serial, part in ((7892, 1032), (7893, 1032), (7892, 1042)):
         heard(state, serial * S, device_id=serial, part_number=part)
@@ -99,7 +99,7 @@ def test_the_sonars_own_address_is_where_to_connect() -> None:
 @pytest.mark.parametrize(
     "claimed",
     [
-        "0.0.0.0",  # noqa: S104 - as a sonar says it
+        "0.0.0.0",  # noqa: S104 - as a sonar sends it
         "255.255.255.255",
         "224.0.0.1",
     ],
@@ -160,7 +160,7 @@ def test_no_other_sonar_is_chosen(wanted: str) -> None:
     assert not heard(DiscoveryState(), 0).matches(wanted)
 
 
-def test_the_facts_are_all_that_the_status_says() -> None:
+def test_the_facts_are_all_that_the_status_reports() -> None:
     seen = heard(
         DiscoveryState(),
         0,

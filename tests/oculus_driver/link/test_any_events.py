@@ -45,9 +45,9 @@ class Witness:
             wanted = self.free.in_standby() if name == "standby" else self.free
             bench.actions += link.apply(wanted, bench.now_ns)
         else:
-            self.tell(name)
+            self.post(name)
 
-    def tell(self, name: str) -> None:
+    def post(self, name: str) -> None:
         bench, link = self.bench, self.bench.link
         if name in ("sight", "move", "busy"):
             bench.sight(THERE if name == "move" else HERE, VIEWER if name == "busy" else None)

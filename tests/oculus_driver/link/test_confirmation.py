@@ -79,7 +79,7 @@ def test_the_rest_is_reported_and_decides_nothing(
 
 
 def test_the_gain_flag_of_the_echo_is_not_believed(show: Callable[..., Ping]) -> None:
-    # quirk 12: one sonar sent no gains though its echo said so.
+    # quirk 12: one sonar sent no gains though its echo set the flag.
     asked = replace(ASKED, gain_words=True)
     assert names(asked, show(flags=int(asked.flags))) == {"gain words": False}
 

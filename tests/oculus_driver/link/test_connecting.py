@@ -142,7 +142,7 @@ def test_a_sonar_without_status_that_still_pings_is_kept(pinging: MakeBench) -> 
     assert bench.state is LinkState.PINGING
 
 
-def test_a_sonar_without_status_that_says_anything_is_kept(pinging: MakeBench) -> None:
+def test_a_sonar_without_status_that_sends_anything_is_kept(pinging: MakeBench) -> None:
     bench = pinging(address=None)
     for _ in range(20):
         bench.wait(1.0)

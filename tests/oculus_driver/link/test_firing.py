@@ -1,4 +1,4 @@
-"""What the link sends, and when it says that the sonar pings."""
+"""What the link sends, and when it reports that the sonar pings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_a_given_address_is_connected_at_once(start: MakeBench) -> None:
     assert (bench.state, bench.connects) == (LinkState.CONNECTING, [HERE])
 
 
-def test_pinging_is_said_only_once_a_ping_came(start: MakeBench) -> None:
+def test_pinging_is_reported_only_after_a_ping_came(start: MakeBench) -> None:
     bench = start()
     bench.connect()
     assert bench.state is LinkState.CONFIGURING
@@ -32,7 +32,7 @@ def test_pinging_is_said_only_once_a_ping_came(start: MakeBench) -> None:
     assert (bench.state, bench.reason) == (LinkState.PINGING, "pings arrive")
 
 
-def test_the_time_in_a_state_and_its_reason_are_told(pinging: MakeBench) -> None:
+def test_the_time_in_a_state_and_its_reason_are_reported(pinging: MakeBench) -> None:
     bench = pinging()
     for _ in range(3):
         bench.wait(0.5)
@@ -181,7 +181,7 @@ def test_a_slow_network_is_given_its_time(start: MakeBench) -> None:
     assert bench.reason.startswith("no ping for 5.3 s")
 
 
-def test_a_silent_sonar_is_connected_anew_after_ten_seconds(pinging: MakeBench) -> None:
+def test_a_silent_sonar_is_connected_again_after_ten_seconds(pinging: MakeBench) -> None:
     bench = pinging()
     bench.wait(10.09)
     assert (bench.state, bench.disconnects) == (LinkState.SILENT, [])

@@ -39,7 +39,7 @@ def ping_at(make_ping: MakePing, parse: Callable[[bytes], Message]) -> Callable[
     return make
 
 
-def test_a_sonar_that_has_shut_down_may_ping_when_it_says_so() -> None:
+def test_a_sonar_that_has_shut_down_may_ping_when_it_reports_so() -> None:
     # quirk 17
     guard = ThermalGuard(None)
     guard.status(status(bits=SHUT_DOWN))

@@ -180,7 +180,7 @@ def test_a_disk_that_stays_full_does_not_hold_up_the_end(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_places_tell_where_to_read_on(tmp_path: Path, make_ping: MakePing) -> None:
+def test_places_state_where_to_read_on(tmp_path: Path, make_ping: MakePing) -> None:
     policy = LogPolicy(max_file_bytes=1 << 20, free_floor_bytes=0, sync_interval_ns=None)
     ping = make_ping()
     pieces = [ping[k : k + 700] for k in range(0, len(ping), 700)]

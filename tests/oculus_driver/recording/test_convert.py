@@ -167,7 +167,7 @@ def test_another_reader_finds_our_captures_sound(tmp_path: Path, dive: Path) -> 
         assert stream == b"".join(chunk.data for chunk in chunks if chunk.link == link)
 
 
-def test_what_cannot_be_converted_is_told_and_nothing_is_left_behind(
+def test_what_cannot_be_converted_is_reported_and_nothing_is_left_behind(
     tmp_path: Path, dive: Path
 ) -> None:
     other = tmp_path / "other"

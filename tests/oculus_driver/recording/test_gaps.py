@@ -1,4 +1,4 @@
-"""Gaps: what a damaged recording says about each link, and what the parser makes of it."""
+"""Gaps: what a damaged recording shows of each link, and what the parser makes of it."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_a_whole_recording_has_no_gap(survey: bytes, written: Written) -> None:
     assert pings(read(survey)[0])[0] == list(range(PINGS))
 
 
-def test_a_chunk_that_is_missing_as_a_whole_is_told(survey: bytes) -> None:
+def test_a_chunk_that_is_missing_as_a_whole_is_reported(survey: bytes) -> None:
     data = without_chunk(survey, 2)
     chunks, progress = read(data)
     assert len(gaps(chunks)) == 1
@@ -192,12 +192,12 @@ def test_in_files_of_other_tools_damage_is_a_gap_in_all_links(
     middle = len(data) // 2
     chunks, progress = read(data[:middle] + bytes(3000) + data[middle + 3500 :])
     assert progress.faults
-    links_told = [link for link, _ in gaps(chunks)]
-    assert set(links_told) == {"sonar", "dvl"}
-    assert len(links_told) <= 2 * (progress.faults + 1)
+    reported_links = [link for link, _ in gaps(chunks)]
+    assert set(reported_links) == {"sonar", "dvl"}
+    assert len(reported_links) <= 2 * (progress.faults + 1)
 
 
-def test_a_raw_stream_with_missing_bytes_is_told(tmp_path: Path) -> None:
+def test_a_raw_stream_with_missing_bytes_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "stream.raw"
     stream = ping_of(0) + ping_of(1)[:5000] + ping_of(1)[9000:] + ping_of(2)
     path.write_bytes(stream)

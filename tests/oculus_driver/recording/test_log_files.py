@@ -69,7 +69,7 @@ def test_the_oldest_files_go_for_the_free_space() -> None:
     needed=st.integers(0, MIB),
     free=st.integers(0, 8 * MIB),
 )
-def test_limits_hold_or_the_shortage_is_told_and_nothing_goes_without_need(
+def test_limits_hold_or_the_shortage_is_reported_and_nothing_goes_without_need(
     sizes: list[int], open_bytes: int, needed: int, free: int
 ) -> None:
     policy = LogPolicy(max_file_bytes=MIB, budget_bytes=3 * MIB, free_floor_bytes=2 * MIB)

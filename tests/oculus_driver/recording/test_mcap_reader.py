@@ -91,7 +91,7 @@ def test_the_bytes_of_a_cut_piece_of_a_stream_are_not_lost(written: Written) -> 
     assert rows[index][3] == written.rows[index][3][:-10_000]
 
 
-def test_zeros_behind_the_end_are_told(written: Written) -> None:
+def test_zeros_behind_the_end_are_reported(written: Written) -> None:
     size = written.ends[70]
     rows, progress = read(written.data[:size] + bytes(100_000))
     assert rows == written.rows[:71]
@@ -132,7 +132,7 @@ def test_a_damaged_length_that_ends_on_a_likely_byte_is_seen() -> None:
     assert progress.faults == 2  # the length, and that there is no end
 
 
-def test_a_changed_byte_inside_is_told(written: Written) -> None:
+def test_a_changed_byte_inside_is_reported(written: Written) -> None:
     data = bytearray(written.data)
     data[written.ends[0] - 1] ^= 1
     rows, progress = read(bytes(data))

@@ -72,7 +72,7 @@ def test_any_shuffle_gives_the_stream(data: st.DataObject) -> None:
     assert stream.flush() == []
 
 
-def test_a_hole_that_nobody_fills_is_told() -> None:
+def test_a_hole_that_nobody_fills_is_reported() -> None:
     stream = TcpStream()
     stream.feed(*segment(0, 100), 1)
     stream.feed(*segment(150, 200), 2)
@@ -100,7 +100,7 @@ def test_what_waits_is_bounded() -> None:
     assert out + stream._held_bytes == 20 << 20
 
 
-def test_a_new_connection_starts_anew() -> None:
+def test_a_new_connection_starts_again() -> None:
     stream = TcpStream()
     stream.feed(*segment(0, 100), 1)
     stream.feed(*segment(150, 200), 1)

@@ -99,7 +99,7 @@ def test_a_raw_stream_without_its_beginning_is_known(
     assert (damage or "").startswith(f"{found[0] - start} bytes ")
 
 
-def test_a_raw_stream_without_one_whole_message_is_told(capture: bytes, tmp_path: Path) -> None:
+def test_a_raw_stream_without_one_whole_message_is_reported(capture: bytes, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no sonar messages"):
         opened(tmp_path / "late", capture[364033:])
 
@@ -123,12 +123,12 @@ def test_a_stream_of_a_sonar_in_standby_is_known(tmp_path: Path) -> None:
         (bytes(1), "only zeros"),
         (bytes(200_000), "only zeros"),
         (b"hello\nworld\n" * 1000, "is a text file"),
-        (b"SO what, says the text", "is a text file"),
+        (b"SO what, asks the text", "is a text file"),
         (np.random.default_rng(5).bytes(200_000), "no sonar messages"),
         (b"SO\0\0\0\0\x23\0\0\0\xff\xff\xff\xff\0\0" + bytes(5000), "no sonar messages"),
     ],
 )
-def test_what_is_no_recording_is_told_in_one_line(
+def test_what_is_no_recording_is_reported_in_one_line(
     tmp_path: Path, content: bytes, text: str
 ) -> None:
     path = tmp_path / "capture.mcap"
@@ -139,7 +139,7 @@ def test_what_is_no_recording_is_told_in_one_line(
     assert "\n" not in str(failure.value)
 
 
-def test_what_is_no_file_is_told(tmp_path: Path) -> None:
+def test_what_is_no_file_is_reported(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no such file"):
         open_recording(tmp_path / "missing")
     with pytest.raises(RecordingError, match="is a directory"):
@@ -152,7 +152,7 @@ def test_what_is_no_file_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_what_may_not_be_read_is_told(tmp_path: Path) -> None:
+def test_what_may_not_be_read_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "secret"
     path.write_bytes(b"x")
     path.chmod(0)

@@ -208,7 +208,7 @@ def test_a_disk_that_fails_costs_bytes_and_never_raises(
     assert found[-1] == 39
 
 
-def test_a_folder_that_vanishes_is_told_and_nothing_raised(
+def test_a_folder_that_vanishes_is_reported_and_nothing_raised(
     tmp_path: Path, make_ping: MakePing
 ) -> None:
     folder = tmp_path / "log"

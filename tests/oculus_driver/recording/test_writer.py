@@ -113,7 +113,7 @@ def test_stamps_become_unix_time(tmp_path: Path) -> None:
         }
 
 
-def test_a_recording_is_not_replaced_unless_told(tmp_path: Path) -> None:
+def test_a_recording_is_not_replaced_without_a_request(tmp_path: Path) -> None:
     path = tmp_path / "capture"
     path.write_bytes(b"precious")
     with pytest.raises(RecordingError, match="file exists; choose another name"):
@@ -123,7 +123,7 @@ def test_a_recording_is_not_replaced_unless_told(tmp_path: Path) -> None:
     assert path.read_bytes().startswith(b"\x89MCAP")
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="check folder and permissions"):
         RecordingWriter(tmp_path / "no" / "folder")
 

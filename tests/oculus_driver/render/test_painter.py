@@ -172,7 +172,7 @@ def test_spokes_are_whole_degrees_of_the_aperture() -> None:
     assert spoke_bearings_deg(np.radians([11.0, 43.0])) == [15, 20, 25, 30, 35, 40]
 
 
-def test_the_caption_says_what_the_ping_is(captured: list[Message]) -> None:
+def test_the_caption_reports_what_the_ping_is(captured: list[Message]) -> None:
     ping = decode_ping(captured[0])
     assert isinstance(ping, Ping)
     assert caption_lines(ping) == [
@@ -229,7 +229,7 @@ def test_a_film_has_all_frames(tmp_path: Path) -> None:
     assert levels == pytest.approx([20, 120, 220], abs=4.0)
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(OculusError, match="cannot be written"):
         PngFolder(tmp_path / "file")

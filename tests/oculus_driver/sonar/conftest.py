@@ -29,7 +29,7 @@ QUICK = LinkTimeouts(
     fallback_ns=200 * MS,
     back_off_ns=(10 * MS, 20 * MS),
 )
-"""A link's patience, for tests that wait for it to end; of silence, they say their own."""
+"""A link's patience, for tests that wait for it to end; tests set their own silence."""
 
 
 class FakeSonar:
@@ -39,7 +39,7 @@ class FakeSonar:
         make_ping: makes ping messages.
         versions: of fire messages that it understands; others are ignored.
         echo: what its pings show otherwise than they were asked for.
-        sends_dummies: whether it says that it is in standby.
+        sends_dummies: whether it reports standby.
     """
 
     def __init__(

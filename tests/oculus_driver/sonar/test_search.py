@@ -63,7 +63,7 @@ class Ether:
             yield heard
             self.waiting.task_done()
 
-    def say(self, address: str = "127.0.0.1", serial: int = OURS, **values: Any) -> None:
+    def announce(self, address: str = "127.0.0.1", serial: int = OURS, **values: Any) -> None:
         status = decode_status(encode_status(device_id=serial, address=address, **values))
         assert isinstance(status, Status)
         self.waiting.put_nowait(Heard(address, status))
@@ -82,7 +82,7 @@ def test_a_sonar_is_found_and_known_by_its_status(fake: MakeSonar, run: Run) -> 
             async with OculusSonar(settings=FREE, port=device.port, discovery=ether) as sonar:
                 assert sonar.state is LinkState.SEARCHING
                 assert "no status" in sonar.link.reason
-                ether.say()
+                ether.announce()
                 await sonar.wait_for(LinkState.PINGING)
                 assert sonar.model is not None
                 assert sonar.status is not None
@@ -100,12 +100,12 @@ def test_another_sonar_is_left_alone(fake: MakeSonar, run: Run) -> None:
             fake() as device,
             OculusSonar(settings=FREE, serial=OURS, port=device.port, discovery=ether) as sonar,
         ):
-            ether.say(serial=OTHER)
+            ether.announce(serial=OTHER)
             await ether.waiting.join()
             assert sonar.state is LinkState.SEARCHING
-            ether.say()
+            ether.announce()
             await sonar.wait_for(LinkState.PINGING)
-            ether.say("127.0.0.2", serial=OTHER)  # another one, not ours at a new address
+            ether.announce("127.0.0.2", serial=OTHER)  # another one, not ours at a new address
             await sonar.wait_for(LinkState.PINGING)
             assert sonar.status is not None
             assert sonar.status.device_id == OURS
@@ -121,12 +121,12 @@ def test_a_sonar_that_is_held_is_waited_for(fake: MakeSonar, run: Run) -> None:
             fake() as device,
             OculusSonar(settings=FREE, port=device.port, discovery=ether) as sonar,
         ):
-            ether.say(client_address="192.168.2.10")
-            ether.say(status_bits=0x83)
+            ether.announce(client_address="192.168.2.10")
+            ether.announce(status_bits=0x83)
             await ether.waiting.join()
             assert "in use by another client" in sonar.link.reason
             assert device.clients == 0
-            ether.say()
+            ether.announce()
             await sonar.wait_for(LinkState.PINGING)
 
     run(main())
@@ -141,9 +141,9 @@ def test_a_sonar_with_another_address_is_followed(
             fake() as device,
             OculusSonar(settings=FREE, port=device.port, times=quick, discovery=ether) as sonar,
         ):
-            ether.say("127.0.0.2")  # nobody there
+            ether.announce("127.0.0.2")  # nobody there
             await sonar.wait_for(LinkState.BACKING_OFF)
-            ether.say("127.0.0.1")
+            ether.announce("127.0.0.1")
             await sonar.wait_for(LinkState.PINGING)
             assert sonar.link.address == "127.0.0.1"
 
@@ -160,12 +160,12 @@ def test_a_sonar_that_is_too_hot_is_kept_quiet_until_it_has_cooled(
             fake() as device,
             OculusSonar(settings=FREE, port=device.port, discovery=ether) as sonar,
         ):
-            ether.say()
+            ether.announce()
             await sonar.wait_for(LinkState.PINGING)
-            ether.say(status_bits=TOO_HOT)
+            ether.announce(status_bits=TOO_HOT)
             await sonar.wait_for(LinkState.STANDBY)
             assert "too hot" in sonar.link.reason
-            ether.say()
+            ether.announce()
             await sonar.wait_for(LinkState.PINGING)
 
     run(main())
@@ -175,7 +175,7 @@ def test_a_mode_that_the_sonar_has_not_ends_it_with_advice(run: Run) -> None:
     async def main() -> None:
         ether = Ether()
         settings = FireSettings(mode=Mode.HIGH_FREQUENCY)
-        ether.say(part_number=1041)
+        ether.announce(part_number=1041)
         with pytest.raises(SettingsError, match=r"M370s .*mode 2.*mode 1"):
             await listen(OculusSonar(settings=settings, discovery=ether))
 
@@ -193,7 +193,7 @@ def test_an_unknown_model_works_and_is_named_once(
             OculusSonar(settings=FREE, port=device.port, discovery=ether) as sonar,
         ):
             for _ in range(3):
-                ether.say(part_number=9999)
+                ether.announce(part_number=9999)
             await sonar.wait_for(LinkState.PINGING)
 
     run(main())
@@ -201,7 +201,7 @@ def test_an_unknown_model_works_and_is_named_once(
     assert "part 9999" in warning
 
 
-def test_what_goes_wrong_with_the_search_is_told(run: Run) -> None:
+def test_what_goes_wrong_with_the_search_is_reported(run: Run) -> None:
     async def main() -> None:
         ether = Ether()
         ether.waiting.put_nowait(OSError("port 52102 is in use"))

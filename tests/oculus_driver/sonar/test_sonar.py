@@ -264,7 +264,7 @@ def test_every_byte_goes_past_the_tap_before_it_is_parsed(fake: MakeSonar, run: 
     run(main())
 
 
-def test_what_a_callers_function_raises_ends_the_sonar_and_is_told(
+def test_what_a_callers_function_raises_ends_the_sonar_and_is_reported(
     fake: MakeSonar, run: Run
 ) -> None:
     def broken(_data: bytes, _at: int) -> None:
@@ -299,17 +299,17 @@ def test_an_error_that_nobody_waited_for_is_raised_at_the_end(fake: MakeSonar, r
     run(main())
 
 
-def test_each_state_is_told_with_its_reason(fake: MakeSonar, run: Run) -> None:
+def test_each_state_is_reported_with_its_reason(fake: MakeSonar, run: Run) -> None:
     async def main() -> None:
-        told: list[LinkStatus] = []
+        statuses: list[LinkStatus] = []
         async with (
             fake() as device,
-            OculusSonar(HOST, FREE, port=device.port, on_state=told.append) as sonar,
+            OculusSonar(HOST, FREE, port=device.port, on_state=statuses.append) as sonar,
         ):
             await take(sonar, 1)
-        states = [status.state for status in told]
+        states = [status.state for status in statuses]
         assert states == ["connecting", "configuring", "pinging", "standby", "closed"]
-        assert all(status.reason for status in told)
+        assert all(status.reason for status in statuses)
 
     run(main())
 

@@ -131,7 +131,7 @@ def test_commands_that_do_not_get_out_end_the_connection(run: Run, quick: LinkTi
     run(main())
 
 
-def test_a_second_client_is_told_what_may_be_wrong(
+def test_a_second_client_is_informed_what_may_be_wrong(
     fake: MakeSonar, run: Run, quick: LinkTimeouts
 ) -> None:
     # quirk 20: one client at a time.
@@ -193,19 +193,21 @@ def test_a_message_that_stops_in_the_middle_costs_the_connection_not_the_program
     monkeypatch.setattr("oculus_driver.link.receiver.STALL_TIMEOUT_NS", 50_000_000)
 
     async def main() -> None:
-        told: list[LinkStatus] = []
+        statuses: list[LinkStatus] = []
         never_ns = 10**11  # no other timer runs out
         quiet = LinkTimeouts(never_ns, None, silence_ns=never_ns, fallback_ns=never_ns)
         async with (
             fake() as device,
-            OculusSonar(HOST, FREE, port=device.port, times=quiet, on_state=told.append) as sonar,
+            OculusSonar(
+                HOST, FREE, port=device.port, times=quiet, on_state=statuses.append
+            ) as sonar,
         ):
             await take(sonar, 1)
             device.mute = True
             device.send(device.ping_message()[:1000])
             await sonar.wait_for(LinkState.BACKING_OFF)
             assert "after 1000 bytes" in sonar.link.reason
-            assert LinkState.SILENT not in [status.state for status in told]
+            assert LinkState.SILENT not in [status.state for status in statuses]
             device.mute = False
             await sonar.wait_for(LinkState.PINGING)
             assert sonar.counters.rejects["truncated"] == 1

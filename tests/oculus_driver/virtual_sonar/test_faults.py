@@ -69,7 +69,7 @@ def test_a_cut_takes_nothing_that_was_sent_before_it(pings: list[bytes]) -> None
     run(work())
 
 
-def test_flipped_and_lost_pings_are_told_and_the_others_arrive(pings: list[bytes]) -> None:
+def test_flipped_and_lost_pings_are_reported_and_the_others_arrive(pings: list[bytes]) -> None:
     async def work() -> None:
         sent: dict[int, bool] = {}
         faults = Faults(flip=0.3, lose=0.2, garbage=0.2, seed=1)

@@ -218,7 +218,7 @@ def test_leaving_does_not_wait_for_a_client_that_does_not_read(capture: bytes) -
     run(work())
 
 
-def test_an_address_that_is_taken_is_told(pings: list[bytes]) -> None:
+def test_an_address_that_is_taken_is_reported(pings: list[bytes]) -> None:
     async def work() -> None:
         async with PlaybackSonar(pings) as sonar:
             with pytest.raises(OculusError, match=f"listen on 127.0.0.1:{sonar.port}: .*in use"):

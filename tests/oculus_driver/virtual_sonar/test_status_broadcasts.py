@@ -44,7 +44,7 @@ async def listener() -> tuple[Statuses, asyncio.DatagramTransport, int]:
     return protocol, transport, transport.get_extra_info("sockname")[1]
 
 
-def test_the_status_says_who_it_is_and_who_holds_it(pings: list[bytes]) -> None:  # quirk 20
+def test_the_status_reports_who_it_is_and_who_holds_it(pings: list[bytes]) -> None:  # quirk 20
     async def work() -> None:
         ears, transport, port = await listener()
         identity = Identity(device_id=70_007, part_number=1042)
@@ -65,7 +65,7 @@ def test_the_status_says_who_it_is_and_who_holds_it(pings: list[bytes]) -> None:
     run(work())
 
 
-def test_an_overheated_sonar_says_so_and_stops(pings: list[bytes]) -> None:  # quirk 17
+def test_an_overheated_sonar_reports_it_and_stops(pings: list[bytes]) -> None:  # quirk 17
     async def work() -> None:
         ears, transport, port = await listener()
         async with (

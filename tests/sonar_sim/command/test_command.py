@@ -17,7 +17,7 @@ def test_list_names_every_scene(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.split() == scene_names()
 
 
-def test_list_tells_sonar_and_size(
+def test_list_reports_sonar_and_size(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sonar_sim.command.scene_list.scene_names", lambda: ["flat_floor"])

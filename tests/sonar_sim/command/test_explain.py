@@ -11,7 +11,7 @@ MANUAL = Path(__file__).resolve().parents[3] / "docs" / "reference" / "simulator
 
 
 @pytest.mark.slow
-def test_explain_tells_every_effect(capsys: pytest.CaptureFixture[str]) -> None:
+def test_explain_reports_every_effect(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain", "flat_floor", "--json", "--repeats", "1", "--time", "5"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [row["effect"] for row in rows] == list(EFFECTS)

@@ -54,7 +54,7 @@ async def served(scene: Path, *words: str) -> asyncio.subprocess.Process:
     )
 
 
-def test_serve_says_where_it_is_and_stops_when_told(scene: Path) -> None:
+def test_serve_reports_where_it_is_and_stops_on_request(scene: Path) -> None:
     async def work() -> None:
         port, status_port = free_ports()
         words = ["--port", str(port), "--status-port", str(status_port), "--standby"]

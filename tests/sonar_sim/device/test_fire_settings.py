@@ -33,7 +33,7 @@ def test_every_model_has_its_part_number(model: str) -> None:
     assert model_of(part_number_of(model)).family.name == model
 
 
-def test_an_unknown_model_is_told() -> None:
+def test_an_unknown_model_is_reported() -> None:
     with pytest.raises(SceneError, match="no part number of M9"):
         part_number_of("M9")
 
@@ -81,7 +81,7 @@ def test_a_mode_that_the_model_has_not_got_is_its_first() -> None:
     assert (made.mode, made.demanded_range_m) == (1, 10.0)
 
 
-def test_the_sonar_believes_the_speed_and_salinity_it_is_told() -> None:
+def test_the_sonar_believes_the_speed_and_salinity_that_is_set() -> None:
     sonar = sonar_preset()
     assert settings_for(FireRequest(flags=METRES), sonar, WATER).told_speed_mps is None
     request = FireRequest(flags=METRES, speed_of_sound_demand_mps=1450.0)

@@ -79,7 +79,7 @@ def test_the_command_is_stopped_by_a_signal_and_leaves_its_map(
             words = ["-m", "mapperd", "--config", str(config), "--out", str(tmp_path / "out")]
             daemon = await asyncio.create_subprocess_exec(sys.executable, *words)
             async with asyncio.timeout(60.0):
-                while served.sonar.device.fires < 3:  # noqa: ASYNC110 counters tell nobody
+                while served.sonar.device.fires < 3:  # noqa: ASYNC110 counters notify nobody
                     await asyncio.sleep(0.05)
                 daemon.send_signal(signal.SIGTERM)
                 code = await daemon.wait()

@@ -112,7 +112,7 @@ def test_version_1_is_answered_in_version_1(floor_scenario: MakeScenario) -> Non
     run(work())
 
 
-def test_pings_tell_when_they_were_and_come_no_faster_than_sound(
+def test_pings_state_when_they_were_and_come_no_faster_than_sound(
     floor_scenario: MakeScenario,
 ) -> None:
     async def work() -> None:
@@ -157,7 +157,7 @@ def test_a_trigger_gets_one_ping(floor_scenario: MakeScenario) -> None:
 @pytest.mark.parametrize(
     ("model", "part"), [("M370s", 1041), ("M750d", 1032), ("M1200d", 1042), ("M3000d", 2203)]
 )
-def test_every_model_says_what_it_is(floor_scenario: MakeScenario, model: str, part: int) -> None:
+def test_every_model_reports_its_model(floor_scenario: MakeScenario, model: str, part: int) -> None:
     async def work() -> None:
         loop = asyncio.get_running_loop()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as heard:
@@ -232,7 +232,7 @@ def test_the_driver_triggers_single_pings(floor_scenario: MakeScenario) -> None:
     run(work())
 
 
-def test_a_restart_begins_ids_and_time_anew(floor_scenario: MakeScenario) -> None:
+def test_a_restart_begins_ids_and_time_again(floor_scenario: MakeScenario) -> None:
     async def work() -> None:
         faults = Faults(restart_ids=1.0)
         async with (
@@ -307,12 +307,12 @@ def test_odometry_over_tcp_and_a_serial_line(floor_scenario: MakeScenario) -> No
     "text",
     ["native", "native@", "native@udp:1", "native@udp:h:99999", "x@udp:h:1", "native@ftp:a:1"],
 )
-def test_a_link_that_cannot_be_is_told(text: str) -> None:
+def test_a_link_that_cannot_be_is_reported(text: str) -> None:
     with pytest.raises(SonarSimError, match="odometry: "):
         output_named(text)
 
 
-def test_a_port_that_is_taken_is_told(floor_scenario: MakeScenario) -> None:
+def test_a_port_that_is_taken_is_reported(floor_scenario: MakeScenario) -> None:
     async def work() -> None:
         with socket.socket() as taken:
             taken.bind(("127.0.0.1", 0))

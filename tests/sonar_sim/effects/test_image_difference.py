@@ -94,7 +94,7 @@ def test_speckle_shows_where_it_went(rows: int, beams: int) -> None:
     assert displacement_cells(first, second) == pytest.approx(max(rows, beams), abs=0.15)
 
 
-def test_grain_drawn_anew_is_neither_displaced_nor_of_another_kind() -> None:
+def test_grain_drawn_again_is_neither_displaced_nor_of_another_kind() -> None:
     expected = np.full((128, 128), 0.01, dtype=np.float32)
     first, second = (speckle_texture(speckle(seed), expected, SONAR) for seed in (1, 2))
     assert displacement_cells(first, second) == 0.0
@@ -123,7 +123,7 @@ def test_grain_is_compared_where_both_show_some() -> None:
     assert texture_change(*pair) < 0.01
 
 
-def test_a_third_of_a_block_tells_where_it_went() -> None:
+def test_a_third_of_a_block_shows_where_it_went() -> None:
     expected = np.full((96, 96), 1e-6, dtype=np.float32)
     expected[10::48, :] = expected[11::48, :] = 0.01
     for row in range(12, 28):

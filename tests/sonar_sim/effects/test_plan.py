@@ -33,7 +33,7 @@ def test_every_effect_of_the_catalogue_has_its_module() -> None:
         assert effect.needs
 
 
-def test_all_and_none_are_what_they_say() -> None:
+def test_all_and_none_are_what_their_names_mean() -> None:
     assert set(plan("all").names) == set(EFFECTS)
     assert plan("none").names == ()
 

@@ -133,7 +133,7 @@ def test_a_cloud_of_silt_is_turbidity() -> None:
     assert not verdict("bubbles", view).on
 
 
-def test_sea_and_floor_are_told_apart() -> None:
+def test_sea_and_floor_are_distinguished() -> None:
     view = view_of(scene=Scene((floor(5.0),), sea=Sea(0.1, -25.0)), at=pose(2.5), sonar=LOUD)
     assert view.bottoms == {"floor"}
     assert verdict("surface_reverberation", view).on

@@ -81,7 +81,7 @@ def test_the_engine_agrees_on_what_a_thermocline_does(warmer_mps: float, *, on: 
         assert not check.without["refraction"].within(Tolerance())
 
 
-def test_paths_are_as_long_as_their_time_says() -> None:
+def test_paths_are_as_long_as_their_time_requires() -> None:
     # Half of the way at 1510 m/s, half at 1490: the mean slowness is that of 1499.93 m/s.
     water = Water(profile=((0.0, 1510.0), (4.999, 1510.0), (5.001, 1490.0), (10.0, 1490.0)))
     view = view_of(scene=Scene((floor(8.0),), water=water), at=pose(2.0))

@@ -23,7 +23,7 @@ def test_drift_goes_on_steadily_and_swings_about_it() -> None:
     assert math.degrees(math.atan2(rotation[1, 0], rotation[0, 0])) == pytest.approx(10.0)
 
 
-def test_tour_begins_anew() -> None:
+def test_tour_starts_again() -> None:
     calm = Motion(sway_deg=0.0, heave_m=0.0)
     path = Trajectory([Waypoint(0, 0, -5, 0), Waypoint(6, 0, -5, 0)], calm)
     tour = Tour(path)

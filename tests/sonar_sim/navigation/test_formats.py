@@ -218,7 +218,7 @@ def test_a_heading_never_is_360_nor_minutes_60(fix: Fix) -> None:
     assert ",5400.0000000,N,00806.0000000,W," in lines[3]
 
 
-def test_unknown_formats_are_told() -> None:
+def test_unknown_formats_are_reported() -> None:
     with pytest.raises(SonarSimError, match=r"'nema'.*native"):
         format_named("nema")
     for name in FORMATS:

@@ -103,6 +103,6 @@ def test_beams_do_not_wrap_around_the_fan() -> None:
     field = np.zeros((64, SONAR.beams + 2 * MARGIN_BEAMS), dtype=np.complex64)
     field[0, MARGIN_BEAMS] = 1.0
     seen = formed(field)
-    # So far off the side lobes are 60 dB down; a main lobe that came round would be none.
+    # So far off the side lobes are 60 dB down; a main lobe that came round would not be.
     assert seen[0, -20:].max() < 1e-3 * seen[0, 0]
     assert seen[-1].max() < 1e-3 * seen[0, 0]

@@ -87,7 +87,7 @@ def test_faces_of_one_plane_have_no_edge_and_nothing_beside_something_has() -> N
     assert edges_of([0, -1, -1, 1]) == [0, 2]
 
 
-def test_neighbours_of_another_column_or_owner_are_told_apart() -> None:
+def test_neighbours_of_another_column_or_owner_are_distinguished() -> None:
     assert edges_of([0, -1, 0, 0], column=[0, 1, 1, 1]) == [1]
     assert edges_of([0, 0, 2, 2], group=[0, 1, 1, 0]) == [0, 2]
 

@@ -29,7 +29,7 @@ def test_empty_scene_has_no_triangles() -> None:
     assert scene.face_mu.shape == (0,)
 
 
-def test_moving_surface_is_where_its_motion_says_and_no_part_of_the_saved_truth(
+def test_moving_surface_is_where_its_motion_puts_it_and_no_part_of_the_saved_truth(
     tmp_path: Path,
 ) -> None:
     motion = Drift(position_m=(1.0, 0.0, 0.0), yaw_deg=90.0, velocity_mps=(0.0, 2.0, 0.0))

@@ -45,7 +45,7 @@ def test_profile_must_increase_in_depth() -> None:
     ("radius_m", "low_band", "high_band"),
     [(1e-6, 1.21, 1.82), (5e-6, 0.42, 0.54), (20e-6, 0.11, 0.14), (50e-6, 0.05, 0.08)],
 )
-def test_sediment_takes_what_uricks_table_says(
+def test_sediment_takes_what_uricks_table_has(
     radius_m: float, low_band: float, high_band: float
 ) -> None:
     assert sediment_db_per_m(750e3, 1.0, radius_m) == pytest.approx(low_band, abs=0.006)

@@ -9,7 +9,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.mark.slow
-def test_page_is_what_the_types_say() -> None:
+def test_page_is_made_from_the_types() -> None:
     page = (ROOT / PAGE).read_text(encoding="utf-8")
     assert page == reference(), "write it again: python -m sonar_sim.scene_file.reference"
 

@@ -86,7 +86,7 @@ def test_amplitude_is_rayleighs_however_many_beams(beams: int) -> None:
     assert speckle(found[:, ::3, :: beams // 50]).rayleigh_distance < 0.01
 
 
-def test_neighbours_share_speckle_as_the_beams_and_lines_say(
+def test_neighbours_share_speckle_as_by_beams_and_lines(
     relative: NDArray[np.float64],
 ) -> None:
     power = np.square(relative)[:, :, 150:241]

@@ -26,8 +26,8 @@ def running_mosquitto(folder: Path, port: int, *lines: str) -> Iterator[None]:
     path = mosquitto_path()
     assert path is not None
     config = folder / "mosquitto.conf"
-    said = lines or ("allow_anonymous true",)
-    text = [f"listener {port} 127.0.0.1", "persistence false", "user root", *said]
+    options = lines or ("allow_anonymous true",)
+    text = [f"listener {port} 127.0.0.1", "persistence false", "user root", *options]
     config.write_text("\n".join(text) + "\n", encoding="utf-8")
     with (folder / "mosquitto.log").open("ab") as log:
         broker = subprocess.Popen([path, "-c", str(config)], stdout=log, stderr=log)  # noqa: S603 ours

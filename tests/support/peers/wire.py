@@ -18,7 +18,7 @@ async def tcp_server(pieces: Pieces, *, reset: bool = False, port: int = 0) -> A
         port: to listen on; 0 takes a free one.
     """
 
-    async def say(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def send(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         for piece in pieces():
             writer.write(piece)
             await writer.drain()
@@ -28,7 +28,7 @@ async def tcp_server(pieces: Pieces, *, reset: bool = False, port: int = 0) -> A
         else:
             writer.close()
 
-    server = await asyncio.start_server(say, "127.0.0.1", port)
+    server = await asyncio.start_server(send, "127.0.0.1", port)
     async with server:
         yield server.sockets[0].getsockname()[1]
 
