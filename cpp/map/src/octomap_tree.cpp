@@ -98,7 +98,7 @@ class TreeReader {
 
 }  // namespace
 
-// The probabilities are those of OctoMap's source, where its comments say -2 and 3.5.
+// The probabilities are those of OctoMap's source, where its comments state -2 and 3.5.
 double octomap_free_log_odds() { return std::log(0.1192 / (1 - 0.1192)); }
 double octomap_occupied_log_odds() { return std::log(0.971 / (1 - 0.971)); }
 
