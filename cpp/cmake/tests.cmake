@@ -19,8 +19,10 @@ target_include_directories(testing SYSTEM PUBLIC ${PROJECT_BINARY_DIR}/doctest)
 target_compile_definitions(testing PUBLIC
   DOCTEST_CONFIG_SUPER_FAST_ASSERTS
   DOCTEST_CONFIG_NO_TRY_CATCH_IN_ASSERTS
-  DOCTEST_CONFIG_NO_POSIX_SIGNALS
-  $<$<BOOL:${MAPPERD_SANITIZE}>:MAPPERD_SANITIZED>)
+  DOCTEST_CONFIG_NO_POSIX_SIGNALS)
+if(MAPPERD_SANITIZE)
+  target_compile_definitions(testing PUBLIC MAPPERD_SANITIZED)
+endif()
 
 # Each source file `test/test_<name>.cpp` of a suite is one test of CTest, `<suite>.<name>`.
 function(mapperd_add_test_suite suite)
