@@ -12,6 +12,7 @@ from mapperd.wire.auth import proof_of
 from mapperd.wire.framing import StreamError, client_inbox, framed, server_inbox
 from mapperd.wire.messages import (
     MAX_FROM_CLIENT,
+    PROTOCOL,
     VERSION,
     WANTS,
     Ack,
@@ -30,8 +31,6 @@ from mapperd.wire.messages import (
 )
 
 __all__ = ["Dialogue", "Wishes"]
-
-STREAM = "map stream"
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -195,8 +194,8 @@ class Dialogue:
         if self.is_greeted:
             raise StreamError("a second greeting", "bad_order")
         self.is_greeted = True
-        if greeting.mapperd != STREAM:
-            raise EndedError(f"this is no {STREAM} but a {greeting.mapperd!r:.50}", "bad_version")
+        if greeting.mapperd != PROTOCOL:
+            raise EndedError(f"this is no {PROTOCOL} but a {greeting.mapperd!r:.50}", "bad_version")
         if VERSION not in greeting.versions:
             spoken = ", ".join(map(str, greeting.versions[:10]))
             raise EndedError(f"the daemon speaks versions {spoken}, not {VERSION}", "bad_version")

@@ -7,7 +7,7 @@ import secrets
 import socket
 import sys
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from mapperd.daemon.daemon import Daemon
 from mapperd.daemon.journal import Journal, goes_to_journal
 from mapperd.daemon.localization_service import PoseKeeper
 from mapperd.daemon.map_folder import localization_summary, summary_of
-from mapperd.daemon.servers import control_server, serving, stream_server
+from mapperd.daemon.servers import serving, stream_server
 from mapperd.daemon.session import Live, host_clock
 from mapperd.daemon.supervisor import supervised
 from mapperd.daemon.systemd import Notifier, inherited_sockets, watchdog_s
@@ -123,15 +123,10 @@ async def _served(
     stop = asyncio.Event()
     inherited = inherited_sockets(os.environ, os.getpid())
     async with contextlib.AsyncExitStack() as stack:
-        server = control_server(daemon, os.environ, inherited.pop("control", None))
-        daemon.servers["control"] = server.status
-        watched = _watched(
-            run, opened, daemon, stack, clock=clock, inherited=inherited.pop("map", None)
-        )
-        daemon.servers["stream"] = watched.status
+        server = _server(run, opened, daemon, stack, clock=clock, inherited=inherited)
+        daemon.servers["stream"] = server.status
         await stack.enter_async_context(serving(daemon, folder, os.environ, clock))
         await stack.enter_async_context(server)
-        await stack.enter_async_context(watched)
         feeding = supervised(
             daemon,
             daemon.workers,
@@ -154,16 +149,16 @@ async def _served(
     return whole, summary_of(source, whole, live.poses, live.counters, wall_s)
 
 
-def _watched(
+def _server(
     run: LiveRun,
     opened: OpenMap,
     daemon: Daemon,
     stack: contextlib.AsyncExitStack,
     *,
     clock: Callable[[], int],
-    inherited: socket.socket | None,
+    inherited: Mapping[str, socket.socket],
 ) -> StreamServer:
-    """The map stream, with the map that it serves."""
+    """The server of clients, with the map that it serves."""
     live = daemon.live
     source = MapSource(
         opened.sonar_map,

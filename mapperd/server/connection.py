@@ -1,81 +1,22 @@
-"""One connection of the map stream: its bytes, and its control requests."""
+"""One connection of a client: its bytes, and its requests in their order."""
 
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import msgspec
-
 from mapperd.api import DaemonApi
-from mapperd.events import Severity
-from mapperd.server.dispatch import EventFeed, operate
+from mapperd.server.listeners import Section
+from mapperd.server.requests import answer
 from mapperd.server.resume import Parting
 from mapperd.server.session import Session
 from mapperd.server.tcp import tcp_state
 from mapperd.wire.auth import Limits, TokenBucket
-from mapperd.wire.control_messages import (
-    Ask,
-    Events,
-    Fault,
-    Get,
-    Localization,
-    Params,
-    Status,
-    decode_ask,
-)
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import MAX_FROM_SERVER
+from mapperd.wire.requests import Fault
 
-__all__ = ["Around", "Connection", "answered"]
-
-LOOKS = (Status, Params, Get, Localization, Events)
-"""Requests that change nothing."""
-
-
-async def answered(
-    raw: msgspec.Raw, operations: DaemonApi, origin: str, *, may_change: bool
-) -> tuple[int | None, dict[str, Any] | Fault]:
-    """Do what is asked; whatever goes wrong, the client is told and the daemon goes on.
-
-    Args:
-        raw: the request, one value of MessagePack.
-        operations: the daemon.
-        origin: who asks.
-        may_change: more than looking is allowed.
-
-    Returns:
-        The number of the request, where it can be read, and what became of it.
-    """
-    ask, number = _decoded(raw)
-    if isinstance(ask, Fault):
-        return number, ask
-    if not may_change and not isinstance(ask, LOOKS):
-        return number, Fault("needs_token", "changing anything by TCP needs stream.token_file")
-    try:
-        return number, await _done(ask, operations, origin)
-    except Exception as error:  # noqa: BLE001 a fault of ours must not end the daemon
-        what = f"{type(ask).__name__.lower()}: {type(error).__name__}: {error}"
-        operations.events.add(Severity.ERROR, "stream_failed", what)
-        return number, Fault("failed", what)
-
-
-async def _done(ask: Ask, operations: DaemonApi, origin: str) -> dict[str, Any] | Fault:
-    if not isinstance(ask, Events):
-        return await operate(ask, operations, origin)
-    if ask.follow:
-        return Fault("bad_request", "events are followed by wanting them")
-    return EventFeed(operations.events, ask.since).take()
-
-
-def _decoded(raw: msgspec.Raw) -> tuple[Ask | Fault, int | None]:
-    """As JSON, which the requests are written in: what it cannot say is in none of them."""
-    try:
-        line = msgspec.json.encode(msgspec.msgpack.decode(raw))
-    except (msgspec.MsgspecError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        return Fault("bad_request", f"no request: {error}"), None
-    return decode_ask(line)
-
+__all__ = ["Around", "Connection"]
 
 LEAVE_S = 1.0
 """For the last words to arrive."""
@@ -122,18 +63,20 @@ class Connection(asyncio.BufferedProtocol):
 
     Args:
         session: of the client.
-        origin: who it is, as is told in events and settings.
+        origin: client, for events and settings.
+        section: of the settings, of the listener that it connected to.
         around: what it shares with others.
 
     Attributes:
-        session, origin: as given.
+        session, origin, section: as given.
         is_over: nothing is said any more.
         is_for_good: and that is no fault of the link.
     """
 
-    def __init__(self, session: Session, origin: str, around: Around) -> None:
+    def __init__(self, session: Session, origin: str, section: Section, around: Around) -> None:
         self.session = session
         self.origin = origin
+        self.section = section
         self.is_over = self.is_for_good = False
         self._around = around
         self._transport: asyncio.Transport | None = None
@@ -271,7 +214,7 @@ class Connection(asyncio.BufferedProtocol):
                     if wait_s:
                         around.count("throttled")
                         await asyncio.sleep(wait_s)
-                    number, result = await answered(
+                    number, result = await answer(
                         raw, around.operations, self.origin, may_change=session.may_change
                     )
                     self._say(number, result)
@@ -280,10 +223,8 @@ class Connection(asyncio.BufferedProtocol):
         finally:
             self._answering = None
 
-    def _say(self, number: int | None, result: dict[str, object] | Fault) -> None:
+    def _say(self, number: int | None, result: dict[str, Any] | Fault) -> None:
         if isinstance(result, Fault):
-            self._around.count("asks_refused")
-            self.session.answer(number, None, result)
-        else:
-            self.session.answer(number, result)
+            self._around.count("failed" if result.reason == "failed" else "asks_refused")
+        self.session.answer(number, result)
         self.turn()

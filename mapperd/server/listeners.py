@@ -13,11 +13,13 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from mapperd.errors import ConfigError, LiveError
 
 __all__ = [
     "Listener",
+    "Section",
     "address_of",
     "inherited_listener",
     "open_tcp_listener",
@@ -36,6 +38,9 @@ ADDRESS = re.compile(
 )
 
 
+Section = Literal["control", "stream"]
+
+
 @dataclass(frozen=True, slots=True)
 class Listener:
     """A socket that listens.
@@ -47,6 +52,7 @@ class Listener:
             where everybody on this computer may come in.
         tls: encrypts; None does not.
         close: lets go of it.
+        section: of the settings; limits the clients of its listeners together.
     """
 
     name: str
@@ -54,9 +60,10 @@ class Listener:
     token: bytes | None
     tls: ssl.SSLContext | None
     close: Callable[[], None]
+    section: Section = "control"
 
 
-def open_unix_listener(path: Path, mode: int) -> Listener:
+def open_unix_listener(path: Path, mode: int, section: Section = "control") -> Listener:
     """Listen at a Unix socket; one that a dead process left is replaced.
 
     It comes into its place with its permissions, and only who holds the lock beside it puts it
@@ -91,10 +98,10 @@ def open_unix_listener(path: Path, mode: int) -> Listener:
                 path.unlink()
         os.close(lock)
 
-    return Listener(f"unix {path}", listening, None, None, close)
+    return Listener(f"unix {path}", listening, None, None, close, section)
 
 
-def inherited_listener(listening: socket.socket, section: str = "control") -> Listener:
+def inherited_listener(listening: socket.socket, section: Section = "control") -> Listener:
     """A Unix socket that the service manager opened: its permissions are the manager's.
 
     Args:
@@ -111,11 +118,11 @@ def inherited_listener(listening: socket.socket, section: str = "control") -> Li
         raise ConfigError(said, f"$.{section}")
     listening.settimeout(0)
     name = f"unix {os.fsdecode(listening.getsockname())}"
-    return Listener(name, listening, None, None, listening.close)
+    return Listener(name, listening, None, None, listening.close, section)
 
 
 def open_tcp_listener(
-    address: str, token: bytes | None, tls: ssl.SSLContext | None, section: str = "control"
+    address: str, token: bytes | None, tls: ssl.SSLContext | None, section: Section = "control"
 ) -> Listener:
     """Listen at a TCP address.
 
@@ -145,7 +152,7 @@ def open_tcp_listener(
     listening.settimeout(0)
     shown = f"[{host}]" if is_v6 else f"{host}"
     name = f"{'tls' if tls else 'tcp'} {shown}:{listening.getsockname()[1]}"
-    return Listener(name, listening, token, tls, listening.close)
+    return Listener(name, listening, token, tls, listening.close, section)
 
 
 def address_of(

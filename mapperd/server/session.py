@@ -9,22 +9,20 @@ that is slow skips what nobody needs any more, and costs no more than one that i
 import secrets
 from collections import deque
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 
 from mapperd import __version__
 from mapperd.events import EventLog
-from mapperd.server.admission import Newcomer, doubt
 from mapperd.server.outbox import ClientOutbox
 from mapperd.server.pacer import Pacer
 from mapperd.server.resume import Ends, Parting, is_ticket
 from mapperd.server.schedule import Rooms, Turns
 from mapperd.server.source_protocol import MapView
 from mapperd.server.state_feed import Feed
-from mapperd.wire.auth import FailureLimiter, TokenBucket
-from mapperd.wire.control_messages import plain
+from mapperd.wire.auth import FailureLimiter, TokenBucket, is_proof
 from mapperd.wire.framing import StreamError, framed, server_inbox
 from mapperd.wire.messages import (
     VERSION,
@@ -41,8 +39,39 @@ from mapperd.wire.messages import (
     Resume,
     Welcome,
 )
+from mapperd.wire.requests import Fault, plain_map
 
-__all__ = ["Beginning", "Common", "Session", "Wish", "checked"]
+__all__ = ["Beginning", "Common", "Newcomer", "Session", "Wish", "checked"]
+
+
+@dataclass(frozen=True, slots=True)
+class Newcomer:
+    """A client that has connected and not said hello yet.
+
+    Attributes:
+        peer: its address.
+        challenge: that it was greeted with.
+        token: of the listener; None where file permissions decide, or all may come in.
+    """
+
+    peer: str
+    challenge: str
+    token: bytes | None
+
+    def check(self, proof: str, failures: FailureLimiter, now_s: float) -> None:
+        """Check that it knows the token.
+
+        Raises:
+            StreamError: it does not, or may not try again yet.
+        """
+        if self.token is None:
+            return
+        wait_s = failures.wait_s(self.peer, now_s)
+        if wait_s > 0:  # even with the right proof: else trying would go on
+            raise StreamError(f"too many wrong tokens; wait {wait_s:.0f} s", "locked_out")
+        if not is_proof(proof, self.token, self.challenge):
+            failures.failed(self.peer, now_s)
+            raise StreamError("the token is not the one of this daemon", "wrong_token")
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,11 +248,13 @@ class Session:
         """The last message about the map that it acknowledged."""
         return self._ends.settled(self.pacer.acked)
 
-    def answer(self, number: int | None, result: object, error: object = None) -> None:
-        """What became of a request."""
-        said = msgspec.to_builtins(result, enc_hook=plain)
-        fault = msgspec.to_builtins(error, enc_hook=plain)
-        self._words.append(framed(Answer(id=number, result=said, error=fault)))
+    def answer(self, number: int | None, result: dict[str, Any] | Fault) -> None:
+        """Add the answer to a request, by its id: the result, or why there is none."""
+        if isinstance(result, Fault):
+            message = Answer(id=number, error=plain_map(result))
+        else:
+            message = Answer(id=number, result=plain_map(result))
+        self._words.append(framed(message))
 
     @property
     def answers(self) -> int:
@@ -300,9 +331,7 @@ class Session:
         if hello.version != VERSION:
             said = f"version {hello.version} is not spoken; allowed: {VERSION}"
             raise StreamError(said, "bad_version")
-        fault = doubt(self._newcomer, hello.proof, self._common.failures, now_s)
-        if fault is not None:
-            raise StreamError(fault.message, fault.reason)
+        self._newcomer.check(hello.proof, self._common.failures, now_s)
         if hello.beside:
             raise StreamError("a client has one connection", "no_such_connection")
         self.state, self.name = "admitted", hello.name

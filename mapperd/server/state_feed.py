@@ -29,9 +29,9 @@ from mapperd.server.state_messages import (
     pose_message,
     returns_message,
 )
-from mapperd.wire.control_messages import plain
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import Event, Localization, Robots, Vector
+from mapperd.wire.requests import plain, plain_map
 
 if TYPE_CHECKING:
     from mapperd.pipeline.worker import StatusSnapshot
@@ -309,8 +309,7 @@ class Feed:
 
 
 def _plain_event(happening: Happening) -> dict[str, Any]:
-    said: dict[str, Any] = msgspec.to_builtins(happening.plain(), enc_hook=plain)
-    return said
+    return plain_map(happening.plain())
 
 
 def _seen(robot: dict[str, Any]) -> tuple[int, float, float, float]:

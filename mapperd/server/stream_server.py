@@ -1,4 +1,4 @@
-"""Serves the live map: lets clients in, and turns the one wheel that all of them are told by.
+"""Serves clients: admits them, sends the live map and what happens, and answers their requests.
 
 Twenty times a second the event loop makes what is new into messages, once, and gives each client
 what it has room for. The map itself is looked at, and cut into messages, in one worker thread. So
@@ -17,11 +17,10 @@ from typing import Any, Self
 
 from mapperd.api import DaemonApi
 from mapperd.events import Severity
-from mapperd.server.admission import Newcomer
 from mapperd.server.connection import Around, Connection
-from mapperd.server.listeners import Listener, peer_of
+from mapperd.server.listeners import Listener, Section, peer_of
 from mapperd.server.map_worker import MapRounds
-from mapperd.server.session import Common, Session
+from mapperd.server.session import Common, Newcomer, Session
 from mapperd.server.source_protocol import Source
 from mapperd.server.state_feed import Feed
 from mapperd.server.tcp import tune
@@ -36,19 +35,22 @@ BREATH_S = 1.0
 """Between attempts when the system has no more sockets to give."""
 
 LEAVE_S = 1.5
+NEWCOMERS = 32
+"""Connections of one listener before hello."""
+
 TOLD = 20
 """Clients that the status names."""
 
 
 class StreamServer:
-    """Serves the map stream, `async with`, in the daemon's event loop.
+    """Serves the map stream and requests, `async with`, in the daemon's event loop.
 
     Args:
         operations: the daemon.
         doors: that it listens at; closed with the server.
         feed: what the daemon knows.
         source: the map.
-        limits: what clients may take.
+        limits: what clients may take; `clients` are those of each section of the settings.
         clock: seconds, monotonic.
         now_ns: Unix time that is never set back.
     """
@@ -68,9 +70,13 @@ class StreamServer:
         self._operations = operations
         self._doors = tuple(doors)
         self._feed = feed
-        self._limits = limits or Limits(clients=config.stream.max_clients, newcomers=32)
+        self._limits = limits or Limits(clients=config.stream.max_clients, newcomers=NEWCOMERS)
         self._clock = clock
         self._counters: Counter[str] = Counter()
+        self._max_clients: dict[Section, int] = {
+            "control": limits.clients if limits else config.control.max_clients,
+            "stream": limits.clients if limits else config.stream.max_clients,
+        }
         self._clients: dict[Connection, None] = {}
         self._newcomers: dict[Listener, dict[Connection, asyncio.Task[None]]] = {}
         self._common = Common(
@@ -180,7 +186,8 @@ class StreamServer:
         may_change = door.token is not None or connection.family == socket.AF_UNIX
         newcomer = Newcomer(peer, challenge, door.token)
         session = Session(self._common, newcomer, may_change=may_change)
-        client = Connection(session, f"map stream, {who}", self._around)
+        purpose = "control" if door.section == "control" else "map stream"
+        client = Connection(session, f"{purpose}, {who}", door.section, self._around)
         newcomers = self._newcomers[door]
         while len(newcomers) >= self._limits.newcomers:
             oldest = next(iter(newcomers))
@@ -214,8 +221,9 @@ class StreamServer:
         wish = client.session.wish
         if wish is not None and wish.resume is not None:
             self._take_over(wish.resume.ticket, client)
-        clients = len(self._clients)
-        if clients >= self._limits.clients:
+        # Counted by section: viewers of the map must not keep out those who control.
+        clients = sum(other.section == client.section for other in self._clients)
+        if clients >= self._max_clients[client.section]:
             said = f"{clients} clients are connected; allowed: that many"
             raise StreamError(said, "too_many_clients")
         self._drop_newcomer(client)

@@ -30,27 +30,17 @@ class Limits:
         clients: of all sockets together, that said hello.
         newcomers: of one socket, that did not yet; one more and the oldest of them is cut.
         connects_per_s, connects_at_once: of one socket; more have to wait.
-        line_bytes: longest request.
         asks_per_s, asks_at_once: of one client; more have to wait.
-        malformed: requests that make no sense before a client is cut.
         hello_s: from the connection to a hello, TLS included.
-        line_s: from the first byte of a request to its end.
-        idle_s: without a request; who follows the events may be silent.
-        write_s: to take an answer.
     """
 
     clients: int = 16
     newcomers: int = 8
     connects_per_s: float = 50.0
     connects_at_once: int = 50
-    line_bytes: int = 65536
     asks_per_s: float = 20.0
     asks_at_once: int = 40
-    malformed: int = 10
     hello_s: float = 5.0
-    line_s: float = 10.0
-    idle_s: float = 300.0
-    write_s: float = 10.0
 
 
 class TokenBucket:

@@ -1,4 +1,4 @@
-"""Messages of the map stream: docs/reference/map-stream.md.
+"""Messages of clients and the daemon: docs/reference/map-stream.md.
 
 Each message is one MessagePack map whose key `t` names its kind; times are Unix nanoseconds,
 lengths metres, angles radians, arrays bytes in little endian.
@@ -17,6 +17,7 @@ __all__ = [
     "MAX_LEVEL",
     "MAX_PATH",
     "MAX_SETTINGS",
+    "PROTOCOL",
     "VERSION",
     "WANTS",
     "Ack",
@@ -53,7 +54,7 @@ __all__ = [
     "Welcome",
 ]
 
-VERSION = 1
+PROTOCOL, VERSION = "map stream", 1
 BLOCK_EDGE = 8
 """Cells along one edge of a block of the stream."""
 
@@ -206,7 +207,7 @@ class Greeting(Message, frozen=True, kw_only=True, omit_defaults=False):
         challenge: to be answered by the proof of the token; without one none is needed.
     """
 
-    mapperd: str = "map stream"
+    mapperd: str = PROTOCOL
     versions: tuple[int, ...] = (VERSION,)
     challenge: str = ""
 

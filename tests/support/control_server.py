@@ -1,9 +1,9 @@
 """A daemon that records requests, and a client that is independent of ours."""
 
 import asyncio
+import contextlib
 import hashlib
 import hmac
-import json
 import socket
 import ssl
 from collections import Counter
@@ -13,14 +13,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
+import msgpack
+
 from mapperd.api import OperationError, PoseRequest
 from mapperd.config.layers import Layered
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
 from mapperd.events import EventLog
-from mapperd.server.control_server import ControlServer
 from mapperd.server.listeners import Listener, open_tcp_listener, open_unix_listener
+from mapperd.server.state_feed import Feed
+from mapperd.server.stream_server import StreamServer
 from mapperd.wire.auth import Limits
+from mapperd.wire.messages import Interest, MapFacts
 
 TOKEN = b"correct-horse-battery-staple"
 
@@ -92,10 +96,10 @@ def refusal(reason: str) -> OperationError:
 
 @dataclass
 class Served:
-    """A server with a Unix, a TCP and perhaps a TLS socket."""
+    """A server with sockets: `unix`, `tcp`, `tls`; `open` without a token; `map` for viewers."""
 
     daemon: FakeDaemon
-    server: ControlServer
+    server: StreamServer
     doors: dict[str, Listener]
     trusted: ssl.SSLContext | None = None
 
@@ -107,7 +111,7 @@ class Served:
         """Connect without sending hello."""
         door = self.doors[kind]
         at = door.socket.getsockname()
-        if kind == "unix":
+        if door.socket.family == socket.AF_UNIX:
             streams = await asyncio.open_unix_connection(door.name.removeprefix("unix "))
         elif kind == "tls":
             streams = await asyncio.open_connection(
@@ -120,19 +124,19 @@ class Served:
     async def line(self, kind: str = "unix", token: bytes = TOKEN) -> "Line":
         """Connect and authenticate."""
         line = await self.raw(kind)
-        answer = await line.hello(token)
-        assert answer.get("result") == {"version": 1}, answer
+        welcome = await line.hello(token)
+        assert welcome["t"] == "welcome", welcome
         return line
 
 
 class Line:
-    """One connection that reads and writes JSON lines."""
+    """One connection, by msgpack alone."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader = reader
         self.writer = writer
-        self.number = 0
-        self.challenge = ""
+        self.number = self.read = 0
+        self.is_welcome = False
 
     async def __aenter__(self) -> Self:
         return self
@@ -144,34 +148,48 @@ class Line:
         self.writer.transport.abort()
 
     async def hear(self) -> dict[str, Any]:
-        async with asyncio.timeout(60):
-            line = await self.reader.readline()
-        if not line:
-            raise EOFError
-        heard = json.loads(line)
-        assert isinstance(heard, dict)
-        return heard
+        """The next message that is no heartbeat; it is acknowledged."""
+        while True:
+            async with asyncio.timeout(60):
+                try:
+                    head = await self.reader.readexactly(4)
+                    body = await self.reader.readexactly(int.from_bytes(head, "big"))
+                except asyncio.IncompleteReadError as error:
+                    raise EOFError from error
+            heard = msgpack.unpackb(body)
+            assert isinstance(heard, dict)
+            self.read += 4 + len(body)
+            self.is_welcome |= heard["t"] == "welcome"
+            if self.is_welcome:
+                await self.send({"t": "ack", "bytes": self.read})
+            if heard["t"] != "status":
+                return heard
 
     async def say(self, data: bytes) -> None:
         self.writer.write(data)
         await self.writer.drain()
 
+    async def send(self, message: dict[str, Any]) -> None:
+        with contextlib.suppress(ConnectionError):  # what it has heard before counts
+            await self.say(message_of(message))
+
     async def ask(self, do: str, **more: Any) -> dict[str, Any]:
         self.number += 1
-        await self.say(json.dumps({"id": self.number, "do": do} | more).encode() + b"\n")
+        await self.send({"t": "ask", "ask": {"id": self.number, "do": do} | more})
         answer = await self.hear()
-        assert answer["id"] == self.number
+        assert answer["t"] == "bye" or answer["id"] == self.number
         return answer
 
     async def hello(self, token: bytes = TOKEN, **more: Any) -> dict[str, Any]:
         greeting = await self.hear()
-        assert greeting["mapperd"] == "control"
+        assert greeting["mapperd"] == "map stream"
         assert greeting["versions"] == [1]
-        said: dict[str, Any] = {"version": 1}
+        hello: dict[str, Any] = {"t": "hello", "version": 1}
         if greeting["challenge"]:
             text = b"mapperd-control-1 " + greeting["challenge"].encode()
-            said |= {"proof": hmac.new(token, text, hashlib.sha256).hexdigest()}
-        return await self.ask("hello", **(said | more))
+            hello |= {"proof": hmac.new(token, text, hashlib.sha256).hexdigest()}
+        await self.send(hello | more)
+        return await self.hear()
 
     async def is_cut(self) -> bool:
         """Wait until the server disconnects; messages before that are dropped."""
@@ -182,6 +200,47 @@ class Line:
         except ConnectionError:
             pass
         return True
+
+
+def message_of(message: object) -> bytes:
+    body: bytes = msgpack.packb(message)
+    return len(body).to_bytes(4, "big") + body
+
+
+class EmptyView:
+    """A view of a map without blocks."""
+
+    resumed, reason, number, left, near_left = False, "", 0, 0, 0
+
+    def next(self, *_: object) -> None:
+        return None
+
+    def settle(self, _: int) -> None:
+        pass
+
+    def change(self, _: Interest) -> None:
+        pass
+
+    def go_on(self, _: Interest, __: int) -> bool:
+        return False
+
+    def close(self) -> None:
+        pass
+
+
+class EmptySource:
+    """A map without blocks."""
+
+    session, revision = "s1", 0
+
+    def facts(self) -> MapFacts:
+        return MapFacts("m1", 0.1, 0.25, 0.8, 0.0)
+
+    def look(self, *_: object) -> None:
+        pass
+
+    def subscribe(self, *_: object) -> EmptyView:
+        return EmptyView()
 
 
 @asynccontextmanager
@@ -195,9 +254,14 @@ async def served(
     doors = {"unix": open_unix_listener(folder / "mapperd.sock", 0o660)}
     if "tcp" in kinds:
         doors["tcp"] = open_tcp_listener("127.0.0.1:0", TOKEN, None)
+    if "open" in kinds:
+        doors["open"] = open_tcp_listener("127.0.0.1:0", None, None, "stream")
+    if "map" in kinds:
+        doors["map"] = open_unix_listener(folder / "map.sock", 0o660, "stream")
     if tls is not None:
         doors["tls"] = open_tcp_listener("127.0.0.1:0", TOKEN, tls[0])
-    server = ControlServer(daemon, list(doors.values()), limits)
+    feed = Feed(daemon, lambda: None, 1000)
+    server = StreamServer(daemon, list(doors.values()), feed, EmptySource(), limits=limits)
     async with server:
         yield Served(daemon, server, doors, tls[1] if tls else None)
 
@@ -220,37 +284,34 @@ def is_listening(path: Path) -> bool:
 
 FREE = Limits(asks_per_s=1e6, asks_at_once=10**6, connects_per_s=1e6, connects_at_once=10**6)
 
-MALFORMED = [
-    b"\n",
-    b"\0\0\0\0\n",
-    b"\xff\xfe\n",
-    b"GET / HTTP/1.1\r\n",
-    b"[]\n",
-    b"null\n",
-    b"7\n",
-    b'"status"\n',
-    b'{"id": 1}\n',
-    b'{"do": "status"}\n',
-    b'{"id": -1, "do": "status"}\n',
-    b'{"id": 1e400, "do": "status"}\n',
-    b'{"id": 9007199254740993, "do": "status"}\n',
-    b'{"id": 1, "do": "status", "do2": 1}\n',
-    b'{"id": 1, "do": "destroy"}\n',
-    b'{"id": 1, "do": ["status"]}\n',
-    b'{"id": 1, "do": "save"}\n',
-    b'{"id": 1, "do": "save", "name": 7}\n',
-    b'{"id": 1, "do": "set", "changes": {}}\n',
-    b'{"id": 1, "do": "set", "changes": [["a", 1]]}\n',
-    b'{"id": 1, "do": "get", "names": []}\n',
-    b'{"id": 1, "do": "events", "since": "0"}\n',
-    b'{"id": 1, "do": "initial_pose"}\n',
-    b'{"id": 1, "do": "initial_pose", "pose": {"x_m": NaN, "y_m": 0, "yaw_rad": 0}}\n',
-    b'{"id": 1, "do": "initial_pose", "pose": {"x_m": 1e400, "y_m": 0, "yaw_rad": 0}}\n',
-    b'{"id": 1, "do": "initial_pose", "pose": {"x_m": 1e7, "y_m": 0, "yaw_rad": 0}}\n',
-    b'{"id": 1, "do": "set_map", "pose": {"x_m": 1, "y_m": 0, "yaw_rad": 0}}\n',
-    b'{"id": 1, "do": "status"\n',
-    b"[" * 60000 + b"\n",
-    b'{"id": 1, "do": "set", "changes": {"a": ' + b"[" * 60000 + b"\n",
+MALFORMED: list[Any] = [
+    [],
+    None,
+    7,
+    "status",
+    {"id": 1},
+    {"do": "status"},
+    {"id": -1, "do": "status"},
+    {"id": 1.5, "do": "status"},
+    {"id": 9007199254740993, "do": "status"},
+    {"id": 1, "do": "status", "do2": 1},
+    {"id": 1, "do": "destroy"},
+    {"id": 1, "do": "hello", "version": 1},
+    {"id": 1, "do": ["status"]},
+    {"id": 1, "do": "save"},
+    {"id": 1, "do": "save", "name": 7},
+    {"id": 1, "do": "set", "changes": {}},
+    {"id": 1, "do": "set", "changes": [["a", 1]]},
+    {"id": 1, "do": "get", "names": []},
+    {"id": 1, "do": "events", "since": "0"},
+    {"id": 1, "do": "events", "follow": True},
+    {"id": 1, "do": "initial_pose"},
+    {"id": 1, "do": "initial_pose", "pose": {"x_m": float("nan"), "y_m": 0, "yaw_rad": 0}},
+    {"id": 1, "do": "initial_pose", "pose": {"x_m": float("inf"), "y_m": 0, "yaw_rad": 0}},
+    {"id": 1, "do": "initial_pose", "pose": {"x_m": 1e7, "y_m": 0, "yaw_rad": 0}},
+    {"id": 1, "do": "set_map", "pose": {"x_m": 1, "y_m": 0, "yaw_rad": 0}},
+    {b"id": 1, b"do": b"status"},
+    {"id": 1, "do": "set", "changes": {"a": b"\xff"}, "more": {}},
 ]
 
 

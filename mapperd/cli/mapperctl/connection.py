@@ -1,24 +1,42 @@
-"""A connection to the daemon's control socket: one request after the other, and its events."""
+"""A connection to the daemon: one request after the other, and its events."""
 
 import contextlib
-import json
+import select
 import socket
 import ssl
+import time
+from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Self
 
+import msgspec
+
 from mapperd.cli.mapperctl.errors import CtlError, Exit
 from mapperd.wire.auth import proof_of
-from mapperd.wire.control_messages import VERSION
+from mapperd.wire.framing import StreamError, client_inbox, framed
+from mapperd.wire.messages import (
+    PROTOCOL,
+    VERSION,
+    Ack,
+    Answer,
+    Ask,
+    Bye,
+    Change,
+    Event,
+    FromClient,
+    FromServer,
+    Greeting,
+    Hello,
+    Welcome,
+)
 
 __all__ = ["Connection", "Target"]
 
 CONNECT_S = 5.0
-MAX_BYTES = 16 << 20
-"""Of one line; the daemon's longest are a tenth of a MiB."""
+READ_BYTES = 65536
 
 REASONS: Mapping[str, Exit] = MappingProxyType(
     {
@@ -32,8 +50,11 @@ REASONS: Mapping[str, Exit] = MappingProxyType(
         "too_many_clients": Exit.TRY_AGAIN,
         "locked_out": Exit.TRY_AGAIN,
         "wrong_token": Exit.NO_PERMISSION,
+        "needs_token": Exit.NO_PERMISSION,
         "bad_version": Exit.PROTOCOL,
         "bad_request": Exit.PROTOCOL,
+        "bad_message": Exit.PROTOCOL,
+        "closing": Exit.UNAVAILABLE,
     }
 )
 """Exit codes of the daemon's reasons; all others are `REFUSED`."""
@@ -62,25 +83,27 @@ class Target:
 
 
 class Connection:
-    """Talks to one daemon, `with`.
+    """A connection to one daemon, `with`.
 
     Args:
         target: where it listens.
-        patience_s: for an answer.
+        timeout_s: for an answer.
 
     Raises:
-        CtlError: nobody listens there, it is no mapperd, or it does not let us in.
+        CtlError: no daemon listens there, or it refuses the connection.
     """
 
-    def __init__(self, target: Target, patience_s: float) -> None:
+    def __init__(self, target: Target, timeout_s: float) -> None:
         self._target = target
-        self._number = 0
+        self._timeout_s = timeout_s
+        self._number = self._acknowledged = 0
+        self._inbox = client_inbox()
+        self._received: deque[FromServer] = deque()
+        self._is_welcome = False
         with self._translated():
             self._socket = _connected(target)
-            self._lines = self._socket.makefile("rb")
         try:
-            self._send_hello()
-            self._socket.settimeout(patience_s)
+            self._greet()
         except BaseException:
             self.close()
             raise
@@ -97,65 +120,111 @@ class Connection:
         self.close()
 
     def close(self) -> None:
-        """Hang up."""
-        self._lines.close()
+        """Close the connection."""
         self._socket.close()
 
     def ask(self, do: str, **more: object) -> dict[str, Any]:
-        """Have something done; returns its result.
+        """Send a request and return its result.
 
         Raises:
-            CtlError: it was not done.
+            CtlError: the daemon did not do it.
         """
         self._number += 1
-        request = json.dumps({"id": self._number, "do": do} | more)
-        with self._translated():
-            self._socket.sendall(request.encode() + b"\n")
-        answer = self._hear()
-        while answer.get("id") != self._number and "error" not in answer:
-            answer = self._hear()  # an event
-        return self._result(answer)
+        try:
+            request = msgspec.msgpack.encode({"id": self._number, "do": do} | more)
+        except OverflowError as error:
+            raise CtlError("integers have 64 bits", Exit.USAGE) from error
+        self._send(Ask(ask=msgspec.Raw(request)))
+        until_s = time.monotonic() + self._timeout_s
+        while True:
+            message = self._receive(until_s)
+            if isinstance(message, Answer) and message.id in (self._number, None):
+                return self._result(message)
+
+    def wait(self, seconds: float) -> None:
+        """Wait; what the daemon sends meanwhile is acknowledged.
+
+        Raises:
+            CtlError: the daemon ended the connection.
+        """
+        until_s = time.monotonic() + seconds
+        while (left_s := until_s - time.monotonic()) > 0:
+            if select.select([self._socket], [], [], left_s)[0]:
+                self._receive(time.monotonic() + self._timeout_s)
 
     def follow(self, since: int) -> Iterator[dict[str, Any]]:
         """Events after one, and from then on all; each with those that were missed before it."""
-        batch = self.ask("events", since=since, follow=True)
-        self._socket.settimeout(None)
-        while True:
+        batch = self.ask("events", since=since)
+        yield batch
+        while batch["more"]:
+            since = batch["events"][-1]["number"]
+            batch = self.ask("events", since=since)
             yield batch
-            batch = self._hear()
+        last = max([since, *(event["number"] for event in batch["events"])])
+        self._send(Change(wants=["events"]))
+        while True:
+            message = self._receive(None)
+            if isinstance(message, Event) and message.event["number"] > last:
+                yield {"events": [message.event], "missed": message.lost, "more": False}
 
-    def _send_hello(self) -> None:
-        greeting = self._hear()
-        if greeting.get("mapperd") != "control" or VERSION not in greeting.get("versions", ()):
-            what = f"speaks versions {greeting.get('versions')}, not {VERSION}"
+    def _greet(self) -> None:
+        until_s = time.monotonic() + CONNECT_S
+        greeting = self._receive(until_s)
+        if not isinstance(greeting, Greeting) or greeting.mapperd != PROTOCOL:
+            raise CtlError(f"{self._target}: is not the socket of mapperd", Exit.PROTOCOL)
+        if VERSION not in greeting.versions:
+            what = f"speaks versions {list(greeting.versions)}, not {VERSION}"
             raise CtlError(f"{self._target}: {what}", Exit.PROTOCOL)
-        more = {}
-        if challenge := greeting.get("challenge"):
+        proof = ""
+        if greeting.challenge:
             if not self._target.token:
                 raise CtlError(f"{self._target}: wants a token: --token-file", Exit.NO_PERMISSION)
-            more["proof"] = proof_of(self._target.token, str(challenge))
-        self.ask("hello", version=VERSION, **more)
+            proof = proof_of(self._target.token, greeting.challenge)
+        self._send(Hello(version=VERSION, proof=proof, name="mapperctl"))
+        if not isinstance(self._receive(until_s), Welcome):
+            raise CtlError(f"{self._target}: no welcome", Exit.PROTOCOL)
+        self._is_welcome = True
 
-    def _hear(self) -> dict[str, Any]:
+    def _send(self, message: FromClient) -> None:
         with self._translated():
-            line = self._lines.readline(MAX_BYTES)
-        if not line:
+            self._socket.settimeout(self._timeout_s)
+            self._socket.sendall(framed(message))
+
+    def _receive(self, until_s: float | None) -> FromServer:
+        """The next message, if it comes in time."""
+        while not self._received:
+            self._read(until_s)
+        message = self._received.popleft()
+        if isinstance(message, Bye):
+            code = REASONS.get(message.reason, Exit.REFUSED)
+            raise CtlError(f"{self._target}: {message.message or message.reason}", code)
+        return message
+
+    def _read(self, until_s: float | None) -> None:
+        with self._translated():
+            if until_s is not None and time.monotonic() >= until_s:
+                raise TimeoutError
+            left_s = None if until_s is None else max(until_s - time.monotonic(), 1e-3)
+            self._socket.settimeout(left_s)
+            data = self._socket.recv(READ_BYTES)
+        if not data:
             raise CtlError(f"{self._target}: the daemon hung up", Exit.UNAVAILABLE)
         try:
-            heard = json.loads(line)
-        except (ValueError, RecursionError):
-            heard = None
-        if not isinstance(heard, dict):
-            raise CtlError(f"{self._target}: is not the control socket of mapperd", Exit.PROTOCOL)
-        return heard
+            self._received.extend(self._inbox.feed(data))
+        except StreamError as error:
+            text = f"{self._target}: is not the socket of mapperd: {error}"
+            raise CtlError(text, Exit.PROTOCOL) from error
+        if self._is_welcome and self._inbox.received > self._acknowledged:
+            self._acknowledged = self._inbox.received
+            self._send(Ack(bytes=self._acknowledged))
 
-    def _result(self, answer: dict[str, Any]) -> dict[str, Any]:
-        error, result = answer.get("error"), answer.get("result")
-        if isinstance(error, dict):
+    def _result(self, answer: Answer) -> dict[str, Any]:
+        error, result = answer.error, answer.result
+        if error is not None:
             reason = str(error.get("reason"))
             code = REASONS.get(reason, Exit.REFUSED)
             raise CtlError(str(error.get("message", reason)), code)
-        if not isinstance(result, dict):
+        if result is None:
             raise CtlError(f"{self._target}: an answer without a result", Exit.PROTOCOL)
         return result
 

@@ -180,7 +180,7 @@ def _watch(args: argparse.Namespace, target: Target) -> Lines:
                     status = daemon.ask(args.command, **_arguments(args))
                     yield json.dumps(status) if args.json else _screen(args, status, before)
                     before = status
-                    time.sleep(args.every)
+                    daemon.wait(args.every)
         except CtlError as error:
             if args.json or before is None or error.code != Exit.UNAVAILABLE:
                 raise

@@ -1,8 +1,10 @@
 """Oversized, slow and flooding clients: no crash, no growth, others keep their rate."""
 
 import asyncio
+import contextlib
 import gc
 import os
+import re
 import ssl
 import tracemalloc
 from dataclasses import replace
@@ -10,14 +12,17 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.wire.auth import Limits
+from mapperd.events import Severity
+from mapperd.wire.auth import Limits, proof_of
 from tests.support.control_server import (
     FREE,
     MALFORMED,
+    TOKEN,
     Line,
     Served,
     descriptors,
     go,
+    message_of,
     until,
 )
 
@@ -26,22 +31,12 @@ pytestmark = pytest.mark.net
 Contexts = tuple[ssl.SSLContext, ssl.SSLContext]
 KINDS = ["unix", "tcp", "tls"]
 
-QUICK = Limits(
-    asks_per_s=1e6,
-    asks_at_once=10**6,
-    connects_per_s=1e6,
-    connects_at_once=10**6,
-    hello_s=60.0,
-    line_s=0.4,
-    idle_s=0.4,
-    write_s=0.4,
-)
 LATE = Limits(hello_s=0.4)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("greeted", [False, True])
-def test_endless_line_is_cut(short: Path, tls: Contexts, kind: str, greeted: bool) -> None:  # noqa: FBT001 a parameter
+def test_endless_message_is_cut(short: Path, tls: Contexts, kind: str, greeted: bool) -> None:  # noqa: FBT001 a parameter
     async def work(one: Served) -> None:
         line = await (one.line(kind) if greeted else one.raw(kind))
         sent = 0
@@ -52,7 +47,8 @@ def test_endless_line_is_cut(short: Path, tls: Contexts, kind: str, greeted: boo
         except ConnectionError:
             pass
         assert sent < 64 << 20
-        await until(lambda: one.counters["cut_too_long"] == 1)
+        counter = "cut_too_long" if greeted else "refused_too_long"
+        await until(lambda: one.counters[counter] == 1)
         line.close()
 
     go(work, short, limits=FREE, tls=tls)
@@ -63,27 +59,14 @@ def test_slow_hello_is_cut(short: Path, tls: Contexts, kind: str) -> None:
     async def work(one: Served) -> None:
         line = await one.raw(kind)
         await line.hear()
-        trickle = asyncio.create_task(_trickle(line, b'{"id": 1, "do": "hello", "version": 1}'))
+        hello = message_of({"t": "hello", "version": 1, "name": "x" * 100})
+        trickle = asyncio.create_task(_trickle(line, hello))
         assert await line.is_cut()
-        await trickle
-        await until(lambda: one.counters["cut_late_hello"] == 1)
+        assert await trickle < len(hello)
+        await until(lambda: one.counters["refused_late_hello"] == 1)
         line.close()
 
     go(work, short, limits=LATE, tls=tls)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_slow_request_is_cut(short: Path, tls: Contexts, kind: str) -> None:
-    async def work(one: Served) -> None:
-        line = await one.line(kind)
-        slowly = b'{"id": 1, "do": "status"}' + b" " * 500
-        trickle = asyncio.create_task(_trickle(line, slowly))
-        assert await line.is_cut()
-        assert await trickle < len(slowly)
-        await until(lambda: one.counters["cut_slow_sending"] == 1)
-        line.close()
-
-    go(work, short, limits=QUICK, tls=tls)
 
 
 async def _trickle(line: Line, data: bytes) -> int:
@@ -112,17 +95,24 @@ def test_silent_connection_is_cut_before_it_is_a_client(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_silent_client_is_cut_unless_it_follows(short: Path, tls: Contexts, kind: str) -> None:
+def test_client_that_acknowledges_nothing_is_cut(
+    short: Path, tls: Contexts, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mapperd.server.session.QUIET_S", 1.5)
+
     async def work(one: Served) -> None:
         follower, silent = await one.line(kind), await one.line(kind)
-        await follower.ask("events", follow=True)
+        await follower.send({"t": "change", "wants": ["events"]})
+        hearing = asyncio.create_task(follower.hear())  # acknowledges heartbeats
         assert await silent.is_cut()
-        await until(lambda: one.counters["cut_idle"] == 1)
+        await until(lambda: one.counters["cut_no_acks"] == 1)
+        one.daemon.events.add(Severity.INFO, "code", "text")
+        assert (await hearing)["event"]["code"] == "code"
         assert "result" in await follower.ask("status")
         follower.close()
         silent.close()
 
-    go(work, short, limits=QUICK, tls=tls)
+    go(work, short, limits=FREE, tls=tls)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -130,33 +120,56 @@ def test_client_that_never_reads_is_cut(short: Path, tls: Contexts, kind: str) -
     async def work(one: Served) -> None:
         line = await one.line(kind)
         line.writer.transport.pause_reading()  # type: ignore[attr-defined]
-        ask = b'{"id": 1, "do": "params"}\n' * 100
-        try:
-            while one.counters["cut_slow_reading"] == 0:
-                line.writer.write(ask)
-                await asyncio.wait_for(line.writer.drain(), 0.1)
-        except (ConnectionError, TimeoutError):
-            pass
-        await until(lambda: one.counters["cut_slow_reading"] == 1)
+        with contextlib.suppress(ConnectionError):
+            while one.server.status()["clients"]:
+                await asyncio.wait_for(line.say(ASK), 60)
+                await asyncio.sleep(0)
+        await until(lambda: one.counters["cut_too_many_asks"] + one.counters["cut_unread"] == 1)
         line.close()
 
-    go(work, short, limits=QUICK, tls=tls)
+    go(work, short, limits=FREE, tls=tls)
 
 
-def test_flood_of_requests_is_slowed_down_and_others_are_not(short: Path) -> None:
+def test_flood_of_requests_is_cut_and_others_are_not(short: Path) -> None:
     async def work(one: Served) -> None:
         flooders = [await one.line(kind) for kind in ("unix", "tcp") * 3]
-        floods = [asyncio.create_task(_flood(line)) for line in flooders]
+        async with await one.line("unix") as good:
+            floods = [asyncio.create_task(_flood(line)) for line in flooders]
+            for _ in range(30):
+                assert "result" in await good.ask("status")
+            await asyncio.gather(*floods)
+            await until(lambda: one.counters["cut_too_many_asks"] == 6)
+            assert "result" in await good.ask("status")
+        for line in flooders:
+            line.close()
+
+    go(work, short)
+
+
+ASK = message_of({"t": "ask", "ask": {"id": 1, "do": "params"}})
+
+
+async def _flood(line: Line) -> None:
+    with contextlib.suppress(ConnectionError):
+        while True:
+            await line.say(ASK * 100)
+            await asyncio.sleep(0)
+
+
+def test_eager_client_is_slowed_down_and_others_are_not(short: Path) -> None:
+    async def work(one: Served) -> None:
+        eager = [await one.line(kind) for kind in ("unix", "tcp") * 3]
+        asking = [asyncio.create_task(_ask_on(line)) for line in eager]
         async with await one.line("unix") as good:
             for _ in range(30):
                 assert "result" in await good.ask("status")
+        await until(lambda: one.counters["throttled"] == 6)
         # Each had its share at once and no more than its rate since.
         assert one.counters["requests"] <= 30 + 6 * (QUIET.asks_at_once + 1)
-        assert one.counters["throttled"] >= 6
-        for flood, line in zip(floods, flooders, strict=True):
-            flood.cancel()
+        for task, line in zip(asking, eager, strict=True):
+            task.cancel()
             line.close()
-        await asyncio.gather(*floods, return_exceptions=True)
+        await asyncio.gather(*asking, return_exceptions=True)
 
     go(work, short, limits=QUIET)
 
@@ -164,11 +177,9 @@ def test_flood_of_requests_is_slowed_down_and_others_are_not(short: Path) -> Non
 QUIET = Limits(asks_per_s=0.001, asks_at_once=31)
 
 
-async def _flood(line: Line) -> None:
-    ask = b'{"id": 1, "do": "status"}\n' * 1000
+async def _ask_on(line: Line) -> None:
     while True:
-        await line.say(ask)
-        await asyncio.sleep(0)
+        await line.ask("status")
 
 
 @pytest.mark.parametrize("kind", ["tcp", "tls"])
@@ -214,14 +225,15 @@ def test_guessing_the_token_is_slow_even_for_the_right_one(
         for number in range(12):
             line = await one.raw(kind)
             answer = await line.hello(f"wrong {number}".encode())
-            reasons.append(answer["error"]["reason"])
+            reasons.append(answer["reason"])
             assert await line.is_cut()
             line.close()
         assert reasons == ["wrong_token"] * 5 + ["locked_out"] * 7
         line = await one.raw(kind)
-        error = (await line.hello())["error"]
-        assert error["reason"] == "locked_out"
-        assert 0 < error["details"]["wait_s"] <= 10
+        bye = await line.hello()
+        assert bye["reason"] == "locked_out"
+        (wait_s,) = re.findall(r"wait (\d+) s", bye["message"])
+        assert 0 < int(wait_s) <= 10
         line.close()
         assert one.daemon.events.last == 5  # said as often as tried, not as often as asked
         async with await one.line("unix") as good:
@@ -235,13 +247,11 @@ def test_proof_of_another_connection_is_worth_nothing(short: Path) -> None:
         first, second = await one.raw("tcp"), await one.raw("tcp")
         challenges = [(await line.hear())["challenge"] for line in (first, second)]
         assert len(set(challenges)) == 2
-        from mapperd.wire.auth import proof_of  # noqa: PLC0415 only here
-        from tests.support.control_server import TOKEN  # noqa: PLC0415
-
-        stolen = proof_of(TOKEN, challenges[0])
-        answer = await second.ask("hello", version=1, proof=stolen)
-        assert answer["error"]["reason"] == "wrong_token"
-        assert "result" in await first.ask("hello", version=1, proof=stolen)
+        stolen = {"t": "hello", "version": 1, "proof": proof_of(TOKEN, challenges[0])}
+        await second.send(stolen)
+        assert (await second.hear())["reason"] == "wrong_token"
+        await first.send(stolen)
+        assert (await first.hear())["t"] == "welcome"
         first.close()
         second.close()
 
@@ -279,7 +289,7 @@ def test_nothing_grows_under_all_of_it(short: Path, tls: Contexts) -> None:
         print(f"{rounds * 18} bad clients: {grown} bytes more are held")  # noqa: T201 measured
         assert grown < 300_000 + 2_000 * rounds
 
-    go(work, short, limits=replace(QUICK, clients=32, line_s=1.5, idle_s=1.5, write_s=1.5), tls=tls)
+    go(work, short, limits=replace(FREE, clients=32), tls=tls)
 
 
 async def _misbehave(one: Served, kind: str, way: int) -> None:
@@ -288,16 +298,17 @@ async def _misbehave(one: Served, kind: str, way: int) -> None:
         if way == 0:
             await line.say(b"x" * 200_000)
         elif way == 1:
-            await line.say(b"".join(MALFORMED))
+            for request in MALFORMED:
+                await line.say(message_of({"t": "ask", "ask": request}))
         elif way == 2:
-            await _trickle(line, b'{"id": 1, "do": "status"}' * 20)
+            await _trickle(line, ASK * 3)
         elif way == 3:
-            await line.say(b'{"id": 1, "do": "params"}\n' * 60)
+            await line.say(ASK * 60)
         elif way == 4:
-            await line.say(b'{"id": 1, "do": "sta')
+            await line.say(ASK[:20])
         else:
-            await line.ask("events", follow=True)
-        if way != 5:
+            await line.send({"t": "change", "wants": ["events"]})
+        if way in (0, 1, 3):
             await line.is_cut()
     except (ConnectionError, EOFError):
         pass

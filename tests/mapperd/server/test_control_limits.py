@@ -1,46 +1,6 @@
-"""The pure parts: lines, rates, tokens."""
+"""The pure parts: rates, tokens."""
 
-import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-
-from mapperd.events import EventLog, Severity
-from mapperd.server.control_session import LineBuffer, LineTooLongError
-from mapperd.server.dispatch import EventFeed
 from mapperd.wire.auth import FailureLimiter, TokenBucket, is_proof, proof_of, site_of
-
-
-@given(
-    st.lists(st.binary(max_size=30).map(lambda data: data.replace(b"\n", b"").rstrip(b"\r"))),
-    st.integers(1, 7),
-)
-def test_lines_come_out_however_they_are_cut(lines: list[bytes], step: int) -> None:
-    data = b"".join(line + b"\n" for line in lines)
-    buffer, found = LineBuffer(30), []
-    for begin in range(0, len(data), step):
-        buffer.feed(data[begin : begin + step])
-        while (line := buffer.next_line()) is not None:
-            found.append(line)
-    assert found == lines
-    assert len(buffer) == 0
-
-
-@pytest.mark.parametrize("data", [b"x" * 31, b"x" * 31 + b"\n", b"ok\n" + b"x" * 31])
-def test_line_that_is_too_long_is_noticed_before_its_end(data: bytes) -> None:
-    buffer = LineBuffer(30)
-    buffer.feed(data)
-    if data.startswith(b"ok"):
-        assert buffer.next_line() == b"ok"
-    with pytest.raises(LineTooLongError, match="longer than 30 bytes"):
-        buffer.next_line()
-
-
-def test_line_as_long_as_allowed_is_taken() -> None:
-    buffer = LineBuffer(30)
-    buffer.feed(b"x" * 30)
-    assert buffer.next_line() is None
-    buffer.feed(b"\n")
-    assert buffer.next_line() == b"x" * 30
 
 
 def test_bucket_lets_a_few_through_at_once_and_then_its_rate() -> None:
@@ -95,27 +55,3 @@ def test_proof_is_an_hmac_that_anybody_can_make() -> None:
     for wrong in ("", proof[:-1], proof.upper(), "\udcff" * 64, "é" * 64):
         assert not is_proof(wrong, b"sixteen-letters-x", "c0ffee")
     assert not is_proof(proof, b"sixteen-letters-x", "c0ffef")
-
-
-def test_feed_tells_all_in_order_and_says_when_there_is_more() -> None:
-    log = EventLog(lambda: 0, kept=300)
-    for number in range(500):
-        log.add(Severity.INFO, "code", str(number))
-    feed = EventFeed(log, 10)
-    first, second = feed.take(), feed.take()
-    assert (first["missed"], first["more"], second["missed"], second["more"]) == (
-        190,
-        True,
-        0,
-        False,
-    )
-    numbers = [event["number"] for told in (first, second) for event in told["events"]]
-    assert numbers == list(range(201, 501))
-    assert feed.take() == {"events": [], "missed": 0, "more": False}
-
-
-def test_feed_of_a_daemon_that_was_started_anew_begins_at_its_end() -> None:
-    log = EventLog(lambda: 0)
-    feed = EventFeed(log, 9999)
-    log.add(Severity.INFO, "code", "new")
-    assert [event["text"] for event in feed.take()["events"]] == ["new"]

@@ -1,6 +1,5 @@
 """Requests of localization through the socket."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -95,8 +94,7 @@ def test_refusal_is_answered_with_its_reason(short: Path) -> None:
 def test_what_makes_no_sense_reaches_nobody(short: Path, do: str, more: dict[str, Any]) -> None:
     async def work(one: Served) -> None:
         line = await one.line()
-        await line.say(json.dumps({"id": 5, "do": do} | more).encode() + b"\n")
-        assert (await line.hear())["error"]["reason"] == "bad_request"
+        assert (await line.ask(do, **more))["error"]["reason"] == "bad_request"
         assert (await line.ask("status"))["result"]["phase"] == "mapping"
         line.close()
         assert one.daemon.done == []
@@ -109,7 +107,7 @@ def test_token_is_needed_as_for_all_else(short: Path) -> None:
     async def work(one: Served) -> None:
         line = await one.raw("tcp")
         answer = await line.hello(b"wrong-token-of-nobody")
-        assert answer["error"]["reason"] == "wrong_token"
+        assert answer["reason"] == "wrong_token"
         await line.is_cut()
         line.close()
         line = await one.line("tcp")

@@ -12,13 +12,13 @@ import pytest
 import trustme
 
 from mapperd.config.tree import Config, ControlConfig, ServiceConfig
-from mapperd.daemon.servers import control_server
+from mapperd.daemon.servers import open_listeners
 from mapperd.errors import ConfigError, LiveError
-from mapperd.events import Severity
+from mapperd.events import EventLog, Severity
 from mapperd.server.listeners import address_of, open_tcp_listener, open_unix_listener, server_tls
 from mapperd.wire.auth import CREDENTIAL, read_token, token_file
 from mapperd.wire.socket_paths import socket_path, socket_places
-from tests.support.control_server import TOKEN, FakeDaemon, is_listening
+from tests.support.control_server import TOKEN, is_listening
 
 pytestmark = pytest.mark.net
 
@@ -190,21 +190,23 @@ def test_place_of_the_socket() -> None:
 
 class TestSetup:
     def test_loopback_alone_without_a_word(self, short: Path) -> None:
-        daemon = FakeDaemon()
-        server = control_server(daemon, {"XDG_RUNTIME_DIR": str(short)})
-        assert server.status()["listening"] == [f"unix {short}/mapperd.sock"]
-        server._close_doors()
-        assert daemon.events.last == 0
+        events = EventLog(lambda: 0)
+        (door,) = open_listeners("control", Config(), events, {"XDG_RUNTIME_DIR": str(short)})
+        assert (door.name, door.section) == (f"unix {short}/mapperd.sock", "control")
+        door.close()
+        assert events.last == 0
 
     @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])  # noqa: S104 a port of its own
     def test_network_without_tls_is_told(self, short: Path, host: str) -> None:
         (short / "token").write_bytes(TOKEN)
         (short / "token").chmod(0o600)
         control = ControlConfig(address=f"{host}:0", token_file=f"{short}/token", mode="600")
-        daemon = FakeDaemon(Config(control=control))
-        server = control_server(daemon, {"XDG_RUNTIME_DIR": str(short)})
-        server._close_doors()
-        told = [(event.severity, event.code) for event in daemon.events.since(0)[0]]
+        events = EventLog(lambda: 0)
+        environ = {"XDG_RUNTIME_DIR": str(short)}
+        for door in open_listeners("control", Config(control=control), events, environ):
+            assert (door.token is None) == door.name.startswith("unix")
+            door.close()
+        told = [(event.severity, event.code) for event in events.since(0)[0]]
         in_clear = [(Severity.WARNING, "control_in_clear")]
         assert told == ([] if host == "127.0.0.1" else in_clear)
 
@@ -223,7 +225,12 @@ class TestSetup:
     ) -> None:
         control = ControlConfig(**{"address": "127.0.0.1:0", "token_file": "/none"} | said)  # type: ignore[arg-type]
         with pytest.raises(ConfigError, match=because) as caught:
-            control_server(FakeDaemon(Config(control=control)), {"XDG_RUNTIME_DIR": str(short)})
+            open_listeners(
+                "control",
+                Config(control=control),
+                EventLog(lambda: 0),
+                {"XDG_RUNTIME_DIR": str(short)},
+            )
         assert caught.value.path.startswith("$.control.")
         assert [path.name for path in short.iterdir()] == [".mapperd.sock.lock"]
 

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from mapperd.events import EventLog, Severity
-from mapperd.server.admission import Newcomer
 from mapperd.server.outbox import SHARES
 from mapperd.server.pacer import FIRST_RATE, MIN_UNSENT, UNSENT_S
-from mapperd.server.session import Beginning, Common, Session
+from mapperd.server.session import Beginning, Common, Newcomer, Session
 from mapperd.server.state_feed import Newest, SettingLog
 from mapperd.server.state_messages import Track
 from mapperd.wire.auth import FailureLimiter

@@ -11,7 +11,7 @@ import pytest
 from studies.stream.sent_steps import sent_steps
 
 from mapperd.config.loader import config_from_text
-from mapperd.daemon.servers import map_listeners, stream_server
+from mapperd.daemon.servers import open_listeners, stream_server
 from mapperd.daemon.session import host_clock
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog
@@ -34,7 +34,7 @@ MakeBytes = Callable[..., bytes]
 def doors_of(text: str, environ: dict[str, str]) -> tuple[list[str], list[str]]:
     """Names of the doors, and codes of events."""
     events = EventLog(lambda: 1)
-    doors = map_listeners(config_from_text(text), events, environ)
+    doors = open_listeners("stream", config_from_text(text), events, environ)
     names = [door.name for door in doors]
     for door in doors:
         door.close()
@@ -89,15 +89,16 @@ def test_a_socket_of_the_service_manager_is_used(short: Path) -> None:
     with socket.socket(socket.AF_UNIX) as mine:
         mine.bind(str(short / "given"))
         mine.listen()
-        doors = map_listeners(config_from_text("{}"), EventLog(lambda: 1), {}, mine)
+        doors = open_listeners("stream", config_from_text("{}"), EventLog(lambda: 1), {}, mine)
         assert [door.name for door in doors] == [f"unix {short}/given"]
         doors[0].close()
     with socket.socket(socket.AF_INET) as wrong, pytest.raises(ConfigError, match="stream socket"):
-        map_listeners(config_from_text("{}"), EventLog(lambda: 1), {}, wrong)
+        open_listeners("stream", config_from_text("{}"), EventLog(lambda: 1), {}, wrong)
 
 
+@pytest.mark.parametrize("name", ["mapperd-map.sock", "mapperd.sock"])
 def test_a_daemon_shows_its_map_its_pose_and_what_the_sonar_sees(
-    short: Path, ping_bytes: MakeBytes
+    short: Path, ping_bytes: MakeBytes, name: str
 ) -> None:
     pings = [ping_bytes(n, start_time=100 + 0.02 * n) for n in range(1, 60)]
     wants = ["map", "pose", "path", "fan", "returns", "image", "status"]
@@ -110,7 +111,7 @@ def test_a_daemon_shows_its_map_its_pose_and_what_the_sonar_sees(
                 clock = host_clock()
                 server = stream_server(bench.daemon, bench.live, source, environ, now_ns=clock)
                 await stack.enter_async_context(server)
-                watcher = Watcher(*await asyncio.open_unix_connection(short / "mapperd-map.sock"))
+                watcher = Watcher(*await asyncio.open_unix_connection(short / name))
                 stack.callback(watcher.writer.transport.abort)
                 await watcher.until(lambda: watcher.greeting is not None)
                 await watcher.hello(wants=wants)

@@ -177,7 +177,7 @@ class Bed:
         self.source: Any = source or PlainSource()
         self.feed = Feed(self.daemon, lambda: None, 1000)
         self.doors = {
-            "unix": open_unix_listener(folder / "map.sock", 0o600),
+            "unix": open_unix_listener(folder / "map.sock", 0o600, "stream"),
             "token": open_tcp_listener("127.0.0.1:0", TOKEN, None, "stream"),
             "open": open_tcp_listener("127.0.0.1:0", None, None, "stream"),
         }

@@ -17,10 +17,11 @@ from typing import Any
 import pytest
 
 from mapperd.cli.mapperctl.command import main
+from mapperd.cli.mapperctl.connection import Connection, Target
 from mapperd.config.catalog import parameters
 from mapperd.events import Severity
 from tests.mapperd.cli.mapperctl.conftest import Running
-from tests.support.control_server import refusal
+from tests.support.control_server import message_of, refusal
 
 pytestmark = pytest.mark.net
 
@@ -158,14 +159,25 @@ def test_certificate_of_somebody_else_is_not_trusted(
 
 
 def test_as_many_as_allowed(call: Call, running: Running) -> None:
-    from mapperd.cli.mapperctl.connection import Connection, Target  # noqa: PLC0415
-
     others = [Connection(Target(running.socket), 30.0) for _ in range(4)]
     code, _, output = call("status")
     assert code == 75
-    assert "as many clients as allowed" in output
+    assert "4 clients are connected; allowed: that many" in output
     for other in others:
         other.close()
+
+
+def test_connection_lasts_while_it_waits(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mapperd.server.session.QUIET_S", 1.5)
+    with Connection(Target(running.socket), 30.0) as connection:
+        connection.wait(3.5)
+        assert connection.ask("status")["phase"] == "mapping"
+
+
+def test_integer_beyond_64_bits_is_refused(call: Call) -> None:
+    code, _, output = call("set", f"{THRESHOLD}={1 << 64}")
+    assert code == 2
+    assert "64 bits" in output
 
 
 def test_no_daemon_is_one_line(capsys: pytest.CaptureFixture[str], short: Path) -> None:
@@ -179,8 +191,11 @@ def test_no_daemon_is_one_line(capsys: pytest.CaptureFixture[str], short: Path) 
 @pytest.mark.parametrize(
     "output",
     [b"", b"HTTP/1.1 400 Bad Request\r\n\r\n", b"[]\n", b"\xff\n", b"[" * 50000 + b"\n",
-     b'{"mapperd": "map", "versions": [1]}\n', b'{"mapperd": "control", "versions": [9]}\n',
-     b'{"mapperd": "control", "versions": [1]}\n{"id": 1}\n'],
+     message_of({}), message_of([]), message_of({"t": "greeting", "mapperd": "map"}),
+     message_of({"t": "greeting", "versions": [9]}), message_of({"t": "greeting"}),
+     message_of({"t": "greeting"}) * 2,
+     message_of({"t": "greeting"}) + message_of({"t": "bye", "reason": "bad_version"}),
+     message_of({"t": "greeting"}) + message_of({"t": "bye", "reason": "closing"})],
 )  # fmt: skip
 def test_peer_that_is_no_mapperd_is_one_line(
     short: Path, output: bytes, capsys: pytest.CaptureFixture[str]

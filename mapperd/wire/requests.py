@@ -1,0 +1,188 @@
+"""Control requests of clients, as an `Ask` carries them: docs/reference/control.md."""
+
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct, field
+
+from mapperd.api import PoseRequest
+
+__all__ = [
+    "Events",
+    "Fault",
+    "Get",
+    "GlobalLocalization",
+    "InitialPose",
+    "Localization",
+    "NoMotionUpdate",
+    "Params",
+    "Reload",
+    "Request",
+    "Reset",
+    "Save",
+    "Set",
+    "SetMap",
+    "Snapshot",
+    "Status",
+    "decode_request",
+    "plain",
+    "plain_map",
+]
+
+Id = Annotated[int, Meta(ge=0, le=2**53 - 1)]
+Names = Annotated[list[str], Meta(max_length=1000)]
+
+
+class _Request(
+    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="do", tag=str.lower
+):
+    id: Id
+
+
+class Status(_Request, frozen=True, kw_only=True):
+    """How it goes."""
+
+
+class Params(_Request, frozen=True, kw_only=True):
+    """All about settings or sections; none is all."""
+
+    names: Names = field(default_factory=list)
+
+
+class Get(_Request, frozen=True, kw_only=True):
+    """Values of settings or sections."""
+
+    names: Annotated[list[str], Meta(min_length=1, max_length=1000)]
+
+
+class Set(_Request, frozen=True, kw_only=True):
+    """Change settings, all or none."""
+
+    changes: Annotated[dict[str, Any], Meta(min_length=1, max_length=1000)]
+
+
+class Save(_Request, frozen=True, kw_only=True):
+    """Write the map into a file of the folder for maps."""
+
+    name: Annotated[str, Meta(max_length=1000)]
+
+
+class Reset(_Request, frozen=True, kw_only=True):
+    """Empty the map."""
+
+
+class Reload(_Request, frozen=True, kw_only=True):
+    """Read the settings' files again."""
+
+
+class Snapshot(_Request, frozen=True, kw_only=True):
+    """Bring the map and the recording to the disk."""
+
+
+class Events(_Request, frozen=True, kw_only=True):
+    """What happened after an event's number."""
+
+    since: Id = 0
+
+
+class Localization(_Request, frozen=True, kw_only=True):
+    """Where the vehicle is on the known map, and some of the particles."""
+
+    particles: Annotated[int, Meta(ge=0, le=500)] = 0
+
+
+class InitialPose(_Request, frozen=True, kw_only=True, tag="initial_pose"):
+    """Begin localization at a pose."""
+
+    pose: PoseRequest
+
+
+class GlobalLocalization(_Request, frozen=True, kw_only=True, tag="global_localization"):
+    """Begin localization anywhere on the map."""
+
+
+class NoMotionUpdate(_Request, frozen=True, kw_only=True, tag="request_nomotion_update"):
+    """Have the next scan be an update."""
+
+
+class SetMap(_Request, frozen=True, kw_only=True, tag="set_map"):
+    """Localize on another map; with a pose from there on."""
+
+    name: Annotated[str, Meta(max_length=1000)]
+    pose: PoseRequest | None = None
+
+
+Request = (
+    Status
+    | Params
+    | Get
+    | Set
+    | Save
+    | Reset
+    | Reload
+    | Snapshot
+    | Events
+    | Localization
+    | InitialPose
+    | GlobalLocalization
+    | NoMotionUpdate
+    | SetMap
+)
+
+
+class Fault(Struct, frozen=True):
+    """Why something was not done.
+
+    Attributes:
+        reason: short and stable.
+        message: one line for a person.
+        details: plain values.
+    """
+
+    reason: str
+    message: str
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+class _AnyId(Struct, frozen=True):
+    id: Id | None = None
+
+
+_REQUESTS = msgspec.json.Decoder(Request)
+_IDS = msgspec.json.Decoder(_AnyId)
+
+
+def decode_request(raw: bytes) -> tuple[Request | Fault, int | None]:
+    """Decode a request, one value of MessagePack.
+
+    Returns:
+        the request, or what is wrong with it; and its id, if it has one.
+    """
+    try:
+        # By way of JSON, in which requests are documented: what it cannot hold is in none of them.
+        line = msgspec.json.encode(msgspec.msgpack.decode(raw))
+    except (msgspec.MsgspecError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        return Fault("bad_request", f"no request: {error}"), None
+    try:
+        request = _REQUESTS.decode(line)
+    except (msgspec.DecodeError, RecursionError) as error:
+        return Fault("bad_request", f"no request: {error}"), _id_of(line)
+    return request, request.id
+
+
+def plain(value: object) -> object:
+    """Numbers of numpy become numbers; anything else that is not plain becomes text."""
+    return value.item() if isinstance(value, np.generic) else str(value)
+
+
+def plain_map(value: object) -> dict[str, Any]:
+    """Return a map of plain values, as JSON holds them: NaN and infinities become null."""
+    return msgspec.json.decode(msgspec.json.encode(value, enc_hook=plain), type=dict[str, Any])
+
+
+def _id_of(line: bytes) -> int | None:
+    try:
+        return _IDS.decode(line).id
+    except (msgspec.DecodeError, RecursionError):
+        return None
