@@ -120,6 +120,7 @@ class MapRounds:
         self._clients = clients
         self._around = around
         self._due = asyncio.Event()
+        self._beginning = Beginning(source.facts(), source.revision, source.session)
         self._looked_s: float | None = None
         self._left: list[tuple[MapView, Parting | None]] = []
         self.parking = ResumeCache(around.limits.clients)
@@ -127,6 +128,12 @@ class MapRounds:
     def wake(self) -> None:
         """There may be something to do."""
         self._due.set()
+
+    def welcome(self, client: Connection) -> None:
+        """Welcome a client that does not want the map, now: whatever the worker does or lacks."""
+        client.session.wish = None
+        client.session.viewed(None, self._beginning)
+        client.turn()
 
     def leave(self, view: MapView, parting: Parting | None) -> None:
         """Its client is gone; for good where there is no parting."""
@@ -160,6 +167,7 @@ class MapRounds:
         await in_worker(lambda: self._work(job))
         beginning = job.beginning
         assert beginning is not None  # noqa: S101 the work has been done
+        self._beginning = beginning
         for order in job.orders:
             if order.fault is not None:
                 # Its view takes for told what never was: only another connection mends that.

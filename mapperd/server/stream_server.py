@@ -238,7 +238,10 @@ class StreamServer:
 
     def _heard(self, client: Connection) -> None:
         session = client.session
-        if session.wish is not None or session.left:
+        wish = session.wish
+        if wish is not None and wish.interest is None and session.state == "admitted":
+            self._rounds.welcome(client)
+        elif wish is not None or session.left:
             self._rounds.wake()
 
     def _refused(self, client: Connection, reason: str) -> None:

@@ -70,7 +70,7 @@ def test_robots_come_and_go(short: Path) -> None:
     async def work() -> None:
         async with telling(short, "robots") as told:
             told.known.robots = [{"t_s": 2.5, "position_m": [1.0, 2.0, 3.0]}]
-            first = await told.next(lambda one: isinstance(one, Robots))
+            first = await told.next(lambda one: isinstance(one, Robots) and bool(one.seen))
             assert first.seen == [(2_500_000_000, 1.0, 2.0, 3.0)]
             assert told.client.robots == first
             told.known.robots = []

@@ -2,7 +2,9 @@
 
 import asyncio
 import ssl
+import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,6 +26,28 @@ def test_a_fault_of_the_map_is_told_and_passes(short: Path) -> None:
             assert bed.counters["failed"] == 1
             assert any(e.code == "stream_failed" for e in bed.daemon.events.since(0)[0])
             await watcher.leave()
+
+    run(work())
+
+
+def test_requests_are_answered_while_the_map_is_stuck(short: Path) -> None:
+    async def work() -> None:
+        async with bed_of(short) as bed:
+            begun, go_on, looked = threading.Event(), threading.Event(), bed.source.look
+
+            def look(*args: Any) -> None:
+                begun.set()
+                assert go_on.wait(60)
+                looked(*args)
+
+            bed.source.look = look
+            try:
+                assert await asyncio.to_thread(begun.wait, 60)
+                watcher = await bed.welcomed(wants=[])
+                assert (await watcher.ask(do="status", id=9)).result["phase"] == "mapping"
+                await watcher.leave()
+            finally:
+                go_on.set()
 
     run(work())
 

@@ -38,7 +38,8 @@ def filled(view: Any, room: int = ROOM) -> list[int]:
     nobody: Any = None
     order = _Order(nobody, view, None, Rooms(near=room))
     around: Any = SimpleNamespace(limits=SimpleNamespace(clients=1))
-    MapRounds(nobody, feed, nobody, [], around)._fill(order)
+    source: Any = SimpleNamespace(facts=lambda: None, revision=0, session="s")
+    MapRounds(nobody, feed, source, [], around)._fill(order)
     return [len(frame) for frame, *_ in order.frames]
 
 
