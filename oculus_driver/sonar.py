@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from oculus_driver.models import Model
     from oculus_driver.ping import Ping
     from oculus_driver.status import Status
+    from oculus_driver.stream import MessageBounds
 
 _LOG: Final = logging.getLogger(__name__)
 STANDBY_TIMEOUT_S: Final = 1.0
@@ -65,6 +66,8 @@ class OculusSonar:
             or, if its address was given, until `release`. None: only the sonar's own limit.
         keep_pinging: leave the sonar pinging at the end.
         on_bytes: called with all received bytes before they are parsed, and their arrival time.
+        on_chunk: called with the same bytes and time after they are parsed, and with the message
+            boundaries in them, as `oculus_driver.recording.SonarLog.write` needs them.
         on_state: called with each change of the link's state or reason.
         discovery: source of statuses; None: `oculus_driver.discovery.listener.Discovery`.
         clock: host monotonic time, nanoseconds.
@@ -85,6 +88,7 @@ class OculusSonar:
         max_temperature_c: float | None = None,
         keep_pinging: bool = False,
         on_bytes: Callable[[bytes, int], None] | None = None,
+        on_chunk: Callable[[bytes, int, MessageBounds], object] | None = None,
         on_state: Callable[[LinkStatus], None] | None = None,
         discovery: DiscoveryFactory | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
@@ -111,6 +115,7 @@ class OculusSonar:
             port=port,
             clock=clock,
             on_bytes=on_bytes,
+            on_chunk=on_chunk,
             on_received=self._received,
             on_status=self._link_changed,
             on_failure=self._failed,
@@ -157,8 +162,8 @@ class OculusSonar:
     def pings(self) -> AsyncIterator[Ping]:
         """Return an iterator over pings that ends when the sonar is closed.
 
-        Several readers share the pings. Exceptions of `on_bytes`, `on_state` and the discovery are
-        raised here, and at the end of the `async with` block.
+        Several readers share the pings. Exceptions of `on_bytes`, `on_chunk`, `on_state` and the
+        discovery are raised here, and at the end of the `async with` block.
         """
         return self._queue
 

@@ -104,6 +104,20 @@ class StreamParserState(NamedTuple):
     stamps: list[int | None]
 
 
+class MessageBounds(NamedTuple):
+    """Message boundaries in a piece of a stream; offsets from the start of the piece.
+
+    Attributes:
+        start: offset of the first message that begins in the piece, complete or not; the size of
+            the piece if none does.
+        end: offset up to which the stream is parsed: the end of the last complete message, or the
+            size of the piece. Negative if an incomplete message began in an earlier piece.
+    """
+
+    start: int
+    end: int
+
+
 class StreamParser:
     """Splits a TCP stream, or a recording of one, into messages. Never raises on any bytes.
 
@@ -217,6 +231,20 @@ class StreamParser:
         if len(self._buffer) >= self._needed:
             messages += self._parse(final=False)
         return messages
+
+    def bounds(self, messages: list[Message], size: int) -> MessageBounds:
+        """Return the message boundaries in the last fed bytes.
+
+        Args:
+            messages: returned by `feed` for these bytes.
+            size: number of these bytes.
+        """
+        first = self.counters.bytes_total - size
+        end = size - self.pending_bytes
+        begun = end if end >= 0 else size
+        return MessageBounds(
+            next((m.offset - first for m in messages if m.offset >= first), begun), end
+        )
 
     def finish(self) -> list[Message]:
         """Parse the pending bytes at the end of the stream; the rest counts as truncated.

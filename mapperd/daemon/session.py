@@ -37,6 +37,7 @@ from mapperd.session_log import LINK, Remarks, Request, Session, Settings
 from oculus_driver.link.state import LinkState, LinkStatus
 from oculus_driver.settings import FireSettings, Mode, PingRate
 from oculus_driver.sonar import OculusSonar
+from oculus_driver.stream import MessageBounds
 
 __all__ = ["Live", "fire_settings", "host_clock"]
 
@@ -123,7 +124,7 @@ class Live:
             fire_settings(config.device),
             serial=config.device.serial or None,
             port=config.device.port,
-            on_bytes=self._receive_sonar,
+            on_chunk=self._receive_sonar,
             on_state=self._log_sonar_state,
             clock=self._clock,
             max_pings=1,  # the pipeline decodes the bytes itself, as in a replay
@@ -264,9 +265,9 @@ class Live:
         async for _ in self._sonar.pings():
             pass
 
-    def _receive_sonar(self, data: bytes, arrival_ns: int) -> None:
+    def _receive_sonar(self, data: bytes, arrival_ns: int, bounds: MessageBounds) -> None:
         gap, self._is_new_connection = self._is_new_connection, False
-        self.ingest.receive(SONAR, data, arrival_ns, gap=gap)
+        self.ingest.receive(SONAR, data, arrival_ns, bounds, gap=gap)
 
     def _log_sonar_state(self, status: LinkStatus) -> None:
         # The bytes of a new connection do not continue those of the previous one.

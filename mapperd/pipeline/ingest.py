@@ -8,6 +8,7 @@ from threading import Condition
 from mapperd.pipeline.recorder import Recorder
 from mapperd.session_log import Decision, Gap, Skip, chunk_of
 from oculus_driver.recording import OCULUS, Chunk
+from oculus_driver.stream import MessageBounds
 
 __all__ = ["MAX_BYTES", "SONAR", "ChunkQueue", "Ingest"]
 
@@ -122,13 +123,23 @@ class Ingest:
         self._skipped: dict[str, int] = {}
         self._lock = threading.Lock()
 
-    def receive(self, link: str, data: bytes, arrival_ns: int, *, gap: bool) -> None:
+    def receive(
+        self,
+        link: str,
+        data: bytes,
+        arrival_ns: int,
+        bounds: MessageBounds | None = None,
+        *,
+        gap: bool,
+    ) -> None:
         """Pass on received bytes of a link.
 
         Args:
             link: name of the link.
             data: the received bytes.
             arrival_ns: their arrival time.
+            bounds: message boundaries in bytes of the sonar, for the recorder; None: these are
+                whole messages.
             gap: bytes in front of them are missing.
         """
         with self._lock:
@@ -139,11 +150,12 @@ class Ingest:
             chunk = Chunk(link, self._encodings[link], arrival_ns, data)
             if self._queue.has_room(chunk):
                 self._queue_skips(arrival_ns)
-                self._queue.put(chunk, self._recorder.record(chunk, gap=gap))
+                number = self._recorder.record(chunk, gap=gap, bounds=bounds)
+                self._queue.put(chunk, number)
                 return
             self._skipped[link] = self._skipped.get(link, 0) + len(data)
             self._recorder.record(chunk_of(Skip(link, len(data)), arrival_ns), gap=False)
-            self._recorder.record(chunk, gap=gap)
+            self._recorder.record(chunk, gap=gap, bounds=bounds)
 
     def order(self, decision: Decision) -> None:
         """Pass on a decision that takes effect for the bytes after it."""

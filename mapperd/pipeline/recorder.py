@@ -15,6 +15,7 @@ from mapperd.session_log import DECISIONS, LINK, SESSION
 from mapperd.store.position import RecordingOffset
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording import OCULUS, BackgroundLog, Chunk, LogPolicy, SonarLog
+from oculus_driver.stream import MessageBounds
 
 __all__ = ["Recorder"]
 
@@ -91,17 +92,19 @@ class Recorder:
         """Wait until a piece is with the operating system; return False on a timeout."""
         return self._log is None or self._log.wait_for(number, timeout_s)
 
-    def record(self, chunk: Chunk, *, gap: bool) -> int:
+    def record(self, chunk: Chunk, *, gap: bool, bounds: MessageBounds | None = None) -> int:
         """Queue a chunk for the disk; not thread-safe. Return the number of the piece.
 
         Args:
             chunk: of the sonar, an odometry source, or a decision.
             gap: bytes of its link are missing in front of it.
+            bounds: message boundaries in a chunk of the sonar; None: it is whole messages.
         """
         if self._log is None or chunk.arrival_ns is None:
             return 0
         if chunk.encoding == OCULUS:
-            self._log.write(chunk.data, chunk.arrival_ns, gap_before=gap)
+            bounds = bounds or MessageBounds(0, len(chunk.data))
+            self._log.write(chunk.data, chunk.arrival_ns, bounds, gap_before=gap)
         else:
             self._log.write_other(chunk.link, chunk.data, chunk.arrival_ns, gap_before=gap)
         return self._log.offered

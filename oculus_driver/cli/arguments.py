@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from oculus_driver.link.state import LinkStatus, SonarCounters
     from oculus_driver.sonar import OculusSonar
+    from oculus_driver.stream import MessageBounds
 
 
 _LAST_PORT = 65_535
@@ -191,7 +192,7 @@ def open_sonar(
     settings: FireSettings,
     *,
     keep_pinging: bool = False,
-    on_bytes: Callable[[bytes, int], None] | None = None,
+    on_chunk: Callable[[bytes, int, MessageBounds], object] | None = None,
     on_state: Callable[[LinkStatus], None] | None = None,
 ) -> OculusSonar:
     """Return the sonar selected by the arguments, for `async with`."""
@@ -204,7 +205,7 @@ def open_sonar(
         port=args.port,
         version=args.version,
         keep_pinging=keep_pinging,
-        on_bytes=on_bytes,
+        on_chunk=on_chunk,
         on_state=on_state,
         discovery=lambda: Discovery(args.status_port, args.listen),
     )

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from oculus_driver.recording import BackgroundLog, LogPolicy, SonarLog
     from oculus_driver.settings import FireSettings
     from oculus_driver.sonar import OculusSonar
+    from oculus_driver.stream import MessageBounds
 
 NAME = "log"
 HELP = "let a sonar ping and record it: only under water"
@@ -114,7 +115,7 @@ async def _log(
             args,
             settings,
             keep_pinging=args.keep_pinging,
-            on_bytes=tap.take,
+            on_chunk=tap.take,
             on_state=tap.link_changed,
         )
         try:
@@ -136,9 +137,9 @@ class _Tap:
         self._output = output
         self._fresh = False
 
-    def take(self, data: bytes, arrival_ns: int) -> None:
+    def take(self, data: bytes, arrival_ns: int, bounds: MessageBounds) -> None:
         """Record bytes."""
-        self._writer.write(data, arrival_ns, gap_before=self._fresh)
+        self._writer.write(data, arrival_ns, bounds, gap_before=self._fresh)
         self._fresh = False
 
     def link_changed(self, link: LinkStatus) -> None:

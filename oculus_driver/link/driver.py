@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from oculus_driver.link.machine import Link
     from oculus_driver.link.receiver import ReceivedMessage
     from oculus_driver.link.state import LinkStatus
+    from oculus_driver.stream import MessageBounds
 
 
 RECEIVE_BUFFER: Final = 2 * MIB
@@ -170,6 +171,7 @@ class LinkDriver:
         port: of the data connection.
         clock: host monotonic time, nanoseconds.
         on_bytes: called with all received bytes before they are parsed, and their arrival time.
+        on_chunk: called with the same after they are parsed, and the message boundaries in them.
         on_received: called with each message, and with its ping if it is valid.
         on_status: called with the link's status after a change of state or reason.
         on_failure: called with an exception raised by one of these callbacks.
@@ -186,6 +188,7 @@ class LinkDriver:
         port: int,
         clock: Callable[[], int],
         on_bytes: Callable[[bytes, int], None] | None,
+        on_chunk: Callable[[bytes, int, MessageBounds], object] | None,
         on_received: Callable[[ReceivedMessage, int], None],
         on_status: Callable[[LinkStatus], None],
         on_failure: Callable[[BaseException], None],
@@ -195,6 +198,7 @@ class LinkDriver:
         self._port = port
         self._clock = clock
         self._on_bytes = on_bytes
+        self._on_chunk = on_chunk
         self._on_received = on_received
         self._on_status = on_status
         self._on_failure = on_failure
@@ -309,7 +313,10 @@ class LinkDriver:
         try:
             if self._on_bytes is not None:
                 self._on_bytes(data, now_ns)
-            for received in self._receiver.feed(data, now_ns):
+            messages = self._receiver.feed(data, now_ns)
+            if self._on_chunk is not None:
+                self._on_chunk(data, now_ns, self._receiver.bounds)
+            for received in messages:
                 self._handle(received, now_ns)
         except Exception as error:  # noqa: BLE001 - a callback may raise anything
             self._on_failure(error)

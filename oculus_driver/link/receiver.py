@@ -8,7 +8,7 @@ from typing import Final
 
 from oculus_driver.errors import Reject
 from oculus_driver.ping import Ping, PingSequence, decode_ping
-from oculus_driver.stream import Message, StreamCounters, StreamParser
+from oculus_driver.stream import Message, MessageBounds, StreamCounters, StreamParser
 from oculus_driver.wire import MIB, MessageId
 
 MAX_RESYNC_BYTES: Final = 16 * MIB
@@ -28,12 +28,14 @@ class PingReceiver:
     """Parses one sonar's consecutive connections and decides whether to continue.
 
     Attributes:
+        bounds: message boundaries in the last fed bytes.
         sequence: lost, duplicate and restarted ids.
         pings: valid pings, each counted once.
         rejects: unusable ping messages by reason; bytes outside messages count in `stream`.
     """
 
     def __init__(self) -> None:
+        self.bounds = MessageBounds(0, 0)
         self.sequence = PingSequence()
         self.pings = 0
         self.rejects: Counter[str] = Counter()
@@ -58,7 +60,9 @@ class PingReceiver:
     def feed(self, data: bytes, arrival_ns: int) -> list[ReceivedMessage]:
         """Feed the next bytes and return the messages that they complete."""
         self._received_ns = arrival_ns
-        received = [self._received(one) for one in self._parser.feed(data, arrival_ns)]
+        messages = self._parser.feed(data, arrival_ns)
+        self.bounds = self._parser.bounds(messages, len(data))
+        received = [self._received(one) for one in messages]
         if self._parser.synchronised:
             self._resync_since_ns = None
         elif self._resync_since_ns is None:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from oculus_driver.recording.sonar_log import LogPosition, SonarLog
+    from oculus_driver.stream import MessageBounds
 
 MAX_WAITING_BYTES: Final = 64 << 20
 _TICK_S: Final = 1.0
@@ -24,7 +25,8 @@ class _Entry(NamedTuple):
     data: bytes
     arrival_ns: int
     gap_before: bool
-    link: str | None  # None: the sonar's stream
+    link: str
+    bounds: MessageBounds | None = None  # None: not the sonar's stream
     number: int = 0
 
 
@@ -78,7 +80,7 @@ class BackgroundLog:
         self._changed = Condition()
         self._entries: deque[_Entry] = deque()
         self._waiting = 0
-        self._gaps: set[str | None] = set()  # links whose last piece was dropped
+        self._gaps: set[str] = set()  # links whose last piece was dropped
         self._closing = False
         self._error: BaseException | None = None
         self._thread = Thread(target=self._run, name="sonar log", daemon=True)
@@ -111,6 +113,7 @@ class BackgroundLog:
         self,
         data: bytes | bytearray | memoryview,
         arrival_ns: int,
+        bounds: MessageBounds,
         *,
         gap_before: bool = False,
     ) -> bool:
@@ -119,9 +122,10 @@ class BackgroundLog:
         Args:
             data: received bytes; copied unless immutable.
             arrival_ns: arrival time.
+            bounds: message boundaries in the data, see `SonarLog.write`.
             gap_before: bytes before these were lost, or this is a new connection.
         """
-        return self._offer(_Entry(bytes(data), arrival_ns, gap_before, None))
+        return self._offer(_Entry(bytes(data), arrival_ns, gap_before, "sonar", bounds))
 
     def write_status(self, datagram: bytes, arrival_ns: int) -> bool:
         """Queue a status datagram; return False if there is no room for it."""
@@ -193,8 +197,8 @@ class BackgroundLog:
             self._log.tick(self._clock())
 
     def _record(self, entry: _Entry) -> None:
-        if entry.link is None:
-            self._log.write(entry.data, entry.arrival_ns, gap_before=entry.gap_before)
+        if entry.bounds is not None:
+            self._log.write(entry.data, entry.arrival_ns, entry.bounds, gap_before=entry.gap_before)
         else:
             self._log.write_other(
                 entry.link, entry.data, entry.arrival_ns, gap_before=entry.gap_before

@@ -11,7 +11,6 @@ from oculus_driver.errors import RecordingError
 from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS
 from oculus_driver.recording.log_files import MIB, LogFolder, LogPolicy, free_bytes_of, make_room
 from oculus_driver.recording.writer import RecordingWriter
-from oculus_driver.stream import StreamParser
 
 if TYPE_CHECKING:
     import os
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from oculus_driver.stream import Message
+    from oculus_driver.stream import MessageBounds
 
 _SONAR: Final = "sonar"
 _STATUS: Final = "status"
@@ -121,7 +120,7 @@ class SonarLog:
         self._free_bytes = free_bytes
         self._free: int | None = None
         self._free_checked_ns = 0
-        self._parser = StreamParser()
+        self._pending = 0  # received bytes of the incomplete message
         self._writer: RecordingWriter | None = None
         self._messages = 0
         self._began_ns = 0
@@ -166,22 +165,26 @@ class SonarLog:
         """The file being written, None between files."""
         return None if self._writer is None else self._writer.path
 
-    def write(self, data: bytes, arrival_ns: int, *, gap_before: bool = False) -> bool:
+    def write(
+        self, data: bytes, arrival_ns: int, bounds: MessageBounds, *, gap_before: bool = False
+    ) -> bool:
         """Record the next bytes of the sonar's stream; return True if all of them are recorded.
 
         Args:
             data: received bytes.
             arrival_ns: arrival time.
+            bounds: message boundaries in the data, from `OculusSonar` or `StreamParser`. Whole
+                messages have `MessageBounds(0, len(data))`.
             gap_before: bytes before these were lost, or this is a new connection.
         """
-        messages = self._parser.feed(data, arrival_ns, gap_before=gap_before)
+        self._pending = len(data) - bounds.end
         if self._torn:
-            start = self._begin(messages, len(data))
-            self._torn = self._parser.pending_bytes > len(data)
+            start = bounds.start
+            self._torn = bounds.end < 0
             if start:
                 self._drop("resuming", start)
             return self._put(_SONAR, data[start:], arrival_ns) and not start
-        whole = max(0, len(data) - self._parser.pending_bytes)  # up to the end of the last message
+        whole = max(0, bounds.end)
         full = self._full(arrival_ns)
         if full is None or not whole:
             return self._put(_SONAR, data, arrival_ns, gap_before=gap_before)
@@ -220,7 +223,7 @@ class SonarLog:
     def tick(self, now_ns: int) -> None:
         """Perform timed work while no data arrive: close an old file, flush data to the disk."""
         full = self._full(now_ns)
-        if full is not None and not self._parser.pending_bytes:
+        if full is not None and not self._pending:
             self._finish(full)
         self._sync(now_ns)
 
@@ -228,15 +231,6 @@ class SonarLog:
         """Close the current file. May be called again; writing opens another file."""
         self.drop_held()
         self._finish(None)
-
-    def _begin(self, messages: list[Message], size: int) -> int:
-        """Return where in the last `size` bytes the first message starts; `size` if nowhere."""
-        start = self._parser.counters.bytes_total - size
-        for message in messages:
-            if message.offset >= start:
-                return message.offset - start
-        pending = self._parser.pending_bytes
-        return size if pending > size else size - pending
 
     def _full(self, now_ns: int) -> str | None:
         if self._writer is None:
@@ -300,7 +294,7 @@ class SonarLog:
     def _refuse(self, link: str, reason: str, size: int) -> bool:
         self._drop(reason, size)
         if link == _SONAR:
-            self._torn = self._parser.pending_bytes > 0
+            self._torn = self._pending > 0
             self._gap = True
         return False
 

@@ -15,7 +15,7 @@ from oculus_driver.encode import encode_dummy, encode_fire, encode_user_config
 from oculus_driver.errors import Reject
 from oculus_driver.framing import Header, header_fault
 from oculus_driver.ping import Ping, decode_ping
-from oculus_driver.stream import Message, StreamCounters, StreamParser
+from oculus_driver.stream import Message, MessageBounds, StreamCounters, StreamParser
 from oculus_driver.wire import HEADER, MAGIC, MIB, MIN_PING_PAYLOAD, PING_RESULT_V2, MessageId
 
 MakePing = Callable[..., bytes]
@@ -106,6 +106,30 @@ def test_a_message_owns_its_bytes_and_has_the_stamp_of_its_first(make_ping: Make
     assert [message.arrival_ns for message in messages] == [
         offset // 1000 * 1000 for offset in (0, len(ping), 2 * len(ping))
     ]
+
+
+@given(size=st.integers(1, 3000))
+def test_bounds_of_any_pieces_are_those_of_the_messages(make_ping: MakePing, size: int) -> None:
+    ping = make_ping()
+    stream = ping + encode_dummy() + ping + b"junk" + ping * 2
+    borders = (0, len(ping), len(ping) + 16, 2 * len(ping) + 16)  # up to the junk
+    parser = StreamParser()
+    for start in range(0, borders[-1], size):
+        piece = stream[start : start + size]
+        bounds = parser.bounds(parser.feed(piece), len(piece))
+        if start + len(piece) > borders[-1]:
+            break
+        inside = [border for border in borders if start <= border < start + len(piece)]
+        assert bounds.start == (inside[0] - start if inside else len(piece))
+        assert bounds.end == max(b for b in borders if b <= start + len(piece)) - start
+
+
+def test_bounds_skip_bytes_that_are_no_message(make_ping: MakePing) -> None:
+    ping = make_ping()
+    parser = StreamParser()
+    piece = b"junk" * 10 + ping + ping[:50]
+    assert parser.bounds(parser.feed(piece), len(piece)) == MessageBounds(40, 40 + len(ping))
+    assert parser.bounds(parser.feed(ping[50:60]), 10) == MessageBounds(10, -50)
 
 
 def test_stamps_follow_chunks_with_and_without_one(make_ping: MakePing) -> None:

@@ -4,6 +4,7 @@ from typing import Any
 from mapperd.pipeline.ingest import SONAR, ChunkQueue, Ingest
 from mapperd.session_log import Decision, Drop, Gap, Reset, Skip, decision_of
 from oculus_driver.recording import Chunk
+from oculus_driver.stream import MessageBounds
 
 T0 = 5
 
@@ -14,14 +15,16 @@ class Recorded:
     def __init__(self) -> None:
         self.seen: list[bytes | Decision] = []
         self.gaps: list[bool] = []
+        self.bounds: list[MessageBounds | None] = []
 
     @property
     def newest(self) -> int:
         return len(self.seen)
 
-    def record(self, chunk: Chunk, *, gap: bool) -> int:
+    def record(self, chunk: Chunk, *, gap: bool, bounds: MessageBounds | None = None) -> int:
         self.seen.append(decision_of(chunk) or chunk.data)
         self.gaps.append(gap)
+        self.bounds.append(bounds)
         return self.newest
 
 
@@ -43,6 +46,13 @@ def test_recorder_and_mapper_get_the_same_in_one_order() -> None:
     assert recorded.seen == [b"a", Reset(1), Gap("vehicle"), b"b"]
     assert recorded.gaps == [False, False, False, True]
     assert taken(queue) == recorded.seen
+
+
+def test_the_recorder_gets_the_message_boundaries() -> None:
+    inlet, recorded, _ = inlet_with(1024)
+    for data in (b"a" * 600, b"b" * 600):  # the second has no room in the queue
+        inlet.receive(SONAR, data, 1, MessageBounds(0, 400), gap=False)
+    assert recorded.bounds == [MessageBounds(0, 400), None, MessageBounds(0, 400)]
 
 
 def test_remark_is_for_the_recorder_alone() -> None:

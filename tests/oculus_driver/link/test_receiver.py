@@ -14,6 +14,7 @@ from oculus_driver.link.receiver import (
     PingReceiver,
     ReceivedMessage,
 )
+from oculus_driver.stream import MessageBounds
 from oculus_driver.wire import MessageId
 
 if TYPE_CHECKING:
@@ -42,6 +43,17 @@ def test_any_split_gives_each_ping_once(make_ping: MakePing) -> None:
         assert ids(received) == [1, 2, 3, 4]
         assert [one.message_id for one in received[:2]] == [MessageId.PING_RESULT, MessageId.DUMMY]
         assert (receiver.pings, receiver.deadline_ns) == (4, None)
+
+
+def test_bounds_follow_a_new_connection(make_ping: MakePing) -> None:
+    ping, receiver = make_ping(), PingReceiver()
+    receiver.feed(ping[:700], 0)
+    assert receiver.bounds == MessageBounds(0, 0)
+    receiver.feed(ping[700:800], 1)
+    assert receiver.bounds == MessageBounds(100, -700)
+    receiver.finish()
+    receiver.feed(ping + ping[:5], 2)
+    assert receiver.bounds == MessageBounds(0, len(ping))
 
 
 def test_the_captures_come_through(capture: bytes) -> None:

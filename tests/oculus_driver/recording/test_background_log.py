@@ -10,6 +10,7 @@ import pytest
 
 from oculus_driver.encode import encode_status
 from oculus_driver.recording import BackgroundLog, LogPolicy, SonarLog, describe, open_recording
+from oculus_driver.stream import MessageBounds, StreamParser
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,10 +29,17 @@ class SlowLog(SonarLog):
         self.busy = threading.Event()
         self.go = threading.Event()
 
-    def write(self, data: bytes, arrival_ns: int, *, gap_before: bool = False) -> bool:
+    def write(
+        self, data: bytes, arrival_ns: int, bounds: MessageBounds, *, gap_before: bool = False
+    ) -> bool:
         self.busy.set()
         assert self.go.wait(30)
-        return super().write(data, arrival_ns, gap_before=gap_before)
+        return super().write(data, arrival_ns, bounds, gap_before=gap_before)
+
+
+def whole(data: bytes | bytearray) -> MessageBounds:
+    """Return the boundaries of whole messages."""
+    return MessageBounds(0, len(data))
 
 
 def described(folder: Path) -> RecordingInfo:
@@ -48,7 +56,7 @@ def test_everything_given_is_in_the_file_when_the_block_is_left(
             buffer = bytearray(len(make_ping()))
             for index in range(200):
                 buffer[:] = make_ping(ping_id=index)  # a reader may use its buffer again
-                assert log.write(buffer, index)
+                assert log.write(buffer, index, whole(buffer))
             assert log.write_status(encode_status(device_id=1), 300)
 
     asyncio.run(run())
@@ -65,15 +73,17 @@ def test_a_disk_that_hangs_costs_the_newest_bytes_and_the_loop_goes_on(
 
     async def run() -> int:
         async with BackgroundLog(slow, max_waiting_bytes=3 * len(ping)) as log:
-            log.write(ping, 0)
+            log.write(ping, 0, whole(ping))
             assert await asyncio.to_thread(slow.busy.wait, 30)
-            taken = [log.write(make_ping(ping_id=8 + index)[:2000], index) for index in range(20)]
+            cut = [make_ping(ping_id=8 + index)[:2000] for index in range(20)]
+            taken = [log.write(data, n, MessageBounds(0, 0)) for n, data in enumerate(cut)]
             assert taken == [True] * taken.count(True) + [False] * taken.count(False)
             assert log.waiting_bytes <= 3 * len(ping)
             slow.go.set()
             while log.waiting_bytes:  # noqa: ASYNC110 - the thread has no event to give
                 await asyncio.sleep(0)
-            assert log.write(make_ping(ping_id=99), 50)
+            last = make_ping(ping_id=99)
+            assert log.write(last, 50, whole(last))
             assert log.bytes_dropped == 2000 * taken.count(False)
             return log.bytes_dropped
 
@@ -90,13 +100,15 @@ def test_what_goes_wrong_in_the_thread_is_raised_when_the_block_is_left(
     tmp_path: Path, make_ping: MakePing
 ) -> None:
     class BadLog(SonarLog):
-        def write(self, data: bytes, arrival_ns: int, *, gap_before: bool = False) -> bool:
-            del data, arrival_ns, gap_before
+        def write(
+            self, data: bytes, arrival_ns: int, bounds: MessageBounds, *, gap_before: bool = False
+        ) -> bool:
+            del data, arrival_ns, bounds, gap_before
             raise ValueError("bad log")
 
     async def run() -> None:
         async with BackgroundLog(BadLog(tmp_path, POLICY)) as log:
-            assert log.write(make_ping(), 0)
+            assert log.write(make_ping(), 0, whole(make_ping()))
 
     with pytest.raises(ValueError, match="bad log"):
         asyncio.run(run())
@@ -128,7 +140,8 @@ def test_what_comes_while_the_disk_is_full_is_written_when_there_is_room(
         log = holding(tmp_path, disk)
         async with BackgroundLog(log) as background:
             for index in range(50):
-                assert background.write(make_ping(ping_id=index), index)
+                ping = make_ping(ping_id=index)
+                assert background.write(ping, index, whole(ping))
                 assert background.write_other("vehicle", b"x", index)
             assert not background.wait_for(1, 0.05)
             assert log.state == "paused"
@@ -152,11 +165,12 @@ def test_what_cannot_be_held_any_more_is_counted_and_leaves_a_gap(
 
     async def run() -> None:
         async with BackgroundLog(holding(tmp_path, disk), max_waiting_bytes=5 * size) as log:
-            taken = [log.write(make_ping(ping_id=index), index) for index in range(20)]
+            pings = [make_ping(ping_id=index) for index in range(21)]
+            taken = [log.write(pings[k], k, whole(pings[k])) for k in range(20)]
             assert log.bytes_dropped == size * taken.count(False) > 0
             disk.free = 1 << 30
             assert await asyncio.to_thread(log.wait_for, taken.index(False), 30)
-            assert log.write(make_ping(ping_id=20), 20)
+            assert log.write(pings[20], 20, whole(pings[20]))
 
     asyncio.run(run())
     (path,) = tmp_path.iterdir()
@@ -172,7 +186,8 @@ def test_a_disk_that_stays_full_does_not_hold_up_the_end(
     async def run() -> None:
         async with BackgroundLog(log) as background:
             for index in range(3):
-                background.write(make_ping(ping_id=index), index)
+                ping = make_ping(ping_id=index)
+                background.write(ping, index, whole(ping))
 
     asyncio.run(run())
     assert log.counters.drops["free_space"] == 3
@@ -185,12 +200,15 @@ def test_places_state_where_to_read_on(tmp_path: Path, make_ping: MakePing) -> N
     ping = make_ping()
     pieces = [ping[k : k + 700] for k in range(0, len(ping), 700)]
     offered: list[bytes] = []
+    parser = StreamParser()
 
     async def run() -> list[tuple[int, int]]:
         async with BackgroundLog(SonarLog(tmp_path, policy)) as log:
             while len(offered) < 2_500_000 // len(ping) * len(pieces):
                 offered.append(pieces[len(offered) % len(pieces)])
-                log.write(offered[-1], len(offered))
+                messages = parser.feed(offered[-1])
+                bounds = parser.bounds(messages, len(offered[-1]))
+                log.write(offered[-1], len(offered), bounds)
             assert await asyncio.to_thread(log.wait_for, len(offered), 30)
             places = [log.position_of(number) for number in range(1, len(offered) + 1)]
             return [place for place in places if place is not None]

@@ -13,9 +13,10 @@ from oculus_driver.encode import encode_dummy, encode_status
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording import LogPolicy, SonarLog, describe, open_recording
 from oculus_driver.recording.log_files import MIB
+from oculus_driver.stream import StreamParser
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from oculus_driver.recording import RecordingInfo
@@ -49,6 +50,17 @@ def pieces(stream: bytes, seed: int = 2) -> Iterator[bytes]:
         start += size
 
 
+def writer_of(log: SonarLog) -> Callable[[bytes, int], bool]:
+    """Return a function that writes pieces with their message boundaries, as the driver does."""
+    parser = StreamParser()
+
+    def write(data: bytes, arrival_ns: int) -> bool:
+        messages = parser.feed(data, arrival_ns)
+        return log.write(data, arrival_ns, parser.bounds(messages, len(data)))
+
+    return write
+
+
 @pytest.fixture(scope="module")
 def stream(make_ping: MakePing) -> bytes:
     return b"".join(make_ping(ping_id=i, rows=300, beams=512) for i in range(40))
@@ -56,9 +68,10 @@ def stream(make_ping: MakePing) -> bytes:
 
 def test_a_log_is_rotated_by_size_between_messages(tmp_path: Path, stream: bytes) -> None:
     with SonarLog(tmp_path, SMALL, monotonic_to_unix_ns=UNIX_NS) as log:
+        write = writer_of(log)
         assert log.state == "waiting"
         for index, piece in enumerate(pieces(stream)):
-            assert log.write(piece, index * 1000)
+            assert write(piece, index * 1000)
         assert log.state == "logging"
         assert log.path is not None
     infos = everything(tmp_path)
@@ -81,12 +94,13 @@ def test_a_log_is_rotated_by_time_also_while_nothing_comes(
     policy = LogPolicy(max_file_ns=10 * SECOND, free_floor_bytes=0)
     ping = make_ping()
     with SonarLog(tmp_path, policy) as log:
-        log.write(ping + ping[:100], SECOND)
+        write = writer_of(log)
+        write(ping + ping[:100], SECOND)
         log.tick(11 * SECOND)
         assert log.path is not None  # in the middle of a message
-        log.write(ping[100:], 12 * SECOND)
+        write(ping[100:], 12 * SECOND)
         assert log.path is None
-        log.write(encode_dummy(), 13 * SECOND)
+        write(encode_dummy(), 13 * SECOND)
         log.tick(22 * SECOND)
         assert log.path is not None
         log.tick(23 * SECOND)
@@ -97,8 +111,9 @@ def test_a_log_is_rotated_by_time_also_while_nothing_comes(
 
 def test_statuses_are_recorded_beside_the_stream(tmp_path: Path, make_ping: MakePing) -> None:
     with SonarLog(tmp_path, SMALL, prefix="m750d", metadata={"site": "quay"}) as log:
+        write = writer_of(log)
         assert log.write_status(encode_status(device_id=5), 1)
-        assert log.write(make_ping(), 2)
+        assert write(make_ping(), 2)
     (info,) = everything(tmp_path)
     assert (info.statuses, info.pings, info.metadata["site"]) == (1, 1, "quay")
 
@@ -112,8 +127,9 @@ def test_the_oldest_files_go_and_the_budget_holds(tmp_path: Path, stream: bytes)
     )
     used = 0
     with SonarLog(tmp_path, policy) as log:
+        write = writer_of(log)
         for index, piece in enumerate(pieces(stream)):
-            assert log.write(piece, index)
+            assert write(piece, index)
             used = max(
                 used,
                 sum(path.stat().st_size for path in tmp_path.glob("*Z.mcap") if path.is_file()),
@@ -135,8 +151,9 @@ def test_files_of_earlier_runs_count_and_go_first(tmp_path: Path, stream: bytes)
     )
     for turn in range(3):
         with SonarLog(tmp_path, policy) as log:
+            write = writer_of(log)
             for piece in pieces(stream[: len(stream) // 3]):
-                assert log.write(piece, turn)
+                assert write(piece, turn)
     sizes = [path.stat().st_size for path in tmp_path.iterdir()]
     assert 2 * MIB < sum(sizes) <= 4 * MIB
     assert min(path.name for path in tmp_path.iterdir()) > "sonar_000003"
@@ -145,7 +162,8 @@ def test_files_of_earlier_runs_count_and_go_first(tmp_path: Path, stream: bytes)
 def test_a_log_goes_on_where_another_stopped(tmp_path: Path, make_ping: MakePing) -> None:
     for number in range(3):
         with SonarLog(tmp_path, SMALL, monotonic_to_unix_ns=-number) as log:  # clock set back
-            log.write(make_ping(ping_id=number), 5 * SECOND)
+            write = writer_of(log)
+            write(make_ping(ping_id=number), 5 * SECOND)
     paths = sorted(tmp_path.iterdir())
     assert [path.name[:12] for path in paths] == ["sonar_000001", "sonar_000002", "sonar_000003"]
     assert ids(everything(tmp_path)) == [0, 1, 2]
@@ -158,16 +176,17 @@ def test_below_the_free_space_floor_nothing_is_written_until_there_is_room(
     policy = LogPolicy(free_floor_bytes=50 * MIB, sync_interval_ns=None, retry_ns=5 * SECOND)
     pings = [make_ping(ping_id=index) for index in range(7)]
     with SonarLog(tmp_path, policy, free_bytes=lambda _: free[0]) as log:
-        assert log.write(pings[0] + pings[1][:500], 0)
+        write = writer_of(log)
+        assert write(pings[0] + pings[1][:500], 0)
         free[0] = 50 * MIB + MIB // 2  # no room for the index
-        assert not log.write(pings[1][500:] + pings[2][:500], 2 * SECOND)
+        assert not write(pings[1][500:] + pings[2][:500], 2 * SECOND)
         assert (log.state, log.reason) == ("paused", "free_space")
         free[0] = 100 * MIB
-        assert not log.write(pings[2][500:] + pings[3] + pings[4][:300], 4 * SECOND)  # too early
-        assert not log.write(pings[4][300:400], 8 * SECOND)  # the middle of a message
-        assert not log.write(pings[4][400:] + pings[5][:50], 9 * SECOND)
+        assert not write(pings[2][500:] + pings[3] + pings[4][:300], 4 * SECOND)  # too early
+        assert not write(pings[4][300:400], 8 * SECOND)  # the middle of a message
+        assert not write(pings[4][400:] + pings[5][:50], 9 * SECOND)
         assert (log.state, log.reason) == ("logging", None)
-        assert log.write(pings[5][50:] + pings[6], 10 * SECOND)
+        assert write(pings[5][50:] + pings[6], 10 * SECOND)
     (info,) = everything(tmp_path)
     assert ids([info]) == [0, 5, 6]
     # The part of ping 1, not joined with what followed:
@@ -180,19 +199,20 @@ def test_below_the_free_space_floor_nothing_is_written_until_there_is_room(
 def test_a_disk_that_fails_costs_bytes_and_never_raises(
     tmp_path: Path, stream: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write = os.write
+    os_write = os.write
     broken = [False]
 
     def faulty(file: int, data: bytes) -> int:
         if broken[0]:
             raise OSError(errno.EIO, "Input/output error")
-        return write(file, data)
+        return os_write(file, data)
 
     monkeypatch.setattr(os, "write", faulty)
     with SonarLog(tmp_path, SMALL) as log:
+        write = writer_of(log)
         for index, piece in enumerate(pieces(stream)):
             broken[0] = 20 <= index < 40
-            log.write(piece, index * SECOND // 4)
+            write(piece, index * SECOND // 4)
             if broken[0]:
                 assert log.state == "paused"
                 assert log.reason is not None
@@ -213,12 +233,13 @@ def test_a_folder_that_vanishes_is_reported_and_nothing_raised(
 ) -> None:
     folder = tmp_path / "log"
     log = SonarLog(folder, SMALL)
+    write = writer_of(log)
     folder.rmdir()
-    assert not log.write(make_ping(), 0)
+    assert not write(make_ping(), 0)
     assert log.state == "paused"
     assert log.reason is not None
     folder.mkdir()
-    assert log.write(make_ping(ping_id=8), 2 * SECOND)
+    assert write(make_ping(ping_id=8), 2 * SECOND)
     log.close()
     assert ids(everything(folder)) == [8]
 
@@ -233,8 +254,9 @@ def test_data_are_brought_to_the_disk_as_often_as_asked(
     for interval, expected in ((0, 10), (3 * SECOND, 3), (None, 0)):
         policy = LogPolicy(free_floor_bytes=0, sync_interval_ns=interval)
         log = SonarLog(tmp_path, policy)
+        write = writer_of(log)
         for second in range(10):
-            log.write(encode_dummy(), second * SECOND)
+            write(encode_dummy(), second * SECOND)
         assert log.counters.syncs == len(synced) == expected
         log.close()
         assert len(synced) == expected + (interval is not None)
@@ -245,7 +267,8 @@ def test_data_are_brought_to_the_disk_as_often_as_asked(
 
 def test_a_log_that_is_killed_holds_what_it_was_given(tmp_path: Path, make_ping: MakePing) -> None:
     log = SonarLog(tmp_path, SMALL)
-    log.write(make_ping() + make_ping(ping_id=8), 1)
+    write = writer_of(log)
+    write(make_ping() + make_ping(ping_id=8), 1)
     (info,) = everything(tmp_path)  # not closed
     assert ids([info]) == [7, 8]
     log.close()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from oculus_driver import FireSettings, LinkError, LinkState, OculusSonar, SettingsError, model_of
+from oculus_driver.stream import MessageBounds, StreamParser
 
 if TYPE_CHECKING:
     from oculus_driver import LinkStatus, LinkTimeouts, Ping
@@ -260,6 +261,25 @@ def test_every_byte_goes_past_the_tap_before_it_is_parsed(fake: MakeSonar, run: 
             pings = await take(sonar, 3)
         assert sum(size for size, _ in taped) == sonar.counters.bytes_received
         assert {ping.arrival_ns for ping in pings} <= {at for _, at in taped}
+
+    run(main())
+
+
+def test_chunks_come_with_their_message_boundaries(fake: MakeSonar, run: Run) -> None:
+    async def main() -> None:
+        taped: list[tuple[bytes, int, MessageBounds]] = []
+        async with (
+            fake() as device,
+            OculusSonar(
+                HOST, FREE, port=device.port, on_chunk=lambda *chunk: taped.append(chunk)
+            ) as sonar,
+        ):
+            pings = await take(sonar, 3)
+        assert sum(len(data) for data, _, _ in taped) == sonar.counters.bytes_received
+        assert {ping.arrival_ns for ping in pings} <= {at for _, at, _ in taped}
+        parser = StreamParser()
+        for data, _, bounds in taped:
+            assert parser.bounds(parser.feed(data), len(data)) == bounds
 
     run(main())
 
