@@ -114,6 +114,11 @@ class Ping:
         return int(self.image.shape[1])
 
     @property
+    def has_gains(self) -> bool:
+        """Whether the rows have gain words."""
+        return self.gains is not None
+
+    @property
     def max_range_m(self) -> float:
         """Far end of the image, metres."""
         return self.rows * self.range_resolution_m
@@ -188,6 +193,74 @@ class Ping:
         return speed if low <= speed <= high else NOMINAL_SPEED_OF_SOUND_MPS
 
 
+@dataclass(frozen=True, slots=True)
+class PingHeader:
+    """A valid ping message whose bearings and image are not decoded; `decode` returns its ping.
+
+    Attributes:
+        message: the message.
+        layout: offsets inside the message.
+        fields: the fixed part as sent, by name.
+
+    The other attributes are those of `Ping`.
+    """
+
+    message: Message = field(repr=False)
+    layout: PingLayout = field(repr=False)
+    fields: dict[str, Any] = field(repr=False)
+    ping_id: int
+    part_number: int
+    mode: int
+    flags: int
+    range_setting_m: float | None
+    gain_percent: float
+    gamma: int
+    speed_of_sound_mps: float
+    salinity_ppt: float
+    beams: int
+    bits_per_sample: int
+    has_gains: bool
+    start_time_s: float | None
+    start_ticks: int | None
+    temperature_c: float | None
+
+    def decode(self) -> Ping:
+        """Return the ping."""
+        message, layout, fields = self.message, self.layout, self.fields
+        bearings_rad = _bearings_rad(message.data, layout)
+        frequency_hz = fields["frequency_hz"]
+        return Ping(
+            ping_id=self.ping_id,
+            arrival_ns=message.arrival_ns,
+            offset=message.offset,
+            version=max(1, message.version),
+            source_id=message.source_id,
+            part_number=self.part_number,
+            mode=self.mode,
+            flags=self.flags,
+            status=fields["status"],
+            frequency_hz=frequency_hz if _is_frequency(frequency_hz) else math.nan,
+            range_setting_m=self.range_setting_m,
+            gain_percent=self.gain_percent,
+            gamma=self.gamma,
+            speed_of_sound_mps=self.speed_of_sound_mps,
+            salinity_ppt=self.salinity_ppt,
+            range_resolution_m=fields["range_resolution_m"],
+            bearings_rad=bearings_rad,
+            image=_image(message.data, layout),
+            bits_per_sample=self.bits_per_sample,
+            gains=_gains(message.data, layout),
+            start_time_s=self.start_time_s,
+            start_ticks=self.start_ticks,
+            temperature_c=self.temperature_c,
+            pressure_bar=_reading(fields["pressure_bar"], _PRESSURE_LIMITS_BAR),
+            heading_rad=_angle_rad(fields.get("heading_deg"), _HEADING_LIMITS_DEG),
+            pitch_rad=_angle_rad(fields.get("pitch_deg"), _TILT_LIMITS_DEG),
+            roll_rad=_angle_rad(fields.get("roll_deg"), _TILT_LIMITS_DEG),
+            warnings=message.warnings | layout.warnings | _warnings(fields, bearings_rad),
+        )
+
+
 def decode_ping(message: Message, *, deliver_mismatched: bool = False) -> Ping | Reject:
     """Return the ping in a message, or why it is invalid. Never raises on any bytes.
 
@@ -195,6 +268,15 @@ def decode_ping(message: Message, *, deliver_mismatched: bool = False) -> Ping |
         message: message of any id.
         deliver_mismatched: return a ping with contradicting sizes, with the warning
             size_mismatch, if its table and image lie inside the message.
+    """
+    header = decode_header(message, deliver_mismatched=deliver_mismatched)
+    return header if isinstance(header, Reject) else header.decode()
+
+
+def decode_header(message: Message, *, deliver_mismatched: bool = False) -> PingHeader | Reject:
+    """Return the header of the ping in a message, or why there is none; arguments as `decode_ping`.
+
+    It rejects the same messages as `decode_ping` and takes a fraction of its time.
     """
     if message.message_id != MessageId.PING_RESULT:
         return Reject("not_a_ping", f"message id {message.message_id:#x}", message.offset)
@@ -208,37 +290,26 @@ def decode_ping(message: Message, *, deliver_mismatched: bool = False) -> Ping |
     parts = resolve_layout(message, layout, fields, deliver_mismatched=deliver_mismatched)
     if isinstance(parts, Reject):
         return parts
-    bearings_rad = _bearings_rad(message.data, parts)
     in_metres = fields["flags"] & FireFlags.RANGE_IN_METRES
-    return Ping(
+    return PingHeader(
+        message=message,
+        layout=parts,
+        fields=fields,
         ping_id=fields["ping_id"],
-        arrival_ns=message.arrival_ns,
-        offset=message.offset,
-        version=max(1, message.version),
-        source_id=message.source_id,
         part_number=message.part_number,
         mode=fields["mode"],
         flags=fields["flags"],
-        status=fields["status"],
-        frequency_hz=fields["frequency_hz"] if _is_frequency(fields["frequency_hz"]) else math.nan,
         range_setting_m=_within(fields["range_demand"], 0.0, math.inf) if in_metres else None,
         gain_percent=_finite_or_nan(fields["gain_percent"]),
         gamma=fields["gamma"],
         speed_of_sound_mps=fields["speed_of_sound_mps"],
         salinity_ppt=_finite_or_nan(fields["salinity_ppt"]),
-        range_resolution_m=fields["range_resolution_m"],
-        bearings_rad=bearings_rad,
-        image=_image(message.data, parts),
+        beams=parts.beams,
         bits_per_sample=8 * parts.width,
-        gains=_gains(message.data, parts),
+        has_gains=parts.gain_words,
         start_time_s=_within(fields.get("start_time_s"), 0.0, math.inf),
         start_ticks=fields.get("start_ticks"),
         temperature_c=_reading(fields["temperature_c"], _TEMPERATURE_LIMITS_C),
-        pressure_bar=_reading(fields["pressure_bar"], _PRESSURE_LIMITS_BAR),
-        heading_rad=_angle_rad(fields.get("heading_deg"), _HEADING_LIMITS_DEG),
-        pitch_rad=_angle_rad(fields.get("pitch_deg"), _TILT_LIMITS_DEG),
-        roll_rad=_angle_rad(fields.get("roll_deg"), _TILT_LIMITS_DEG),
-        warnings=message.warnings | parts.warnings | _warnings(fields, bearings_rad),
     )
 
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from oculus_driver.link.receiver import ReceivedMessage
     from oculus_driver.link.state import SonarCounters
     from oculus_driver.models import Model
-    from oculus_driver.ping import Ping
+    from oculus_driver.ping import Ping, PingHeader
     from oculus_driver.status import Status
     from oculus_driver.stream import MessageBounds
 
@@ -103,8 +103,8 @@ class OculusSonar:
         self._search = Search(serial, discovery) if host is None else None
         self._thermal = ThermalGuard(max_temperature_c)
         self._holds: dict[str, str] = {}
-        self._last_ping: Ping | None = None
-        self._ping_waiters: set[asyncio.Future[Ping]] = set()
+        self._last_ping: PingHeader | None = None
+        self._ping_waiters: set[asyncio.Future[PingHeader]] = set()
         self._confirmations: dict[asyncio.Future[Confirmation], PendingConfirmation] = {}
         self._state_waiters: dict[asyncio.Future[LinkState], tuple[LinkState, ...]] = {}
         self._standby_seen: asyncio.Future[None] | None = None
@@ -162,8 +162,9 @@ class OculusSonar:
     def pings(self) -> AsyncIterator[Ping]:
         """Return an iterator over pings that ends when the sonar is closed.
 
-        Several readers share the pings. Exceptions of `on_bytes`, `on_chunk`, `on_state` and the
-        discovery are raised here, and at the end of the `async with` block.
+        A ping is decoded when a reader takes it; several readers share the pings. Exceptions of
+        `on_bytes`, `on_chunk`, `on_state` and the discovery are raised here, and at the end of the
+        `async with` block.
         """
         return self._queue
 
@@ -210,7 +211,7 @@ class OculusSonar:
         if not self._requested.network_trigger:
             raise SettingsError("fire() needs network_trigger=True: apply such settings first")
         link = self._driver.link
-        future: asyncio.Future[Ping] = asyncio.get_running_loop().create_future()
+        future: asyncio.Future[PingHeader] = asyncio.get_running_loop().create_future()
         try:
             async with asyncio.timeout(timeout_s):
                 while link.has_unsent:  # noqa: ASYNC110 - the link has no event for sent settings
@@ -219,7 +220,7 @@ class OculusSonar:
                     raise LinkError(f"the sonar cannot fire now: {link.status.reason}")
                 self._ping_waiters.add(future)
                 self._driver.do(link.trigger(self._clock()))
-                return await future
+                return (await future).decode()
         except TimeoutError:
             raise LinkError(f"no ping within {timeout_s:g} s of the trigger") from None
         finally:

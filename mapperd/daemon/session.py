@@ -127,7 +127,7 @@ class Live:
             on_chunk=self._receive_sonar,
             on_state=self._log_sonar_state,
             clock=self._clock,
-            max_pings=1,  # the pipeline decodes the bytes itself, as in a replay
+            max_pings=1,  # nobody reads them: the mapping thread decodes the bytes, as in a replay
         )
 
     async def run(self, until: Awaitable[Any]) -> None:
@@ -262,8 +262,7 @@ class Live:
 
     async def _watch(self) -> None:
         """Raise errors of the sonar's link."""
-        async for _ in self._sonar.pings():
-            pass
+        await self._sonar.wait_for(LinkState.CLOSED)
 
     def _receive_sonar(self, data: bytes, arrival_ns: int, bounds: MessageBounds) -> None:
         gap, self._is_new_connection = self._is_new_connection, False

@@ -10,7 +10,7 @@ from oculus_driver.wire import FireFlags
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from oculus_driver.ping import Ping
+    from oculus_driver.ping import Ping, PingHeader
     from oculus_driver.settings import FireSettings
 
 CONFIRM_TIMEOUT_NS: Final = 8_000_000_000
@@ -67,7 +67,7 @@ class Confirmation:
     changed: tuple[Difference, ...]
 
 
-def differences(settings: FireSettings, ping: Ping) -> tuple[Difference, ...]:
+def differences(settings: FireSettings, ping: Ping | PingHeader) -> tuple[Difference, ...]:
     """Return the differences between a ping and the request, as far as the echo is reliable.
 
     Not compared: ping rate and network speed, whose echo is uninitialised memory, and the speed of
@@ -81,7 +81,7 @@ def differences(settings: FireSettings, ping: Ping) -> tuple[Difference, ...]:
 
 
 def _comparisons(
-    settings: FireSettings, ping: Ping
+    settings: FireSettings, ping: Ping | PingHeader
 ) -> Iterator[tuple[str, float, float, float, bool]]:
     """Yield name, requested value, value in the ping, tolerance, and whether it is decisive."""
     yield "mode", settings.mode, ping.mode, 0.0, True
@@ -92,7 +92,7 @@ def _comparisons(
         yield "range, m", settings.range_m, ping.range_setting_m, _RANGE_TOLERANCE_M, True
     yield "beams", settings.beams, ping.beams, 0.0, False
     yield "bits per sample", settings.bits_per_sample, ping.bits_per_sample, 0.0, False
-    yield "gain words", settings.gain_words, ping.gains is not None, 0.0, False
+    yield "gain words", settings.gain_words, ping.has_gains, 0.0, False
     yield "gain, percent", _gain_percent(settings, ping), ping.gain_percent, _GAIN_TOLERANCE, False
     yield "salinity, ppt", settings.salinity_ppt, ping.salinity_ppt, _SALINITY_TOLERANCE_PPT, False
     if settings.speed_of_sound_mps is not None:
@@ -100,7 +100,7 @@ def _comparisons(
         yield "speed of sound, m/s", asked, shown, _SPEED_TOLERANCE_MPS, False
 
 
-def _gain_percent(settings: FireSettings, ping: Ping) -> float:
+def _gain_percent(settings: FireSettings, ping: Ping | PingHeader) -> float:
     """Return the expected gain: older firmware maps it to 40 to 100 % in mode 2."""
     mapped = 40.0 + 0.6 * settings.gain_percent
     older = settings.mode == 2 and abs(ping.gain_percent - mapped) <= _GAIN_TOLERANCE  # noqa: PLR2004 - mode 2
@@ -131,7 +131,7 @@ class PendingConfirmation:
         self._last: tuple[Difference, ...] = ()
         self.deadline_ns = asked_ns + timeout_ns
 
-    def ping(self, ping: Ping, now_ns: int) -> Confirmation | None:
+    def ping(self, ping: Ping | PingHeader, now_ns: int) -> Confirmation | None:
         """Add a ping; return the result if it is final."""
         self._pings += 1
         if self._sent.standby:

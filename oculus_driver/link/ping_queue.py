@@ -6,6 +6,8 @@ import asyncio
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
+from oculus_driver.ping import PingHeader
+
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
@@ -23,7 +25,7 @@ class PingQueue:
 
     Args:
         max_pings: maximum number of pings, ≥ 1.
-        max_bytes: maximum number of sample bytes; the newest ping is always kept.
+        max_bytes: maximum size of the pings; the newest ping is always kept.
 
     Attributes:
         taken: pings delivered to a reader.
@@ -37,7 +39,7 @@ class PingQueue:
         self.dropped = 0
         self._max_pings = max_pings
         self._max_bytes = max_bytes
-        self._pings: deque[Ping] = deque()
+        self._pings: deque[Ping | PingHeader] = deque()
         self._bytes = 0
         self._waiting: deque[asyncio.Future[None]] = deque()
         self._closed = False
@@ -57,15 +59,19 @@ class PingQueue:
                 raise StopAsyncIteration
             await self._wait()
         self.taken += 1
-        return self._pop()
+        ping = self._pop()
+        return ping.decode() if isinstance(ping, PingHeader) else ping
 
-    def put(self, ping: Ping) -> None:
-        """Add a ping without waiting. After `close` it counts as dropped."""
+    def put(self, ping: Ping | PingHeader) -> None:
+        """Add a ping without waiting. After `close` it counts as dropped.
+
+        A header is decoded when a reader takes it.
+        """
         if self._closed:
             self.dropped += 1
             return
         self._pings.append(ping)
-        self._bytes += ping.image.nbytes
+        self._bytes += _size(ping)
         while len(self._pings) > 1 and self._full():
             self._pop()
             self.dropped += 1
@@ -80,9 +86,9 @@ class PingQueue:
     def _full(self) -> bool:
         return len(self._pings) > self._max_pings or self._bytes > self._max_bytes
 
-    def _pop(self) -> Ping:
+    def _pop(self) -> Ping | PingHeader:
         ping = self._pings.popleft()
-        self._bytes -= ping.image.nbytes
+        self._bytes -= _size(ping)
         return ping
 
     async def _wait(self) -> None:
@@ -104,3 +110,7 @@ class PingQueue:
             if not future.done():
                 future.set_result(None)
                 count -= 1
+
+
+def _size(ping: Ping | PingHeader) -> int:
+    return len(ping.message.data) if isinstance(ping, PingHeader) else ping.image.nbytes

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from oculus_driver.errors import Reject
-from oculus_driver.ping import Ping, PingSequence, decode_ping
+from oculus_driver.ping import PingHeader, PingSequence, decode_header
 from oculus_driver.stream import Message, MessageBounds, StreamCounters, StreamParser
 from oculus_driver.wire import MIB, MessageId
 
@@ -18,10 +18,10 @@ STALL_TIMEOUT_NS: Final = 2_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class ReceivedMessage:
-    """A complete message, and its ping if it is valid and new."""
+    """A complete message, and its ping if it is valid and new; the image is not decoded."""
 
     message_id: int
-    ping: Ping | None
+    ping: PingHeader | None
 
 
 class PingReceiver:
@@ -94,7 +94,7 @@ class PingReceiver:
     def _received(self, message: Message) -> ReceivedMessage:
         if message.message_id != MessageId.PING_RESULT:
             return ReceivedMessage(message.message_id, None)
-        ping = decode_ping(message)
+        ping = decode_header(message)
         if isinstance(ping, Reject):
             self.rejects[ping.reason] += 1
             if ping.ping_id is not None:
@@ -104,7 +104,7 @@ class PingReceiver:
         self.pings += fresh
         return ReceivedMessage(message.message_id, ping if fresh else None)
 
-    def _is_new(self, ping: Ping) -> bool:
+    def _is_new(self, ping: PingHeader) -> bool:
         """Return whether the ping is no repetition. The same id at another time is a restart.
 
         The same ping over another connection is a restart, too: nothing is sent twice.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 from oculus_driver.status import MAIN_TEMPERATURE
 
 if TYPE_CHECKING:
-    from oculus_driver.ping import Ping
+    from oculus_driver.ping import Ping, PingHeader
     from oculus_driver.status import Status
 
 HYSTERESIS_C: Final = 3.0
@@ -31,7 +31,7 @@ class ThermalGuard:
         self.reason: str | None = None
         self._limit_c = limit_c
 
-    def ping(self, ping: Ping) -> None:
+    def ping(self, ping: Ping | PingHeader) -> None:
         """Update with the temperature of a ping, if it has one."""
         self._reading(ping.temperature_c)
 

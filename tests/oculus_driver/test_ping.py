@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from oculus_driver.encode import encode_dummy
 from oculus_driver.errors import EncodeError, Reject
-from oculus_driver.ping import Ping, decode_ping
+from oculus_driver.ping import Ping, PingHeader, decode_header, decode_ping
 from oculus_driver.stream import Message
 from oculus_driver.wire import F64, PING_RESULT_V1, PING_RESULT_V2, U8, U16, U32, Layout
 
@@ -34,8 +34,12 @@ def patched(data: bytes, layout: Layout, **fields: Any) -> bytes:
 
 
 def ping_of(data: bytes, version: int = 2, **options: bool) -> Ping:
-    ping = decode_ping(message_of(data, version), **options)
+    message = message_of(data, version)
+    ping, header = decode_ping(message, **options), decode_header(message, **options)
     assert isinstance(ping, Ping), ping
+    assert isinstance(header, PingHeader)
+    for name in set(PingHeader.__slots__) - {"message", "layout", "fields"}:
+        assert str(getattr(header, name)) == str(getattr(ping, name))  # also NaN
     return ping
 
 
@@ -43,6 +47,7 @@ def reason_of(data: bytes, version: int = 2) -> str:
     reject = decode_ping(message_of(data, version))
     assert isinstance(reject, Reject)
     assert reject.detail
+    assert decode_header(message_of(data, version)) == reject
     return reject.reason
 
 

@@ -4,6 +4,7 @@ import asyncio
 import json
 import re
 import socket
+import threading
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,8 @@ from mapperd.pipeline.decoder import PosedPing
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.session.replay import Replay, Window
 from mapperd.session_log import DECISIONS, remarks_in
-from oculus_driver import PlaybackSonar
+from oculus_driver import Ping, PlaybackSonar
+from oculus_driver.ping import PingHeader
 from oculus_driver.recording import open_recording
 from oculus_driver.wire import PingRate
 from tests.support.process import free_port
@@ -92,6 +94,29 @@ def test_pings_meet_the_poses_of_their_time(
             demand = sonar.device.request
             assert demand is not None
             assert demand.standby  # it is not left pinging in air
+
+    run(work())
+
+
+def test_pings_are_decoded_in_the_mapping_thread_only(
+    ping_bytes: PingBytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads: list[str] = []
+    decode = PingHeader.decode
+
+    def noted(header: PingHeader) -> Ping:
+        threads.append(threading.current_thread().name)
+        return decode(header)
+
+    async def work() -> None:
+        async with PlaybackSonar([ping_bytes(1)], standby=True, loops=None, speed=None) as sonar:
+            sonar_map = SonarMap(config_of(sonar, free_port()))
+            live = Live(sonar_map, FixedPose(pose_at_origin()))
+            monkeypatch.setattr(PingHeader, "decode", noted)
+            await live.run(mapped(live, 10))
+            monkeypatch.undo()
+            assert set(threads) == {"mapping"}
+            assert len(threads) == live.counters.pings_total
 
     run(work())
 

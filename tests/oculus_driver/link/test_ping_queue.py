@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from oculus_driver import Ping, PingQueue, decode_ping
+from oculus_driver.ping import PingHeader, decode_header
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,6 +61,21 @@ def test_a_queue_is_full_by_bytes_too_but_keeps_the_newest(pings: list[Ping]) ->
     for ping in pings:
         tiny.put(ping)
     assert (len(tiny), tiny.dropped) == (1, 9)
+
+
+def test_a_header_is_decoded_when_it_is_taken(
+    make_ping: MakePing, parse: Callable[[bytes], Message]
+) -> None:
+    message = parse(make_ping(ping_id=3))
+    header = decode_header(message)
+    assert isinstance(header, PingHeader)
+    queue = PingQueue(max_bytes=len(message.data))
+    queue.put(header)
+    queue.put(header)
+    queue.close()
+    (ping,) = asyncio.run(drain(queue))
+    assert isinstance(ping, Ping)
+    assert (ping.ping_id, queue.dropped) == (3, 1)
 
 
 def test_the_room_of_taken_pings_is_free_again(pings: list[Ping]) -> None:

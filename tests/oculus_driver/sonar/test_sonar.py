@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from oculus_driver import FireSettings, LinkError, LinkState, OculusSonar, SettingsError, model_of
+from oculus_driver.ping import PingHeader
 from oculus_driver.stream import MessageBounds, StreamParser
 
 if TYPE_CHECKING:
@@ -280,6 +281,34 @@ def test_chunks_come_with_their_message_boundaries(fake: MakeSonar, run: Run) ->
         parser = StreamParser()
         for data, _, bounds in taped:
             assert parser.bounds(parser.feed(data), len(data)) == bounds
+
+    run(main())
+
+
+def test_pings_are_decoded_for_readers_only(
+    fake: MakeSonar, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decoded: list[int] = []
+    decode = PingHeader.decode
+
+    def counted(header: PingHeader) -> Ping:
+        decoded.append(header.ping_id)
+        return decode(header)
+
+    monkeypatch.setattr(PingHeader, "decode", counted)
+
+    async def main() -> None:
+        async with (
+            fake() as device,
+            OculusSonar(HOST, FREE, port=device.port, max_pings=1) as sonar,
+        ):
+            while sonar.counters.pings < 5:  # noqa: ASYNC110 - no reader
+                await asyncio.sleep(0.001)
+            assert sonar.state is LinkState.PINGING
+            assert sonar.changed == ()
+            assert decoded == []
+            (ping,) = await take(sonar, 1)
+            assert decoded == [ping.ping_id]
 
     run(main())
 
