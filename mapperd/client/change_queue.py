@@ -67,8 +67,8 @@ class Pending:
             is_all, self._is_all = self._is_all, False
         # Without the lock: who holds the mirror's may want to take too.
         mirror = self._knowledge.mirror
-        told = mirror.keys() if is_all and mirror is not None else keys_of(keys)
-        return MapChanged(told, change.stamp_ns, change.left)
+        changed = mirror.keys() if is_all and mirror is not None else keys_of(keys)
+        return MapChanged(changed, change.stamp_ns, change.left)
 
     def _add_all(self, link: LinkChanged) -> None:
         knowledge = self._knowledge

@@ -110,7 +110,7 @@ class MapClient(Known):
         self._tls = tls
         self._asking = Asking()
         wishes = Wishes(tuple(wants), interest or Interest(), bytes_per_s, name)
-        self._knowledge = Knowledge(wishes.interest, self._tell, most_blocks)
+        self._knowledge = Knowledge(wishes.interest, self._publish, most_blocks)
         self._dialogue = Dialogue(wishes, self._knowledge, token, self._asking.answered)
         self._readers: set[Pending] = set()
         self._news = asyncio.Event()
@@ -317,9 +317,9 @@ class MapClient(Known):
 
     def _be(self, state: LinkState, reason: str) -> None:
         self._link = LinkStatus(state, str(self._place), reason, time.monotonic(), self._connects)
-        self._tell(LinkChanged(self.link))
+        self._publish(LinkChanged(self.link))
 
-    def _tell(self, change: ClientChange) -> None:
+    def _publish(self, change: ClientChange) -> None:
         for reader in self._readers:
             reader.add(change)
         news, self._news = self._news, asyncio.Event()

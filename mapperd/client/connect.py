@@ -121,8 +121,8 @@ def send(writer: asyncio.StreamWriter, dialogue: Dialogue) -> None:
     if writer.is_closing():
         return
     is_read = writer.transport.get_write_buffer_size() < UNSENT_BYTES
-    if said := dialogue.outgoing(acknowledge=is_read):
-        writer.write(said)
+    if data := dialogue.outgoing(acknowledge=is_read):
+        writer.write(data)
 
 
 def reason_of(error: OSError) -> str:

@@ -129,7 +129,7 @@ class MapMirror:
             at = self._table.rows(names)
             cells = self._table.cells[at]
             row, cell = np.nonzero(self._chosen(cells, kind, min_probability))
-            return self._told(at[row], cell, cells[row, cell])
+            return self._cells_at(at[row], cell, cells[row, cell])
 
     def classify(self, points_m: ArrayLike) -> NDArray[np.int8]:
         """1 occupied, 0 free, -1 unknown or neither, at points (N, 3) of the map's frame.
@@ -165,9 +165,11 @@ class MapMirror:
             facts, cell_m, cells = self.facts, self.cell_m, self.cells("known")
         return map_of(cells, cell_m, facts, config)
 
-    def _told(self, at: NDArray[np.intp], cell: NDArray[np.intp], told: NDArray[np.int8]) -> Cells:
+    def _cells_at(
+        self, at: NDArray[np.intp], cell: NDArray[np.intp], steps: NDArray[np.int8]
+    ) -> Cells:
         table = self._table
-        log_odds = self._log_odds(told)
+        log_odds = self._log_odds(steps)
         bits = (
             table.counts[at, cell].astype(np.uint16)
             if self.interest.detail == "counts"

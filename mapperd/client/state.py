@@ -52,7 +52,7 @@ class Knowledge:
     """Of one client, through all its connections; its arrays are read only.
 
     Args:
-        tell: is called with each change, after it is in here.
+        publish: is called with each change, after it is in here.
         most_blocks: that the mirror may hold.
 
     Attributes:
@@ -72,7 +72,7 @@ class Knowledge:
     def __init__(
         self,
         interest: Interest,
-        tell: Callable[[ClientChange], None],
+        publish: Callable[[ClientChange], None],
         most_blocks: int = MAX_BLOCKS,
     ) -> None:
         self.interest = interest
@@ -90,7 +90,7 @@ class Knowledge:
         self._is_doubted = False
         self._path_version = 0
         self._newest = 0
-        self._tell = tell
+        self._publish = publish
         self._most_blocks = most_blocks
 
     @property
@@ -180,10 +180,10 @@ class Knowledge:
         elif isinstance(news, Event):
             number = news.event.get("number")
             self.last_event = number if isinstance(number, int) and 0 <= number < 1 << 63 else None
-            self._tell(news)
+            self._publish(news)
         elif isinstance(news, NEWEST):
             self.newest[type(news)] = news
-            self._tell(news)
+            self._publish(news)
         else:
             raise StreamError(f"a {type(news).__name__.lower()} out of turn", "bad_order")
 
@@ -194,7 +194,7 @@ class Knowledge:
             self.mirror = MapMirror(facts, interest)
         else:
             self.mirror.begin(facts, interest)
-        self._tell(MapReset(facts))
+        self._publish(MapReset(facts))
 
     def _take_blocks(self, news: Blocks) -> None:
         mirror = self.mirror
@@ -212,7 +212,7 @@ class Knowledge:
                 mirror.complete = max(mirror.complete or 0, news.complete)
         self.is_complete = news.complete is not None and mirror.interest == self.interest
         # Without the mirror's lock: readers may hold it and wait for what is told.
-        self._tell(MapChanged(keys, news.stamp_ns, news.left))
+        self._publish(MapChanged(keys, news.stamp_ns, news.left))
 
     def _put(self, mirror: MapMirror, news: Blocks) -> NDArray[np.int32]:
         blocks = decode_blocks(news.body, counts=mirror.interest.detail == "counts")
@@ -233,7 +233,7 @@ class Knowledge:
         self.path = _frozen(np.concatenate([self.path[: news.first], points]))
         self._path_version = news.version
         if not is_as_before:
-            self._tell(news)
+            self._publish(news)
 
     def _take_settings(self, news: Settings) -> None:
         settings = {**self.settings, **news.facts}
@@ -244,7 +244,7 @@ class Knowledge:
         if sum(sizes.values()) > MAX_SETTINGS_BYTES:
             raise StreamError(f"settings of more than {MAX_SETTINGS_BYTES} bytes", "bad_value")
         self.settings, self._setting_bytes = settings, sizes
-        self._tell(news)
+        self._publish(news)
 
 
 def _grid(facts: MapFacts) -> tuple[str, float, float]:

@@ -143,10 +143,10 @@ def image_of(message: Image) -> NDArray[np.uint8]:
     return np.frombuffer(samples, np.uint8).reshape(message.rows, message.beams)
 
 
-def size_of(told: Any) -> int:  # noqa: ANN401 plain values
+def size_of(value: Any) -> int:  # noqa: ANN401 plain values
     """Bytes of what was told, about as many as it came in."""
     try:
-        return len(msgspec.msgpack.encode(told))
+        return len(msgspec.msgpack.encode(value))
     except RecursionError:  # so deep that it could just be read
         return MAX_FROM_SERVER
 

@@ -217,13 +217,13 @@ class Connection(asyncio.BufferedProtocol):
                     number, result = await answer(
                         raw, around.operations, self.origin, may_change=session.may_change
                     )
-                    self._say(number, result)
+                    self._send(number, result)
                 else:
                     await asyncio.sleep(wait_s)
         finally:
             self._answering = None
 
-    def _say(self, number: int | None, result: dict[str, Any] | Fault) -> None:
+    def _send(self, number: int | None, result: dict[str, Any] | Fault) -> None:
         if isinstance(result, Fault):
             self._around.count("failed" if result.reason == "failed" else "asks_refused")
         self.session.answer(number, result)

@@ -161,8 +161,8 @@ class BlockEncoder:
             view.doubt(numbers[wanted], self._core)
         age_ns = self._stamp_ns - self.times.of(view.revisions[numbers])
         ages_ms = np.clip(age_ns // 1_000_000, 0, 2**32 - 1).astype(np.uint32)
-        told = BlockSet(keys, ages_ms, cells, bits if detail == "counts" else None)
-        body = encode_blocks(told)
+        block_set = BlockSet(keys, ages_ms, cells, bits if detail == "counts" else None)
+        body = encode_blocks(block_set)
         if len(numbers):
             before = self._guess.get((view.level, detail), FIRST_GUESS)
             share = min(len(numbers) / 256, 1.0) / 2

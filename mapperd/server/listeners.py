@@ -114,8 +114,8 @@ def inherited_listener(listening: socket.socket, section: Section = "control") -
     is_unix = listening.family == socket.AF_UNIX and listening.type == socket.SOCK_STREAM
     if not is_unix or not listening.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
         listening.close()
-        said = f"the inherited {section} socket is no listening Unix socket"
-        raise ConfigError(said, f"$.{section}")
+        text = f"the inherited {section} socket is no listening Unix socket"
+        raise ConfigError(text, f"$.{section}")
     listening.settimeout(0)
     name = f"unix {os.fsdecode(listening.getsockname())}"
     return Listener(name, listening, None, None, listening.close, section)
@@ -209,8 +209,8 @@ def peer_of(connection: socket.socket, address: object) -> tuple[str, str]:
     """Who connected: its network address, empty for a Unix socket; and what people call it."""
     if connection.family == socket.AF_UNIX:
         size = struct.calcsize("3i")
-        said = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
-        _, user, _ = struct.unpack("3i", said)
+        credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
+        _, user, _ = struct.unpack("3i", credentials)
         return "", f"user {user}"
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for option, value in KEEPALIVE:

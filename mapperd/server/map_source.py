@@ -56,13 +56,13 @@ def why_not(  # noqa: PLR0911 one reason each
         return "moving_interest"  # where the vehicle was then is forgotten
     if resume.revision is None:
         return "never_complete"
-    said = max(resume.revision, resume.newest or 0)
+    claimed = max(resume.revision, resume.newest or 0)
     if resume.session == identity.session:
-        return "" if resume.revision <= looked and said <= newest else "never_told"
+        return "" if resume.revision <= looked and claimed <= newest else "never_told"
     kept = identity.valid_up_to(resume.session)
     if kept is None:
         return "unknown_session"
-    if resume.newest is None or said > kept:
+    if resume.newest is None or claimed > kept:
         return "not_kept"
     return "map_damaged" if has_losses else ""
 
@@ -224,7 +224,7 @@ class MapSource:
         self._revision, replaced_at, blocks, revisions, here = changed
         if replaced_at != self._replaced_at:
             self._replaced_at, self._identity = replaced_at, fresh()
-            self._begin_anew()
+            self._start_again()
             rows, changed, calm = self._changes()
             self._revision, _, blocks, revisions, here = changed
         self.encoder.times.note(self._revision, self.now_ns)
@@ -275,11 +275,11 @@ class MapSource:
         if self._store is not None:
             self._identity, before = self._store.identity, self._identity
             if before.map != self._identity.map:
-                self._begin_anew()
+                self._start_again()
         if self._facts != self._facts_now():
-            self._begin_anew()
+            self._start_again()
 
-    def _begin_anew(self) -> None:
+    def _start_again(self) -> None:
         self._facts = self._facts_now()
         self._views.clear()
         self._file_version = None

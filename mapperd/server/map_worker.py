@@ -221,8 +221,8 @@ class MapRounds:
 
     def _failed(self, error: Exception) -> None:
         self._around.count("failed")
-        said = f"map stream: {type(error).__name__}: {error}"
-        self._operations.events.add(Severity.ERROR, "stream_failed", said)
+        text = f"map stream: {type(error).__name__}: {error}"
+        self._operations.events.add(Severity.ERROR, "stream_failed", text)
 
     def _is_time_to_look(self, now_s: float) -> bool:
         watched = any("map" in client.session.wants for client in self._clients)
@@ -296,7 +296,7 @@ class MapRounds:
         if wish is not None and wish.interest is not None and view is not None:
             # What it held when it wanted the map before may be wrong by now.
             facts, revision = beginning.facts, beginning.revision
-            anew = Reset(map=facts, revision=revision, interest=wish.interest)
-            client.write(session.mapped_anew(framed(anew), view, now_s))
+            again = Reset(map=facts, revision=revision, interest=wish.interest)
+            client.write(session.mapped_again(framed(again), view, now_s))
         client.turn()
         self.wake()

@@ -79,18 +79,18 @@ class ClientOutbox:
         self._feed = feed
         self._events = events
         self._pacer = pacer
-        self._told: dict[str, int] = {}
+        self._sent_numbers: dict[str, int] = {}
         self._next_s: dict[str, float] = {}
         self._beat_s = 0.0
         self._owes_status = False
-        self._settings_told = self._events_told = 0
+        self._settings_sent = self._events_sent = 0
         self._path: tuple[int, int] = (-1, 0)
         self._path_is_old = False
 
     def begin(self, events_since: int | None) -> None:
         """Events are told after this one; of None, those to come."""
         last = self._events.last
-        self._events_told = last if events_since is None else min(events_since, last)
+        self._events_sent = last if events_since is None else min(events_since, last)
 
     def go_on(self, resume: Resume, *, same: bool) -> None:
         """The client holds a path; of this session or not."""
@@ -100,9 +100,9 @@ class ClientOutbox:
     def want(self, wants: Collection[str]) -> None:
         """Other kinds from now on."""
         for kind in {*wants} - self.wants:
-            self._told.pop(kind, None)  # what it was told long ago may be forgotten
+            self._sent_numbers.pop(kind, None)  # what it was told long ago may be forgotten
             if kind == "settings":
-                self._settings_told = 0
+                self._settings_sent = 0
         self.wants = frozenset(wants)
 
     def coarseness(self) -> int:
@@ -169,40 +169,40 @@ class ClientOutbox:
         self._next_s[kind] = min(due_s, now_s) + size / (SHARES[kind] * self._rate())
 
     def _newest(self, kind: str, newest: Newest, now_s: float) -> bytes:
-        told = self._told.get(kind, 0)
-        is_old = newest.number <= told if kind == "image" else newest.number == told
+        sent = self._sent_numbers.get(kind, 0)
+        is_old = newest.number <= sent if kind == "image" else newest.number == sent
         if is_old or not self._may(kind, len(newest.frame), now_s):
             return b""
-        if told:
-            self.skipped[kind] += max(0, newest.number - told - 1)
-        self._told[kind] = newest.number
+        if sent:
+            self.skipped[kind] += max(0, newest.number - sent - 1)
+        self._sent_numbers[kind] = newest.number
         return newest.frame
 
     def _event(self, now_s: float) -> bytes:
         events = self._events
-        if events.last <= self._events_told or not self._may("events", EVENT, now_s):
+        if events.last <= self._events_sent or not self._may("events", EVENT, now_s):
             return b""
-        found, lost = events.since(self._events_told)
+        found, lost = events.since(self._events_sent)
         if not found:
             return b""
-        self._events_told = found[0].number
+        self._events_sent = found[0].number
         return self._feed.event(found[0], lost)
 
     def _setting(self, now_s: float) -> bytes:
         log = self._feed.settings
-        if log.last <= self._settings_told or not self._may("settings", PIECE, now_s):
+        if log.last <= self._settings_sent or not self._may("settings", PIECE, now_s):
             return b""
-        self._settings_told, facts = log.since(self._settings_told, PIECE)
+        self._settings_sent, facts = log.since(self._settings_sent, PIECE)
         return framed(Settings(facts=facts))
 
     def _path_piece(self, now_s: float) -> bytes:
-        path, (told_version, told) = self._feed.path, self._path
-        if told_version == path.version and told >= len(path):
+        path, (sent_version, sent) = self._feed.path, self._path
+        if sent_version == path.version and sent >= len(path):
             return b""
         if not self._may("path", PIECE // 2, now_s):
             return b""
         most = max(self._pacer.room(now_s), PIECE) // 2 // POINT
-        new_version, first, points = path.since(told_version, told, most)
+        new_version, first, points = path.since(sent_version, sent, most)
         self._path = (new_version, first + len(points))
         if not len(points) and not self._path_is_old:
             return b""

@@ -173,7 +173,7 @@ class Session:
         self._inbox = server_inbox()
         self._messages = TokenBucket(MESSAGES_PER_S, MESSAGES_AT_ONCE)
         self._changes = TokenBucket(CHANGES_PER_S, CHANGES_AT_ONCE)
-        self._wishes_anew = False
+        self._take_wishes = False
         self._words: deque[bytes] = deque()
         self._resume: Resume | None = None
         self._interest = Interest()
@@ -266,9 +266,9 @@ class Session:
         if self.state != "served":
             return b""
         words, self._words = self._words, deque()  # who asks much is told less: see `asks`
-        said = b"".join(self._sent(word, now_s) for word in words)
+        data = b"".join(self._sent(word, now_s) for word in words)
         pieces = self.portions.pieces(now_s, now_ns)
-        return said + b"".join(self._sent(piece, now_s) for piece in pieces)
+        return data + b"".join(self._sent(piece, now_s) for piece in pieces)
 
     def map_rooms(self, now_s: float) -> Rooms:
         """Bytes of the map that may be sent now."""
@@ -301,11 +301,11 @@ class Session:
         self._ends.note(number, self.pacer.sent)
         return sent
 
-    def mapped_anew(self, frame: bytes, view: MapView, now_s: float) -> bytes:
+    def mapped_again(self, frame: bytes, view: MapView, now_s: float) -> bytes:
         """A reset, as it is to be sent: a view is told from there on, and nothing before counts."""
-        said = self._sent(frame, now_s)
+        data = self._sent(frame, now_s)
         self._ends.begin(view.number, self.pacer.sent)
-        return said
+        return data
 
     def _heard(self, message: FromClient, now_s: float) -> None:
         if isinstance(message, Hello):
@@ -327,10 +327,10 @@ class Session:
 
     def _hello(self, hello: Hello, now_s: float) -> None:
         if self.state != "greeted":
-            raise StreamError("hello is said once", "hello_twice")
+            raise StreamError("hello may be sent once", "hello_twice")
         if hello.version != VERSION:
-            said = f"version {hello.version} is not spoken; allowed: {VERSION}"
-            raise StreamError(said, "bad_version")
+            text = f"version {hello.version} is not spoken; allowed: {VERSION}"
+            raise StreamError(text, "bad_version")
         self._newcomer.check(hello.proof, self._common.failures, now_s)
         if hello.beside:
             raise StreamError("a client has one connection", "no_such_connection")
@@ -373,13 +373,13 @@ class Session:
             self.portions.want(change.wants)
         wants = "map" in self.wants
         if wants != had or (wants and change.interest is not None):
-            self._wishes_anew = True
+            self._take_wishes = True
 
     def _heed(self, now_s: float) -> None:
         """A part of the map costs some work to begin with."""
-        if self._wishes_anew and not self._changes.wait_s(now_s):
+        if self._take_wishes and not self._changes.wait_s(now_s):
             self._changes.take(now_s)
-            self._wishes_anew = False
+            self._take_wishes = False
             self.wish = Wish(self._interest if "map" in self.wants else None)
 
     def _limit(self, bytes_per_s: int) -> None:

@@ -73,14 +73,14 @@ class SettingLog:
             The number up to which all is told then, and the facts by name.
         """
         at = bisect_right(self._order, number, key=lambda entry: entry[0])
-        told: dict[str, msgspec.Raw] = {}
+        sent: dict[str, msgspec.Raw] = {}
         size = 0
-        while at < len(self._order) and (not told or size < most_bytes):
+        while at < len(self._order) and (not sent or size < most_bytes):
             number, name = self._order[at]
-            told[name] = self._facts[name]
+            sent[name] = self._facts[name]
             size += len(name) + len(bytes(self._facts[name]))
             at += 1
-        return number, told
+        return number, sent
 
 
 SPACING_M = 0.1
@@ -167,7 +167,7 @@ class Feed:
         treated = self._put
         if treated is not None and treated is not self._shown:
             self._shown = treated
-            self._tell_ping(treated, wanted)
+            self._add_ping(treated, wanted)
         facts = self._facts()
         if facts is None:
             return
@@ -175,7 +175,7 @@ class Feed:
             self._last["robots"] = facts.robots
             self._make("robots", Robots(seen=[_seen(robot) for robot in facts.robots]))
         if facts.localization is not None:
-            self._tell_localization(facts.localization, wanted, now_s)
+            self._add_localization(facts.localization, wanted, now_s)
 
     def make_status(self) -> None:
         """How it goes, for the heartbeats of the next second."""
@@ -226,11 +226,11 @@ class Feed:
                 self._events.pop(next(iter(self._events)))
         return frame
 
-    def _tell_ping(self, treated: PingResult, wanted: Collection[str]) -> None:
+    def _add_ping(self, treated: PingResult, wanted: Collection[str]) -> None:
         posed, fused = treated.posed, treated.pose
         if isinstance(fused, FusedPose):
             stamp_ns = posed.t_ns or posed.complete_ns or 0
-            self._tell_pose(
+            self._add_pose(
                 fused.pose, stamp_ns, self._source(), fused.velocity_mps, fused.covariance
             )
         if "fan" in wanted:
@@ -239,7 +239,7 @@ class Feed:
                 self._last["fan"] = fan
                 self._make("fan", fan)
 
-    def _tell_pose(
+    def _add_pose(
         self,
         base: Place,
         stamp_ns: int,
@@ -269,7 +269,7 @@ class Feed:
         corrected = self._config.localization.mapping == "corrected"
         return "localization" if facts.localization is not None and corrected else "odometry"
 
-    def _tell_localization(
+    def _add_localization(
         self, facts: LocalizationFacts, wanted: Collection[str], now_s: float
     ) -> None:
         if facts is self._last.get("localization"):
@@ -278,7 +278,7 @@ class Feed:
         if where == "off" and facts.pose is not None and facts.stamp_ns is not None:
             self.path.add(facts.pose.position_m)
             covariance = localized_covariance(facts)
-            self._tell_pose(facts.pose, facts.stamp_ns, "localization", None, covariance)
+            self._add_pose(facts.pose, facts.stamp_ns, "localization", None, covariance)
         if "localization" in wanted and self._due("localization", now_s, SLOW_S):
             self._last["localization"] = facts
             self._make("localization", _localization(facts, self._config))
@@ -330,5 +330,5 @@ def _localization(facts: LocalizationFacts, config: Config) -> Localization:
 def _rows(points: NDArray[np.float64]) -> bytes:
     """Those of which all is finite: no client takes others."""
     rows = points.astype("<f4")
-    told: bytes = rows[np.isfinite(rows).all(axis=1)].tobytes()
-    return told
+    sent: bytes = rows[np.isfinite(rows).all(axis=1)].tobytes()
+    return sent

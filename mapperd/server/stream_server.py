@@ -38,7 +38,7 @@ LEAVE_S = 1.5
 NEWCOMERS = 32
 """Connections of one listener before hello."""
 
-TOLD = 20
+MAX_LISTED = 20
 """Clients that the status names."""
 
 
@@ -132,7 +132,7 @@ class StreamServer:
             "counters": dict(sorted(self._all_counters().items())),
             "watching": [
                 {"name": one.session.name, "from": one.origin, **one.session.portions.link()}
-                for one in clients[:TOLD]
+                for one in clients[:MAX_LISTED]
             ],
         }
 
@@ -224,8 +224,8 @@ class StreamServer:
         # Counted by section: viewers of the map must not keep out those who control.
         clients = sum(other.section == client.section for other in self._clients)
         if clients >= self._max_clients[client.section]:
-            said = f"{clients} clients are connected; allowed: that many"
-            raise StreamError(said, "too_many_clients")
+            text = f"{clients} clients are connected; allowed: that many"
+            raise StreamError(text, "too_many_clients")
         self._drop_newcomer(client)
         self._clients[client] = None
 
@@ -246,8 +246,8 @@ class StreamServer:
 
     def _refused(self, client: Connection, reason: str) -> None:
         if reason == "wrong_token":
-            said = f"{client.origin} does not know the token"
-            self._operations.events.add(Severity.WARNING, "stream_wrong_token", said)
+            text = f"{client.origin} does not know the token"
+            self._operations.events.add(Severity.WARNING, "stream_wrong_token", text)
 
     def _gone(self, client: Connection) -> None:
         self._clients.pop(client, None)
@@ -262,8 +262,8 @@ class StreamServer:
 
     def _failed(self, error: Exception) -> None:
         self._counters["failed"] += 1
-        said = f"map stream: {type(error).__name__}: {error}"
-        self._operations.events.add(Severity.ERROR, "stream_failed", said)
+        text = f"map stream: {type(error).__name__}: {error}"
+        self._operations.events.add(Severity.ERROR, "stream_failed", text)
 
     async def _end(self) -> None:
         """Say goodbye to all, and wait a little until they are gone."""

@@ -132,7 +132,7 @@ class Subscription:
         self._view.listeners.add(self)
         self._queue = NearestFirst(self._view.keys, self._view.block_m)
         self._complete: int | None = None
-        self._told_ns = 0
+        self._sent_ns = 0
         self._drawn_at: Vector | None = None
         self._drawn = False
         if len(self._view):
@@ -277,7 +277,7 @@ class Subscription:
             return None
         if not self._is_drawn:
             return None
-        if self._complete is not None and now_ns - self._told_ns < QUIET_NS:
+        if self._complete is not None and now_ns - self._sent_ns < QUIET_NS:
             return None
         nothing = np.zeros(0, np.int64)
         encoder = self._source.encoder
@@ -289,7 +289,7 @@ class Subscription:
         self._body = body.number
         is_all = not len(self._queue) and not self._view.left and self._is_drawn
         complete = self._view.settled if is_all else None
-        self._complete, self._told_ns = complete, self._source.now_ns
+        self._complete, self._sent_ns = complete, self._source.now_ns
         return self._source.encoder.message(body, self.left, complete)
 
     @property

@@ -88,10 +88,12 @@ IPV6_SITE = 64
 """Bits: who has one address there has all of these."""
 
 
-def token_file(said: str, environ: Mapping[str, str], credential: str = CREDENTIAL) -> Path | None:
+def token_file(
+    setting: str, environ: Mapping[str, str], credential: str = CREDENTIAL
+) -> Path | None:
     """Where the token is: as the settings say, else among systemd's credentials, else nowhere."""
-    if said:
-        return Path(said)
+    if setting:
+        return Path(setting)
     credentials = environ.get("CREDENTIALS_DIRECTORY", "")
     path = Path(credentials, credential)
     return path if credentials and path.exists() else None

@@ -182,10 +182,10 @@ def path_message(first: int, points_m: NDArray[np.float64], version: int = 0) ->
     """A piece of the path, (N, 3) metres, map frame, whose first point has that number."""
     points = points_m.astype("<f4")
     rest = points_m - points
-    told = bool((np.abs(rest) >= SEEN_M).any())
+    has_rest = bool((np.abs(rest) >= SEEN_M).any())
     return Path(
         first=first,
         points=points.tobytes(),
         version=version,
-        rest=rest.astype("<f4").tobytes() if told else b"",
+        rest=rest.astype("<f4").tobytes() if has_rest else b"",
     )

@@ -75,7 +75,7 @@ class Served:
         """Make a block unknown in a new revision."""
         self.put(key, np.full(CELLS, UNKNOWN, np.int8))
 
-    def begin_anew(self, name: str) -> None:
+    def start_again(self, name: str) -> None:
         """Start a new map with one block."""
         self.facts = msgspec.structs.replace(self.facts, id=name)
         self.blocks.clear()
@@ -83,10 +83,12 @@ class Served:
 
     def since(self, revision: int) -> BlockSet:
         """Return the blocks that changed after a revision."""
-        told = {key: cells for key, (at, cells) in self.blocks.items() if at > revision}
-        cells = np.array(list(told.values()), np.int8).reshape(-1, CELLS)
+        reported = {key: cells for key, (at, cells) in self.blocks.items() if at > revision}
+        cells = np.array(list(reported.values()), np.int8).reshape(-1, CELLS)
         return BlockSet(
-            np.array(list(told), np.int32).reshape(-1, 3), np.zeros(len(told), np.uint32), cells
+            np.array(list(reported), np.int32).reshape(-1, 3),
+            np.zeros(len(reported), np.uint32),
+            cells,
         )
 
     def can_resume(self, hello: Hello) -> bool:
@@ -108,15 +110,15 @@ class Connection:
         self.writer = writer
         self.inbox: Inbox[FromClient] = server_inbox()
         self.interest = Interest()
-        self.told = 0
+        self.reported = 0
         self.sent = self.acked = 0
         self.quiet = False
 
     def say(self, *messages: FromServer) -> None:
-        said = b"".join(map(framed, messages))
-        self.sent += len(said)
-        self.served.sent += len(said)
-        self.writer.write(said)
+        output = b"".join(map(framed, messages))
+        self.sent += len(output)
+        self.served.sent += len(output)
+        self.writer.write(output)
 
     async def serve(self) -> None:
         served = self.served
@@ -147,7 +149,7 @@ class Connection:
             return False
         is_resumed = served.can_resume(hello)
         held = hello.resume.revision if hello.resume and is_resumed else 0
-        self.told = held or 0
+        self.reported = held or 0
         self.interest = hello.interest
         self.say(self.welcomed(resumed=is_resumed, ticket=served.ticket))
         self.tell()
@@ -173,7 +175,7 @@ class Connection:
             self.served.acked = message.bytes
         elif isinstance(message, Change) and message.interest is not None:
             self.interest = message.interest
-            self.told = 0
+            self.reported = 0
             self.say(
                 Reset(
                     map=self.served.facts,
@@ -193,8 +195,8 @@ class Connection:
     def tell(self) -> None:
         """Send what changed, as a complete revision."""
         served = self.served
-        blocks = served.since(self.told)
-        self.told = served.revision
+        blocks = served.since(self.reported)
+        self.reported = served.revision
         if served.path is not None:
             self.say(served.path)
         self.say(

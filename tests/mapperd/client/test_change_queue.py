@@ -81,7 +81,7 @@ def test_reset_drops_the_blocks_before_it() -> None:
     assert kinds[1][1].keys.tolist() == [[2, 0, 0]]
 
 
-def test_too_many_blocks_are_the_whole_map_told_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_blocks_are_the_whole_map_reported_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_KEYS", 10)
     reader = Reader()
     served = Served()
@@ -91,10 +91,10 @@ def test_too_many_blocks_are_the_whole_map_told_anew(monkeypatch: pytest.MonkeyP
     for first in range(0, 1000, 5):
         reader.pending.add(changed(*range(first, first + 5)))
         assert len(reader.pending._keys) <= 15
-    reset, told = reader.take_all()
+    reset, sent = reader.take_all()
     assert isinstance(reset, MapReset)
-    assert isinstance(told, MapChanged)
-    assert told.keys.tolist() == [[5, 5, 5]]
+    assert isinstance(sent, MapChanged)
+    assert sent.keys.tolist() == [[5, 5, 5]]
 
 
 def test_pieces_of_the_path_are_joined() -> None:

@@ -73,16 +73,16 @@ def test_map_grows_with_the_daemons(short: Path) -> None:
             await client.complete(5)
             assert client.mirror is not None
             assert (client.mirror.blocks().cells == a_block(0)).all()
-            told = []
+            reported = []
             async for change in client.changes():
                 if isinstance(change, MapChanged):
-                    told.append(change.keys.tolist())
-                    if len(told) == 1:
+                    reported.append(change.keys.tolist())
+                    if len(reported) == 1:
                         served.put((-3, 4, 5), a_block(2))
                         server.tell()
-                    elif [[-3, 4, 5]] in told:
+                    elif [[-3, 4, 5]] in reported:
                         break
-            assert told[0] == [[0, 0, 0]]
+            assert reported[0] == [[0, 0, 0]]
             assert len(client.mirror) == 2
             await until(lambda: served.acked == served.sent)
 
@@ -131,12 +131,12 @@ def test_client_finds_a_daemon_that_began_again(short: Path) -> None:
     go(restart())
 
 
-def test_lie_about_the_map_begins_anew() -> None:
+def test_lie_about_the_map_starts_again() -> None:
     async def lie() -> None:
         served = with_blocks(3)
         async with pair(served) as (server, client):
             await client.complete(5)
-            served.begin_anew("map-2")
+            served.start_again("map-2")
             server.cut()
             await until(lambda: client.link.connects == 2)
             await client.complete(5)
@@ -210,7 +210,7 @@ def test_silent_link_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     go(listen())
 
 
-def test_nonsense_is_counted_and_the_map_told_anew() -> None:
+def test_nonsense_is_counted_and_the_map_reported_again() -> None:
     async def spoil() -> None:
         served = with_blocks(3)
         async with pair(served) as (server, client):
@@ -260,7 +260,7 @@ def test_requests_are_answered_refused_or_lost() -> None:
     go(ask())
 
 
-def test_another_interest_is_told_from_its_reset_on() -> None:
+def test_another_interest_is_reported_from_its_reset_on() -> None:
     async def change() -> None:
         served = with_blocks(3)
         async with pair(served) as (server, client):
@@ -280,21 +280,21 @@ def test_another_interest_is_told_from_its_reset_on() -> None:
     go(change())
 
 
-def test_reader_that_begins_late_is_told_all_that_is_known() -> None:
+def test_reader_that_begins_late_is_reported_all_that_is_known() -> None:
     async def read() -> None:
         async with pair(with_blocks(3)) as (server, client):
             await client.complete(5)
             server.connections[0].say(POSE)
             await until(lambda: client.pose)
-            told: list[object] = []
+            reported: list[object] = []
             async for change in client.changes():
-                told.append(change)
+                reported.append(change)
                 if change == POSE:
                     break
-            kinds = [type(change) for change in told if not isinstance(change, Status)]
+            kinds = [type(change) for change in reported if not isinstance(change, Status)]
             assert kinds == [LinkChanged, MapReset, MapChanged, Pose]
-            assert isinstance(told[2], MapChanged)
-            assert len(told[2].keys) == 3
+            assert isinstance(reported[2], MapChanged)
+            assert len(reported[2].keys) == 3
 
     go(read())
 
@@ -350,10 +350,10 @@ def test_example_runs_as_it_is(tmp_path: Path) -> None:
             )
             await until(lambda: server.connections)
             server.connections[0].say(POSE)
-            said, _ = await running.communicate()
+            output, _ = await running.communicate()
         assert running.returncode == 0
-        assert b"connected" in said
-        assert b"in 3 blocks, 0 left" in said
+        assert b"connected" in output
+        assert b"in 3 blocks, 0 left" in output
         assert (tmp_path / "watched.map").stat().st_size > 0
 
     go(watch())

@@ -30,7 +30,7 @@ def follow(served: Served, work: Callable[[Server, MapFollower], None]) -> None:
     assert not [one for one in threading.enumerate() if one.name == "map-client"]
 
 
-def test_follower_is_told_the_same() -> None:
+def test_follower_is_reported_the_same() -> None:
     def work(_: Server, follower: MapFollower) -> None:
         follower.complete(5)
         kinds = [type(change) for change in follower.changes(0.05)]
@@ -55,8 +55,8 @@ def test_changes_between_two_calls_are_not_lost() -> None:
     def work(_: Server, follower: MapFollower) -> None:
         follower.complete(5)
         assert list(follower.changes(0.05))
-        told = [change for change in follower.changes(0.0) if isinstance(change, MapReset)]
-        assert told == []  # and what was told is not told again
+        sent = [change for change in follower.changes(0.0) if isinstance(change, MapReset)]
+        assert sent == []  # and what was told is not told again
 
     follow(served, work)
 
@@ -96,7 +96,7 @@ def test_threads_read_while_the_map_changes() -> None:
     follow(served, work)
 
 
-def test_follower_that_never_began_says_so() -> None:
+def test_follower_that_never_began_is_reported() -> None:
     follower = MapFollower("127.0.0.1:1")
     with pytest.raises(AskError, match="not begun"):
         follower.ask("status")

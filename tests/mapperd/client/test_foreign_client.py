@@ -40,7 +40,7 @@ class Foreign:
             for message in self._messages():
                 kind = message["t"]
                 if kind == "greeting":
-                    self._say_hello(message, detail)
+                    self._send_hello(message, detail)
                 elif kind == "welcome":
                     self._welcomed(message)
                 elif kind == "reset":
@@ -56,7 +56,7 @@ class Foreign:
                 elif kind == "bye":
                     raise ConnectionError(message["reason"])
                 if kind not in ("greeting", "welcome"):
-                    self._say({"t": "ack", "bytes": self._read_bytes})
+                    self._send({"t": "ack", "bytes": self._read_bytes})
 
     def _messages(self) -> Iterator[dict[str, Any]]:
         while True:
@@ -73,20 +73,20 @@ class Foreign:
         self._read_bytes += size
         return read
 
-    def _say(self, message: dict[str, Any]) -> None:
+    def _send(self, message: dict[str, Any]) -> None:
         body = msgpack.packb(message)
         self._socket.sendall(struct.pack(">I", len(body)) + body)
 
-    def _say_hello(self, greeting: dict[str, Any], detail: str) -> None:
+    def _send_hello(self, greeting: dict[str, Any], detail: str) -> None:
         assert greeting["mapperd"] == "map stream"
         assert 1 in greeting.get("versions", [1])
         proof = ""
         if challenge := greeting.get("challenge", ""):
-            said = b"mapperd-control-1 " + challenge.encode()
-            proof = hmac.new(self._token, said, hashlib.sha256).hexdigest()
+            output = b"mapperd-control-1 " + challenge.encode()
+            proof = hmac.new(self._token, output, hashlib.sha256).hexdigest()
         hello = {"t": "hello", "version": 1, "proof": proof, "wants": ["map", "path"]}
         hello["interest"] = {"detail": detail}
-        self._say(hello | {"resume": self.held})
+        self._send(hello | {"resume": self.held})
 
     def _welcomed(self, welcome: dict[str, Any]) -> None:
         if not welcome["resumed"]:
@@ -148,7 +148,7 @@ def test_a_client_made_from_the_document_holds_the_same_cells() -> None:
             await asyncio.to_thread(foreign.follow_until_complete)
             assert foreign.cells == cells_of(served)
             assert served.sent - sent < sent / 5  # and not all of it anew
-            served.begin_anew("map-2")
+            served.start_again("map-2")
             await asyncio.to_thread(foreign.follow_until_complete)
             assert foreign.cells == cells_of(served)
 
@@ -166,7 +166,7 @@ def test_it_holds_the_same_path_near_and_far() -> None:
             await asyncio.to_thread(foreign.follow_until_complete)
             served.path = path_message(2, far_m)
             await asyncio.to_thread(foreign.follow_until_complete)
-        told = np.array(foreign.path)
-        np.testing.assert_allclose(told, np.vstack([near_m[:2], far_m]), rtol=0, atol=1e-6)
+        reported = np.array(foreign.path)
+        np.testing.assert_allclose(reported, np.vstack([near_m[:2], far_m]), rtol=0, atol=1e-6)
 
     asyncio.run(follow())

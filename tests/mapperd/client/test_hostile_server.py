@@ -190,10 +190,10 @@ GOOD = [
 )
 @settings(max_examples=300, deadline=None)
 def test_spoiled_bytes_are_taken_or_refused(
-    said: list[bytes], spoiled: list[tuple[int, int]], more: bytes
+    output: list[bytes], spoiled: list[tuple[int, int]], more: bytes
 ) -> None:
     dialogue = a_dialogue()
-    stream = bytearray(b"".join(said))
+    stream = bytearray(b"".join(output))
     for at, value in spoiled:
         stream[at % len(stream)] = value
     try:

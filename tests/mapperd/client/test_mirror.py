@@ -16,13 +16,13 @@ ROUNDS = st.lists(st.dictionaries(KEYS, st.integers(-1, 5), max_size=6), max_siz
 """Blocks by key: the number of their cells, -1 for nothing known."""
 
 
-def block_set(told: dict[tuple[int, int, int], int], *, counts: bool = False) -> BlockSet:
+def block_set(sent: dict[tuple[int, int, int], int], *, counts: bool = False) -> BlockSet:
     cells = np.array(
-        [a_block(n) if n >= 0 else np.full(CELLS, UNKNOWN) for n in told.values()], np.int8
+        [a_block(n) if n >= 0 else np.full(CELLS, UNKNOWN) for n in sent.values()], np.int8
     ).reshape(-1, CELLS)
-    keys = np.array(list(told), np.int32).reshape(-1, 3)
+    keys = np.array(list(sent), np.int32).reshape(-1, 3)
     seen = np.where(cells == UNKNOWN, 0, 3).astype(np.uint8) if counts else None
-    return BlockSet(keys, np.zeros(len(told), np.uint32), cells, seen)
+    return BlockSet(keys, np.zeros(len(sent), np.uint32), cells, seen)
 
 
 @given(rounds=ROUNDS, counts=st.booleans())
@@ -34,9 +34,9 @@ def test_mirror_holds_the_newest_of_every_block(
 ) -> None:
     mirror = MapMirror(FACTS, Interest(detail="counts" if counts else "log_odds"))
     held: dict[tuple[int, int, int], int] = {}
-    for told in rounds:
-        mirror.put(block_set(told, counts=counts), 0)
-        held = {key: number for key, number in (held | told).items() if number >= 0}
+    for sent in rounds:
+        mirror.put(block_set(sent, counts=counts), 0)
+        held = {key: number for key, number in (held | sent).items() if number >= 0}
     assert len(mirror) == len(held)
     blocks = mirror.blocks()
     found = dict(zip(map(tuple, blocks.keys.tolist()), blocks.cells, strict=True))

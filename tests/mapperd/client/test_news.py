@@ -36,7 +36,7 @@ class Known:
 
 
 @dataclass
-class Told:
+class SentState:
     """A daemon, a client of it, and the changes that it was told of the kinds it waits for."""
 
     daemon: FakeDaemon
@@ -52,7 +52,7 @@ class Told:
 
 
 @contextlib.asynccontextmanager
-async def telling(folder: Path, *wants: Want) -> AsyncIterator[Told]:
+async def running_client(folder: Path, *wants: Want) -> AsyncIterator[SentState]:
     daemon, known = FakeDaemon(), Known()
     feed = Feed(daemon, lambda: known, 100)  # type: ignore[arg-type,return-value]
     path = folder / "map.sock"
@@ -62,29 +62,29 @@ async def telling(folder: Path, *wants: Want) -> AsyncIterator[Told]:
     ):
         while client.link.state != "connected":  # noqa: ASYNC110 of another task
             await asyncio.sleep(0)
-        yield Told(daemon, known, client, client.changes())
+        yield SentState(daemon, known, client, client.changes())
         assert client.link.faults == 0
 
 
 def test_robots_come_and_go(short: Path) -> None:
     async def work() -> None:
-        async with telling(short, "robots") as told:
-            told.known.robots = [{"t_s": 2.5, "position_m": [1.0, 2.0, 3.0]}]
-            first = await told.next(lambda one: isinstance(one, Robots) and bool(one.seen))
+        async with running_client(short, "robots") as sent:
+            sent.known.robots = [{"t_s": 2.5, "position_m": [1.0, 2.0, 3.0]}]
+            first = await sent.next(lambda one: isinstance(one, Robots) and bool(one.seen))
             assert first.seen == [(2_500_000_000, 1.0, 2.0, 3.0)]
-            assert told.client.robots == first
-            told.known.robots = []
-            await told.next(lambda one: isinstance(one, Robots) and not one.seen)
-            assert told.client.robots == Robots(seen=[])
+            assert sent.client.robots == first
+            sent.known.robots = []
+            await sent.next(lambda one: isinstance(one, Robots) and not one.seen)
+            assert sent.client.robots == Robots(seen=[])
 
     run(work())
 
 
-def test_localization_is_told_with_its_cloud_and_its_scan(short: Path) -> None:
+def test_localization_is_reported_with_its_cloud_and_its_scan(short: Path) -> None:
     async def work() -> None:
-        async with telling(short, "localization") as told:
-            told.known.localization = facts = believed(0.2)
-            first = await told.next(lambda one: isinstance(one, Localization))
+        async with running_client(short, "localization") as sent:
+            sent.known.localization = facts = believed(0.2)
+            first = await sent.next(lambda one: isinstance(one, Localization))
             assert first.report["map"] == "tank.yaml"
             assert (first.report["state"], first.report["elsewhere"]) == ("ambiguous", 0.2)
             assert first.report["x_m"] == 1.0
@@ -92,32 +92,32 @@ def test_localization_is_told_with_its_cloud_and_its_scan(short: Path) -> None:
                 floats_of(first.particles, 4), facts.particles.astype(np.float32)
             )
             assert floats_of(first.scan, 3).tolist() == [[5.0, 2.0, 0.0]]  # the other is no place
-            told.known.localization = believed(None, state="waiting for a pose", scan_points_m=None)
-            second = await told.next(lambda one: isinstance(one, Localization))
+            sent.known.localization = believed(None, state="waiting for a pose", scan_points_m=None)
+            second = await sent.next(lambda one: isinstance(one, Localization))
             assert (second.report["state"], second.scan) == ("waiting for a pose", b"")
 
     run(work())
 
 
-def test_events_are_told_once_each_and_again_after_a_break(short: Path) -> None:
+def test_events_are_reported_once_each_and_again_after_a_break(short: Path) -> None:
     async def work() -> None:
-        async with telling(short, "events") as told:
-            events = told.daemon.events
+        async with running_client(short, "events") as sent:
+            events = sent.daemon.events
 
             async def heard(number: int) -> list[tuple[int, str, int]]:
-                found = [await told.next(lambda one: isinstance(one, Event)) for _ in range(number)]
+                found = [await sent.next(lambda one: isinstance(one, Event)) for _ in range(number)]
                 return [(one.event["number"], one.event["code"], one.lost) for one in found]
 
             last = events.last
             for n in range(3):
                 events.add(Severity.WARNING, f"code_{n}", "text", range_m=0.5)
             assert await heard(3) == [(last + n + 1, f"code_{n}", 0) for n in range(3)]
-            assert told.client.link.connects == 1
-            assert told.client._writer is not None
-            told.client._writer.transport.abort()
+            assert sent.client.link.connects == 1
+            assert sent.client._writer is not None
+            sent.client._writer.transport.abort()
             for n in range(2):
                 events.add(Severity.ERROR, f"away_{n}", "text")
             assert await heard(2) == [(last + n + 4, f"away_{n}", 0) for n in range(2)]
-            assert told.client.link.connects == 2
+            assert sent.client.link.connects == 2
 
     run(work())

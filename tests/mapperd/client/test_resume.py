@@ -25,8 +25,8 @@ class Relay:
     The daemon is told, or goes on as if nothing were.
     """
 
-    def __init__(self, to: Path, at: Path, *, tells: bool) -> None:
-        self.to, self.at, self.tells = to, at, tells
+    def __init__(self, to: Path, at: Path, *, reports: bool) -> None:
+        self.to, self.at, self.reports = to, at, reports
         self.cuts = 0
         self._backs: list[asyncio.StreamWriter] = []
 
@@ -62,7 +62,7 @@ class Relay:
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
             writer.close()
-            if self.tells:
+            if self.reports:
                 back.transport.abort()
 
 
@@ -72,35 +72,35 @@ def counters(server: StreamServer) -> dict[str, int]:
     return found
 
 
-@pytest.mark.parametrize("tells", [False, True])
+@pytest.mark.parametrize("reports", [False, True])
 @pytest.mark.parametrize("grows", [False, True])
 def test_a_link_that_breaks_all_the_time_brings_all_of_the_map(
     short: Path,
     monkeypatch: pytest.MonkeyPatch,
     grows: bool,  # noqa: FBT001
-    tells: bool,  # noqa: FBT001
+    reports: bool,  # noqa: FBT001
 ) -> None:
     monkeypatch.setattr(connect, "WAIT_S", 0.02)
     monkeypatch.setattr(connect, "LONGEST_WAIT_S", 0.02)
     chance = np.random.default_rng(5)
     sonar_map = a_map()
     observe(sonar_map, chance, 1500)
-    told = resets = 0
+    sent = resets = 0
 
     async def work(stack: AsyncExitStack) -> None:
-        nonlocal told, resets
+        nonlocal sent, resets
         server = await stack.enter_async_context(served(sonar_map, short / "map.sock"))
-        relay = Relay(short / "map.sock", short / "relay.sock", tells=tells)
+        relay = Relay(short / "map.sock", short / "relay.sock", reports=reports)
         await stack.enter_async_context(relay)
         client = await stack.enter_async_context(
             MapClient(str(relay.at), wants=["map"], bytes_per_s=RATE)
         )
 
         async def count() -> None:
-            nonlocal told, resets
+            nonlocal sent, resets
             async for change in client.changes():
                 resets += isinstance(change, MapReset)
-                told += len(change.keys) if isinstance(change, MapChanged) else 0
+                sent += len(change.keys) if isinstance(change, MapChanged) else 0
 
         counting = asyncio.create_task(count())
         while relay.cuts < 5:
@@ -115,7 +115,7 @@ def test_a_link_that_breaks_all_the_time_brings_all_of_the_map(
         assert client.link.faults == 0
         assert resets == 1
         if not grows:
-            assert told < 1.5 * len(client.mirror)
+            assert sent < 1.5 * len(client.mirror)
         assert counters(server)["parked_resumed"] >= 5
         assert server.status()["clients"] == 1
 

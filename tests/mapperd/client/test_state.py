@@ -27,7 +27,7 @@ def known(interest: Interest | None = None) -> Knowledge:
     return knowledge
 
 
-def test_resume_says_both_what_is_complete_and_the_newest() -> None:
+def test_resume_reports_both_what_is_complete_and_the_newest() -> None:
     box = Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
     knowledge = known(Interest(level=1, box=box))
     assert knowledge.resume() is None
@@ -87,12 +87,12 @@ def test_thresholds_and_origin_may_change_while_the_link_is_away() -> None:
     assert len(knowledge.mirror) == 1
 
 
-def blocks_of(told: dict[int, int], **more: int) -> Blocks:
+def blocks_of(sent: dict[int, int], **more: int) -> Blocks:
     """Blocks by the first number of their keys, each with one value in all its cells."""
-    keys = np.zeros((len(told), 3), np.int32)
-    keys[:, 0] = list(told)
-    cells = np.repeat(np.array(list(told.values()), np.int8)[:, None], CELLS, axis=1)
-    body = encode_blocks(BlockSet(keys, np.zeros(len(told), np.uint32), cells))
+    keys = np.zeros((len(sent), 3), np.int32)
+    keys[:, 0] = list(sent)
+    cells = np.repeat(np.array(list(sent.values()), np.int8)[:, None], CELLS, axis=1)
+    body = encode_blocks(BlockSet(keys, np.zeros(len(sent), np.uint32), cells))
     return Blocks(stamp_ns=1, body=body, **more)
 
 

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.net
         ("tls", False, "TLS"),
     ],
 )
-def test_the_wrong_door_is_said(
+def test_the_wrong_door_is_reported(
     short: Path,
     tls: tuple[ssl.SSLContext, ssl.SSLContext],
     door: str,
@@ -45,7 +45,7 @@ def test_the_wrong_door_is_said(
     assert hint in reasons[0]
 
 
-def test_no_hint_where_the_daemon_said_something(short: Path) -> None:
+def test_no_hint_where_the_daemon_reported_something(short: Path) -> None:
     async def work() -> None:
         async with bed_of(short) as bed:
             host, port = bed.doors["open"].socket.getsockname()

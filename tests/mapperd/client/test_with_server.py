@@ -61,16 +61,16 @@ async def served(sonar_map: SonarMap, path: Path) -> AsyncIterator[StreamServer]
             yield server
 
 
-def told_digest(sonar_map: SonarMap, facts: MapFacts, level: int) -> str:
+def sent_digest(sonar_map: SonarMap, facts: MapFacts, level: int) -> str:
     """Of what a mirror ought to hold: rounded, then the highest of each cube, from all voxels."""
     keys, units, counts = sonar_map.core.blocks()
     edge = _core.BLOCK_EDGE
     at = np.stack(np.unravel_index(np.arange(edge**3), (edge,) * 3, order="F"), axis=-1)
     voxels = (keys[:, None, :].astype(np.int64) * edge + at).reshape(-1, 3)
     known = counts.reshape(-1) > 0
-    told = sent_steps(units.reshape(-1) * _core.LOG_ODDS_UNIT, facts)
+    sent = sent_steps(units.reshape(-1) * _core.LOG_ODDS_UNIT, facts)
     blocks: dict[tuple[int, ...], NDArray[np.int8]] = {}
-    for cell, value in zip(voxels[known] >> level, told[known], strict=True):
+    for cell, value in zip(voxels[known] >> level, sent[known], strict=True):
         block = blocks.setdefault(tuple(cell >> 3), np.full(512, UNKNOWN, np.int8))
         x, y, z = cell & 7
         block[x + 8 * y + 64 * z] = max(block[x + 8 * y + 64 * z], value)
@@ -88,7 +88,7 @@ def digest_of(client: MapClient) -> str:
 async def until_equal(clients: list[MapClient], sonar_map: SonarMap) -> None:
     for client in clients:
         assert client.mirror is not None
-        right = told_digest(sonar_map, client.mirror.facts, client.mirror.interest.level)
+        right = sent_digest(sonar_map, client.mirror.facts, client.mirror.interest.level)
         while digest_of(client) != right:  # noqa: ASYNC110 of another task
             await asyncio.sleep(0.02)
 

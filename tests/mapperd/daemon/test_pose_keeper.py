@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mapperd.localization.status import LocalizationFacts
 
 
-class Told:
+class SentState:
     """Facts that a test changes."""
 
     def __init__(self, path: Path, config_text: str) -> None:
@@ -48,11 +48,11 @@ class Told:
 
 
 @pytest.fixture
-def reported(tmp_path: Path) -> Told:
-    return Told(tmp_path / "pose.json", settings(write_room(tmp_path)))
+def reported(tmp_path: Path) -> SentState:
+    return SentState(tmp_path / "pose.json", settings(write_room(tmp_path)))
 
 
-def test_newest_estimate_is_saved(reported: Told) -> None:
+def test_newest_estimate_is_saved(reported: SentState) -> None:
     reported.keeper.save()
     assert reported.saved_x_m is None  # there is none yet
     reported.now_at(1.0, 1)
@@ -63,7 +63,7 @@ def test_newest_estimate_is_saved(reported: Told) -> None:
     assert reported.saved_x_m is None  # nothing new
 
 
-def test_ambiguous_estimate_is_not_saved(reported: Told) -> None:
+def test_ambiguous_estimate_is_not_saved(reported: SentState) -> None:
     reported.now_at(1.0, 1)
     reported.keeper.save()
     reported.now_at(2.0, 2, elsewhere=0.5)
@@ -71,14 +71,14 @@ def test_ambiguous_estimate_is_not_saved(reported: Told) -> None:
     assert reported.saved_x_m == 1.0
 
 
-def test_rate_of_zero_saves_nothing(reported: Told) -> None:
+def test_rate_of_zero_saves_nothing(reported: SentState) -> None:
     reported.amcl = AmclConfig(save_pose_rate=0.0)
     reported.now_at(1.0, 1)
     reported.keeper.save()
     assert reported.saved_x_m is None
 
 
-def test_it_saves_while_it_runs(reported: Told) -> None:
+def test_it_saves_while_it_runs(reported: SentState) -> None:
     async def work() -> None:
         running = asyncio.create_task(reported.keeper.run())
         reported.now_at(3.0, 1)
@@ -91,7 +91,7 @@ def test_it_saves_while_it_runs(reported: Told) -> None:
     asyncio.run(work())
 
 
-def test_full_disk_is_reported_once(reported: Told) -> None:
+def test_full_disk_is_reported_once(reported: SentState) -> None:
     reported.path.mkdir()
     for k in (1, 2):
         reported.now_at(float(k), k)
@@ -115,7 +115,7 @@ def test_map_that_is_being_made_is_not_the_known_one(tmp_path: Path) -> None:
 
 
 def test_saved_pose_that_is_invalid_is_reported_and_passed_over(
-    reported: Told, tmp_path: Path
+    reported: SentState, tmp_path: Path
 ) -> None:
     config = config_from_text(settings(write_room(tmp_path), pose_path=f"'{reported.path}'"))
     for text, codes in (("{}", ["saved_pose_ignored"]), (None, [])):

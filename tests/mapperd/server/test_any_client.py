@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.map_index import distances_m
 from mapperd.wire.messages import Box, Interest
-from tests.mapperd.server.told import SECOND_NS, Client, expected, scatter, source_of
+from tests.mapperd.server.sent_state import SECOND_NS, Client, expected, scatter, source_of
 from tests.mapperd.store.dive import CONFIG, integrate
 
 STEPS = st.lists(
@@ -73,7 +73,7 @@ def _assert_same_part(
 ) -> None:
     interest, holds = client.interest, client.holds()
     whole = expected(sonar_map.core, client.mirror.facts, interest)
-    assert all(whole.get(key) == told for key, told in holds.items())
+    assert all(whole.get(key) == sent for key, sent in holds.items())
     keys = np.array(list(whole), np.int32).reshape(-1, 3)
     edge_m = client.mirror.cell_m * 8
     wanted = np.ones(len(keys), bool)

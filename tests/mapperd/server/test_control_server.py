@@ -84,7 +84,7 @@ def test_what_the_daemon_refuses_is_an_answer(short: Path, reason: str) -> None:
     go(work, short)
 
 
-def test_fault_of_ours_is_told_and_the_daemon_goes_on(short: Path) -> None:
+def test_fault_of_ours_is_reported_and_the_daemon_goes_on(short: Path) -> None:
     async def work(one: Served) -> None:
         async with await one.line() as line:
             one.daemon.fault = ZeroDivisionError("oh")

@@ -14,7 +14,7 @@ from tests.mapperd.server.watched import as_bytes, bed_of, run
 from tests.support.control_server import TOKEN
 
 
-def test_a_fault_of_the_map_is_told_and_passes(short: Path) -> None:
+def test_a_fault_of_the_map_is_reported_and_passes(short: Path) -> None:
     async def work() -> None:
         async with bed_of(short) as bed:
             fill(bed, 10)
@@ -59,7 +59,7 @@ def test_a_fault_of_one_clients_map_ends_its_connection_and_no_other(short: Path
             watchers = [await bed.welcomed() for _ in range(3)]
             for watcher in watchers:
                 await watcher.until(lambda watcher=watcher: watcher.complete == 10)  # type: ignore[misc]
-            bed.source.telling_fault = MemoryError("no room for blocks")
+            bed.source.reported_fault = MemoryError("no room for blocks")
             fill(bed, 11)
             ends = [asyncio.create_task(watcher.over()) for watcher in watchers]
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)

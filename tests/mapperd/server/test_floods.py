@@ -11,7 +11,7 @@ from mapperd.server.session import CHANGES_AT_ONCE, CHANGES_PER_S, Session
 from mapperd.wire.auth import Limits
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import Ack, Ask, Change, Interest
-from tests.mapperd.server.test_session import Told
+from tests.mapperd.server.test_session import SentState
 from tests.mapperd.server.watched import bed_of, run
 
 
@@ -31,8 +31,8 @@ def test_many_messages_are_heard_in_many_turns(
             watcher = await bed.watcher(door, tls[1] if door == "tls" else None)  # type: ignore[arg-type]
             await watcher.hello(b"correct-horse-battery-staple" if door == "tls" else None)
             monkeypatch.setattr(Session, "take", noted)
-            said = 10_000 * framed(Change()) + framed(Change(bytes_per_s=77_777))
-            watcher.writer.write(said)
+            output = 10_000 * framed(Change()) + framed(Change(bytes_per_s=77_777))
+            watcher.writer.write(output)
             (client,) = bed.server._clients
             while client.session.pacer.bytes_per_s != 77_777:  # noqa: ASYNC110 it tells nobody
                 await asyncio.sleep(0)
@@ -43,8 +43,8 @@ def test_many_messages_are_heard_in_many_turns(
 
 
 def test_of_many_changes_the_newest_is_heeded_in_its_time() -> None:
-    told = Told(1e6, wants=["map"])
-    session, heeded = told.session, []
+    reported = SentState(1e6, wants=["map"])
+    session, heeded = reported.session, []
 
     def look() -> None:
         if session.wish is not None:
@@ -53,18 +53,18 @@ def test_of_many_changes_the_newest_is_heeded_in_its_time() -> None:
             session.wish = None
 
     for n in range(100):
-        told.say(Change(interest=Interest(radius_m=float(n + 1))))
+        reported.say(Change(interest=Interest(radius_m=float(n + 1))))
         look()
     assert heeded == [float(n + 1) for n in range(CHANGES_AT_ONCE)]
     for _ in range(8):
-        told.link.now_s += 0.05
-        session.look(told.now_s)
+        reported.link.now_s += 0.05
+        session.look(reported.now_s)
         look()
     assert heeded[CHANGES_AT_ONCE:] == [100.0]
     for n in range(400):
-        told.link.now_s += 0.01
-        told.say(Change(interest=Interest(radius_m=1000.0 + n)))
-        session.look(told.now_s)
+        reported.link.now_s += 0.01
+        reported.say(Change(interest=Interest(radius_m=1000.0 + n)))
+        session.look(reported.now_s)
         look()
     assert 4 * CHANGES_PER_S - 1 <= len(heeded) - CHANGES_AT_ONCE - 1 <= 4 * CHANGES_PER_S + 2
 

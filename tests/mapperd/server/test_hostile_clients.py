@@ -24,7 +24,7 @@ def bare(message: object) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("said", "reason"),
+    ("output", "reason"),
     [
         (b"GET / HTTP/1.1\r\n\r\n", "too_long"),
         (b"\x00\x00\x00\x03abc", "bad_message"),
@@ -58,12 +58,12 @@ def bare(message: object) -> bytes:
         (HELLO + 40_000 * framed(Change()), "too_many_messages"),
     ],
 )
-def test_who_breaks_a_rule_is_told_and_let_go(short: Path, said: bytes, reason: str) -> None:
+def test_who_breaks_a_rule_is_reported_and_let_go(short: Path, output: bytes, reason: str) -> None:
     async def work() -> None:
         async with bed_of(short) as bed:
             watcher = await bed.watcher()
             watcher.acks = False
-            watcher.writer.write(said)
+            watcher.writer.write(output)
             bye = await watcher.over()
             assert bye is not None
             assert bye.reason == reason
@@ -90,7 +90,7 @@ def test_who_breaks_a_rule_is_told_and_let_go(short: Path, said: bytes, reason: 
         (b"\x91" * 300 + b"\x90", "bad_request"),
     ],
 )
-def test_a_request_that_is_none_is_answered(short: Path, ask: bytes, reason: str | None) -> None:
+def test_a_request_that_is_invalid_is_answered(short: Path, ask: bytes, reason: str | None) -> None:
     async def work() -> None:
         async with bed_of(short) as bed:
             watcher = await bed.welcomed(wants=[])
@@ -138,7 +138,7 @@ def test_any_bytes_leave_the_others_alone(short: Path) -> None:
     run(work())
 
 
-def test_who_says_nothing_is_let_go(short: Path) -> None:
+def test_who_is_silent_is_let_go(short: Path) -> None:
     async def work() -> None:
         async with bed_of(short, limits=Limits(hello_s=0.1)) as bed:
             silent = await bed.watcher()

@@ -183,9 +183,9 @@ def test_place_of_the_socket() -> None:
         Path("/run/mapperd/mapperd.sock"),
         Path("/state/mapperd.sock"),
     ]
-    said = Config(control=ControlConfig(socket="/a/b"))
-    assert socket_path(said, user) == Path("/a/b")
-    assert socket_places(said, user) == [Path("/a/b")]
+    output = Config(control=ControlConfig(socket="/a/b"))
+    assert socket_path(output, user) == Path("/a/b")
+    assert socket_places(output, user) == [Path("/a/b")]
 
 
 class TestSetup:
@@ -197,7 +197,7 @@ class TestSetup:
         assert events.last == 0
 
     @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])  # noqa: S104 a port of its own
-    def test_network_without_tls_is_told(self, short: Path, host: str) -> None:
+    def test_network_without_tls_is_reported(self, short: Path, host: str) -> None:
         (short / "token").write_bytes(TOKEN)
         (short / "token").chmod(0o600)
         control = ControlConfig(address=f"{host}:0", token_file=f"{short}/token", mode="600")
@@ -206,12 +206,12 @@ class TestSetup:
         for door in open_listeners("control", Config(control=control), events, environ):
             assert (door.token is None) == door.name.startswith("unix")
             door.close()
-        told = [(event.severity, event.code) for event in events.since(0)[0]]
+        sent = [(event.severity, event.code) for event in events.since(0)[0]]
         in_clear = [(Severity.WARNING, "control_in_clear")]
-        assert told == ([] if host == "127.0.0.1" else in_clear)
+        assert sent == ([] if host == "127.0.0.1" else in_clear)
 
     @pytest.mark.parametrize(
-        ("said", "because"),
+        ("output", "because"),
         [
             ({"token_file": ""}, "needs a token"),
             ({"address": "somewhere:0"}, "no address"),
@@ -221,9 +221,9 @@ class TestSetup:
         ],
     )
     def test_bad_settings_leave_no_socket(
-        self, short: Path, said: dict[str, str], because: str
+        self, short: Path, output: dict[str, str], because: str
     ) -> None:
-        control = ControlConfig(**{"address": "127.0.0.1:0", "token_file": "/none"} | said)  # type: ignore[arg-type]
+        control = ControlConfig(**{"address": "127.0.0.1:0", "token_file": "/none"} | output)  # type: ignore[arg-type]
         with pytest.raises(ConfigError, match=because) as caught:
             open_listeners(
                 "control",

@@ -8,7 +8,7 @@ import pytest
 
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.wire.messages import Interest
-from tests.mapperd.server.told import SECOND_NS, Client, assert_same, scatter, source_of
+from tests.mapperd.server.sent_state import SECOND_NS, Client, assert_same, scatter, source_of
 from tests.mapperd.store.dive import CONFIG, integrate, mapped
 
 DETAILS: tuple[Literal["classes", "log_odds", "counts"], ...] = ("classes", "log_odds", "counts")
@@ -30,7 +30,7 @@ def test_every_level_and_detail_ends_with_the_map(level: int) -> None:
         assert client.view.left == 0
 
 
-def test_who_comes_late_is_told_all_and_then_changes_alone() -> None:
+def test_who_comes_late_is_reported_all_and_then_changes_alone() -> None:
     sonar_map = mapped(2)
     source = source_of(sonar_map)
     source.look(SECOND_NS)
@@ -38,15 +38,15 @@ def test_who_comes_late_is_told_all_and_then_changes_alone() -> None:
     source.look(2 * SECOND_NS)
     client.hear()
     assert_same(client, sonar_map)
-    told = client.told_blocks
+    sent = client.sent_blocks
     sonar_map.core.set_log_odds(np.array([[0.05, 0.05, 0.05]]), np.array([5.0]))
     source.look(3 * SECOND_NS)
     client.hear()
-    assert client.told_blocks == told + 1
+    assert client.sent_blocks == sent + 1
     assert_same(client, sonar_map)
 
 
-def test_what_changes_without_being_told_otherwise_is_not_told_again() -> None:
+def test_what_changes_without_being_reported_otherwise_is_not_sent_again() -> None:
     sonar_map = SonarMap(CONFIG)
     source = source_of(sonar_map)
     point = np.array([[0.05, 0.05, 0.05]])
@@ -58,11 +58,11 @@ def test_what_changes_without_being_told_otherwise_is_not_told_again() -> None:
     source.look(SECOND_NS + 1)
     assert client.hear() == 0
     source.look(2 * SECOND_NS)
-    assert (client.hear(), client.told_blocks) == (1, 1)  # that it is complete, and no block
+    assert (client.hear(), client.sent_blocks) == (1, 1)  # that it is complete, and no block
     assert client.mirror.complete == sonar_map.core.revision
 
 
-def test_a_block_that_changes_twice_before_it_is_told_is_told_once() -> None:
+def test_a_block_that_changes_twice_before_it_is_reported_is_reported_once() -> None:
     sonar_map = SonarMap(CONFIG)
     source = source_of(sonar_map)
     client = Client(source)
@@ -70,12 +70,12 @@ def test_a_block_that_changes_twice_before_it_is_told_is_told_once() -> None:
         sonar_map.core.set_log_odds(np.array([[0.05, 0.05, 0.05]]), np.array([value]))
         source.look(second * SECOND_NS)
     client.hear()
-    assert client.told_blocks == 1
+    assert client.sent_blocks == 1
     assert_same(client, sonar_map)
 
 
 @pytest.mark.parametrize("at_look", [2.0, None])
-def test_what_was_told_between_two_looks_and_is_as_before_is_told_again(
+def test_what_was_reported_between_two_looks_and_is_as_before_is_sent_again(
     at_look: float | None,
 ) -> None:
     """A block is told as it is; a look compares it with what it was at the look before."""
@@ -98,10 +98,10 @@ def test_what_was_told_between_two_looks_and_is_as_before_is_told_again(
     for one in (client, other):
         one.hear()
         assert_same(one, sonar_map)
-    told = client.told_blocks
+    sent = client.sent_blocks
     source.look(3 * SECOND_NS)
     client.hear()
-    assert client.told_blocks == told
+    assert client.sent_blocks == sent
 
 
 def test_an_empty_map_is_complete_at_once() -> None:
@@ -112,18 +112,18 @@ def test_an_empty_map_is_complete_at_once() -> None:
     assert (client.mirror.complete, len(client.mirror)) == (0, 0)
 
 
-def test_one_block_is_told_however_few_bytes_there_are() -> None:
+def test_one_block_is_reported_however_few_bytes_there_are() -> None:
     sonar_map = SonarMap(CONFIG)
     scatter(sonar_map, 1, 300, reach_m=1.0)
     source = source_of(sonar_map)
     client = Client(source)
     source.look(SECOND_NS)
     client.hear(most_bytes=1)
-    assert client.told_messages == client.told_blocks > 4
+    assert client.sent_messages == client.sent_blocks > 4
     assert_same(client, sonar_map)
 
 
-def test_clients_that_are_told_the_same_are_told_the_same_object() -> None:
+def test_clients_that_are_reported_the_same_are_reported_the_same_object() -> None:
     sonar_map = mapped(2)
     source = source_of(sonar_map)
     first, second = (source.subscribe(Interest()) for _ in range(2))
@@ -168,7 +168,7 @@ def test_a_cleared_map_is_another_one() -> None:
     assert source.subscribe(Interest(), resume).reason == "another_map"
 
 
-def test_other_thresholds_are_told_anew() -> None:
+def test_other_thresholds_are_reported_again() -> None:
     sonar_map = mapped(2)
     source = source_of(sonar_map)
     client = Client(source, Interest(detail="classes"))

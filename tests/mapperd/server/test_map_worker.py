@@ -9,7 +9,7 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.map_worker import MapRounds, _Order
 from mapperd.server.schedule import Rooms
 from mapperd.wire.messages import Interest
-from tests.mapperd.server.told import SECOND_NS, scatter, source_of
+from tests.mapperd.server.sent_state import SECOND_NS, scatter, source_of
 from tests.mapperd.store.dive import CONFIG
 
 ROOM = 10_000
@@ -60,11 +60,11 @@ def test_the_last_half_of_the_room_is_not_filled_with_small_ones(
 ) -> None:
     view = Sizes(*sizes)
     assert filled(view) == expected
-    told = [sum(expected[:n]) for n in range(len(view.asked))]
-    assert view.asked == [ROOM - before for before in told]
+    sent = [sum(expected[:n]) for n in range(len(view.asked))]
+    assert view.asked == [ROOM - before for before in sent]
 
 
-def test_a_real_map_is_told_in_one_message_each_time() -> None:
+def test_a_real_map_is_reported_in_one_message_each_time() -> None:
     sonar_map = SonarMap(CONFIG)
     scatter(sonar_map, 3, 20_000, reach_m=8.0)
     source = source_of(sonar_map)

@@ -31,8 +31,8 @@ def test_no_picture_is_older_than_the_one_before(ping: Callable[..., Ping]) -> N
     now_s = 100.0
 
     def tell(client: ClientOutbox) -> list[int]:
-        said = client_inbox().feed(b"".join(client.pieces(now_s, 1)))
-        return [one.ping_id for one in said if isinstance(one, Image)]
+        output = client_inbox().feed(b"".join(client.pieces(now_s, 1)))
+        return [one.ping_id for one in output if isinstance(one, Image)]
 
     def client() -> Choosing:
         new = Choosing(feed, EventLog(lambda: 1), Roomy())
@@ -40,7 +40,7 @@ def test_no_picture_is_older_than_the_one_before(ping: Callable[..., Ping]) -> N
         return new
 
     one = client()
-    told: list[int] = []
+    sent: list[int] = []
     for number, (drawn, coarse) in enumerate(
         [({0, 1, 2}, 0), ({0}, 0), ({0}, 1), ({0, 1}, 1), ({1}, 2), ({1, 2}, 2), ({1, 2}, 0)], 1
     ):
@@ -49,8 +49,8 @@ def test_no_picture_is_older_than_the_one_before(ping: Callable[..., Ping]) -> N
         feed.refresh({"image"}, now_s)
         feed.draw({"image"}, drawn)
         one.coarse = coarse
-        told += tell(one)
-    assert told == [1, 2, 4, 6]
+        sent += tell(one)
+    assert sent == [1, 2, 4, 6]
     assert len(feed.image(0).frame) > len(feed.image(2).frame) > 0  # so large they are
     late = client()
     assert tell(late) == []  # the fine one is of the fourth ping

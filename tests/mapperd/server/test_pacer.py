@@ -102,7 +102,7 @@ def test_stalls_again_and_again_do_not_empty_it(stall_s: float, *, calm: bool) -
 
 
 @pytest.mark.parametrize("every_s", [0.1, 0.5])
-def test_little_to_say_tells_nothing_against_the_link(every_s: float) -> None:
+def test_little_to_report_reports_nothing_against_the_link(every_s: float) -> None:
     """Whether all has arrived before more is said, or something is always under way."""
     link = Link(lambda _: 32_000)
     link.fill(10.0)
@@ -113,7 +113,7 @@ def test_little_to_say_tells_nothing_against_the_link(every_s: float) -> None:
     assert link.pacer.rate > 0.9 * rate
 
 
-def test_a_first_word_says_nothing_of_how_fast_a_link_is() -> None:
+def test_a_first_word_is_silent_of_how_fast_a_link_is() -> None:
     link = Link(lambda _: 32_000)
     link.send(100)
     while link.pacer.in_flight:
@@ -193,7 +193,7 @@ def test_no_client_takes_more_than_the_largest_window() -> None:
     assert link.pacer.in_flight <= MAX_IN_FLIGHT + 50_000
 
 
-def test_acknowledgements_that_cannot_be_are_told() -> None:
+def test_acknowledgements_that_cannot_be_are_reported() -> None:
     pacer = Pacer()
     pacer.note_sent(100, 0.0)
     assert not pacer.note_ack(101, 0.1)

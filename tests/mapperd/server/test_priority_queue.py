@@ -93,8 +93,8 @@ def test_what_waits_longest_nearby_and_then_the_nearest(random: np.random.Genera
             assert every.queue.near_left == len(of_pass[most:])
             passes += not of_pass[most:]
         away = every.away_m(found)
-        told = zip(found, away, strict=True)
-        assert [(since[n], far) if far <= NEAR_M else (far,) for n, far in told] == expected
+        sent = zip(found, away, strict=True)
+        assert [(since[n], far) if far <= NEAR_M else (far,) for n, far in sent] == expected
         kinds.add((min(away, default=0) <= NEAR_M, max(away, default=99) > NEAR_M))
         waiting = (every.queue.flags & WAITING != 0).nonzero()[0].tolist()
         assert len(every.queue) == len(every.since)
@@ -136,13 +136,13 @@ def test_what_changes_all_the_time_does_not_starve_what_waits_beside_it(
     far = [(100 + n, n % 7, 0) for n in range(600)]
     every = Queue(np.array(near + far, np.int32))
     every.add(range(len(every.keys)))
-    told: list[int] = []
+    sent: list[int] = []
     for n in range(6):
         every.position = np.array([0.0, 0.2 * n, 0.0])
         every.queue._reach_m = -np.inf  # as if many had come in between
-        told += every.take(2)
+        sent += every.take(2)
         every.add([0, 1])
-    assert set(told) >= set(range(10))
+    assert set(sent) >= set(range(10))
 
 
 def test_a_pass_ends_though_the_same_blocks_change_all_the_time() -> None:
@@ -150,9 +150,9 @@ def test_a_pass_ends_though_the_same_blocks_change_all_the_time() -> None:
     every.add(range(8))
     left = []
     for _ in range(4):
-        told = every.take(2, "near")
+        sent = every.take(2, "near")
         left.append(every.queue.near_left)
-        every.add(told)  # they have changed again
+        every.add(sent)  # they have changed again
     assert left == [6, 4, 2, 0]
     assert every.take(8, "near") == [0, 1, 2, 3, 4, 5, 6, 7]
     assert every.queue.near_left == 0
@@ -177,11 +177,11 @@ def test_twice_the_front_at_once_hides_nothing_that_is_nearer(
     assert every.take(2) == [41, 40]
 
 
-def test_what_was_told_goes_later_than_it_came() -> None:
+def test_what_was_reported_goes_later_than_it_came() -> None:
     keys, here = np.array([[10, 0, 0]] * 2, np.int32), (0.5, 0.5, 0.5)
     away_m = distances_m(keys, 1.0, here)[0]
     held = np.array([False, True])
-    for radius_m, told in ((away_m, [True, True]), (away_m - 0.1, [False, True])):
-        assert within(keys, 1.0, Interest(radius_m=radius_m), here, held).tolist() == told
+    for radius_m, sent in ((away_m, [True, True]), (away_m - 0.1, [False, True])):
+        assert within(keys, 1.0, Interest(radius_m=radius_m), here, held).tolist() == sent
     beyond = Interest(radius_m=away_m / LEAVE - 0.1)
     assert within(keys, 1.0, beyond, here, held).tolist() == [False, False]

@@ -14,7 +14,14 @@ from mapperd.server.map_source import MapSource
 from mapperd.server.resume import PARKED_S, Ends, Parting, ResumeCache
 from mapperd.server.subscription import MAX_MESSAGES, MOST_BLOCKS, InFlight
 from mapperd.wire.messages import Ack, Interest, Resume
-from tests.mapperd.server.told import SECOND_NS, Client, Told, expected, scatter, source_of
+from tests.mapperd.server.sent_state import (
+    SECOND_NS,
+    Client,
+    SentState,
+    expected,
+    scatter,
+    source_of,
+)
 from tests.mapperd.server.watched import Bed, Watcher, bed_of, run
 
 MESSAGE = 1000
@@ -28,14 +35,14 @@ def mapped(voxels: int = 3000) -> SonarMap:
 
 
 class Parked:
-    """A client that heard `used` of `told` messages, whose connection broke then."""
+    """A client that heard `used` of `sent` messages, whose connection broke then."""
 
     def __init__(
         self,
         source: MapSource,
         *,
         interest: Interest | None = None,
-        told: int = 6,
+        sent: int = 6,
         used: int = 4,
         parking: ResumeCache | None = None,
         ticket: str = "t1",
@@ -45,14 +52,14 @@ class Parked:
         self.client = Client(source, interest)
         self.position_m = (0.0, 0.0, 0.0)
         source.look(SECOND_NS)
-        self.leave(ticket, told, used)
+        self.leave(ticket, sent, used)
 
-    def leave(self, ticket: str, told: int, used: int, before: Resume | None = None) -> None:
-        """The client hears of `told` messages the first `used`, then the link breaks."""
+    def leave(self, ticket: str, sent: int, used: int, before: Resume | None = None) -> None:
+        """The client hears of `sent` messages the first `used`, then the link breaks."""
         client, ends, acked = self.client, Ends(), 0
         view = client.view
         ends.begin(view.number, 0)
-        for number in range(told):
+        for number in range(sent):
             message = view.next_message(self.position_m, MESSAGE)
             assert message is not None
             ends.note(view.number, (number + 1) * MESSAGE)
@@ -61,7 +68,7 @@ class Parked:
             if number < used - 1:
                 acked = (number + 1) * MESSAGE
         view.settle(ends.settled(acked))
-        parting = Parting(ticket, acked, told * MESSAGE, ends, before)
+        parting = Parting(ticket, acked, sent * MESSAGE, ends, before)
         self.parking.park(view, parting, 0.0)
         self.shown = Resume(
             map=self.source.facts().id,
@@ -71,7 +78,7 @@ class Parked:
             radius_m=client.interest.radius_m,
             box=client.interest.box,
             ticket=ticket,
-            bytes=used * MESSAGE + 500 * (used < told),
+            bytes=used * MESSAGE + 500 * (used < sent),
         )
 
     def back(self, **changes: Any) -> bool:
@@ -86,36 +93,36 @@ class Parked:
         self.source.look(now_s * SECOND_NS)
         self.client.hear(position_m=self.position_m)
 
-    def right(self, sonar_map: SonarMap) -> Told:
+    def right(self, sonar_map: SonarMap) -> SentState:
         return expected(sonar_map.core, self.source.facts(), self.client.interest)
 
 
-def test_what_was_sent_and_not_received_is_told_again_and_nothing_else() -> None:
+def test_what_was_sent_and_not_received_is_sent_again_and_nothing_else() -> None:
     sonar_map = mapped()
     parked = Parked(source_of(sonar_map))
     assert parked.back()
     parked.hear_all(2)
     right = parked.right(sonar_map)
     assert parked.client.holds() == right
-    assert parked.client.told_blocks == len(right)
+    assert parked.client.sent_blocks == len(right)
     assert parked.client.mirror.complete == sonar_map.core.revision
 
 
-def test_all_that_was_told_and_lost_is_told_again_and_that_it_is_complete() -> None:
+def test_all_that_was_reported_and_lost_is_sent_again_and_that_it_is_complete() -> None:
     sonar_map = mapped(30)
-    parked = Parked(source_of(sonar_map), told=1, used=1)
+    parked = Parked(source_of(sonar_map), sent=1, used=1)
     assert parked.back()
     parked.client.hear()
-    before = parked.client.told_blocks
+    before = parked.client.sent_blocks
     parked.leave("t2", 0, 0)
     assert parked.back()
     parked.client.mirror.complete = None
     parked.hear_all(3)
     assert parked.client.mirror.complete == sonar_map.core.revision
-    assert parked.client.told_blocks == before
+    assert parked.client.sent_blocks == before
 
 
-def test_what_changes_meanwhile_is_told() -> None:
+def test_what_changes_meanwhile_is_reported() -> None:
     sonar_map = mapped()
     source = source_of(sonar_map)
     parked = Parked(source)
@@ -127,11 +134,11 @@ def test_what_changes_meanwhile_is_told() -> None:
     assert parked.client.holds() == parked.right(sonar_map)
 
 
-def test_that_a_block_is_empty_is_told_again() -> None:
+def test_that_a_block_is_empty_is_sent_again() -> None:
     """Beyond the radius blocks are told as empty: the client keeps those it was not told of."""
     sonar_map = mapped()
     source = source_of(sonar_map)
-    parked = Parked(source, interest=Interest(radius_m=2.0), told=0, used=0)
+    parked = Parked(source, interest=Interest(radius_m=2.0), sent=0, used=0)
     assert parked.back()
     parked.hear_all(2)
     assert parked.client.holds()
@@ -144,13 +151,13 @@ def test_that_a_block_is_empty_is_told_again() -> None:
 
 def test_a_radius_goes_on() -> None:
     sonar_map = mapped()
-    parked = Parked(source_of(sonar_map), interest=Interest(radius_m=1.5), told=3, used=2)
+    parked = Parked(source_of(sonar_map), interest=Interest(radius_m=1.5), sent=3, used=2)
     fresh = Client(parked.source, Interest(radius_m=1.5))
     assert parked.back()
     parked.hear_all(2)
     fresh.hear(position_m=parked.position_m)
     assert parked.client.holds() == fresh.holds()
-    assert parked.client.told_blocks == fresh.told_blocks
+    assert parked.client.sent_blocks == fresh.sent_blocks
 
 
 @pytest.mark.parametrize(
@@ -279,7 +286,7 @@ def test_who_is_lost_is_kept_and_who_is_cut_is_not(short: Path, how: str, parked
             await client.until(lambda: (5, 0, 0) in client.cells)
             bed.shift_s = 61.0
         elif how == "fault":
-            bed.source.telling_fault = RuntimeError("a fault of ours")
+            bed.source.reported_fault = RuntimeError("a fault of ours")
             bed.source.put((5, 0, 0), 1)
         if how == "leaves":
             await client.leave()

@@ -85,7 +85,7 @@ class LargeMap:
         return framed(Blocks(revision=1, stamp_ns=1, left=1, complete=None, body=bytes(size)))
 
 
-class Told:
+class SentState:
     """A session, a link of so many bytes a second, and what came over it."""
 
     def __init__(self, rate: float, *, has_map: bool = False, limit: int = 0, **hello: Any) -> None:
@@ -145,38 +145,41 @@ class Told:
         return [at_s - one.stamp_ns / 1000 for at_s, one in self.heard if isinstance(one, Pose)]
 
 
-def test_the_welcome_comes_first_and_says_what_there_is() -> None:
-    told = Told(1e6, wants=["pose"])
-    told.tick(20, poses=True)
-    kinds = [type(one) for _, one in told.heard]
+def test_the_welcome_comes_first_and_reports_what_there_is() -> None:
+    reported = SentState(1e6, wants=["pose"])
+    reported.tick(20, poses=True)
+    kinds = [type(one) for _, one in reported.heard]
     assert kinds[1] is Welcome
-    (welcome,) = told.of(Welcome)
+    (welcome,) = reported.of(Welcome)
     assert (welcome.revision, welcome.session, welcome.vehicle) == (7, "s1", "rov")
     assert welcome.map == FACTS
-    assert len(told.of(Pose)) >= 5
-    assert told.of(Robots) == []
+    assert len(reported.of(Pose)) >= 5
+    assert reported.of(Robots) == []
 
 
 def test_a_slow_link_has_fresh_poses_and_skips_the_others() -> None:
-    told = Told(6_000, wants=["pose"])
-    told.tick(1200, poses=True)
+    reported = SentState(6_000, wants=["pose"])
+    reported.tick(1200, poses=True)
     # The wire, what is not sent yet, and a calm TCP's last packets; more until the rate is known.
     wire_s = 0.1 + TICK_S + (LEAST_ON_ITS_WAY + 500) / 6_000
-    assert max(told.late_s()) < wire_s + UNSENT_S * FIRST_RATE / 6_000
-    assert max(told.late_s()[50:]) < wire_s + MIN_UNSENT / 6_000
-    assert len(told.late_s()) > 60
-    assert told.session.portions.skipped["pose"] + len(told.of(Pose)) > 1150
+    assert max(reported.late_s()) < wire_s + UNSENT_S * FIRST_RATE / 6_000
+    assert max(reported.late_s()[50:]) < wire_s + MIN_UNSENT / 6_000
+    assert len(reported.late_s()) > 60
+    assert reported.session.portions.skipped["pose"] + len(reported.of(Pose)) > 1150
 
 
 def test_heartbeats_come_each_second_and_the_whole_status_when_there_is_room() -> None:
-    quick, slow = Told(1e6, wants=["status"]), Told(4_000, wants=["status"])
-    silent = Told(1e6)
-    for told in (quick, slow, silent):
-        told.tick(400)
-        beats = [at_s for at_s, one in told.heard if isinstance(one, Status)]
+    quick, slow = SentState(1e6, wants=["status"]), SentState(4_000, wants=["status"])
+    silent = SentState(1e6)
+    for reported in (quick, slow, silent):
+        reported.tick(400)
+        beats = [at_s for at_s, one in reported.heard if isinstance(one, Status)]
         assert 18 <= len(beats) <= 20
         assert np.diff(beats).max() < 2.1
-    whole = [len([one for one in told.of(Status) if one.status]) for told in (quick, slow, silent)]
+    whole = [
+        len([one for one in reported.of(Status) if one.status])
+        for reported in (quick, slow, silent)
+    ]
     assert whole[0] >= 18
     assert 1 <= whole[1] <= 5  # 3 kB each, of a twentieth of the link
     assert whole[2] == 0
@@ -189,121 +192,123 @@ def test_heartbeats_come_each_second_and_the_whole_status_when_there_is_room() -
     ("rate", "limit"), [(32_000, 0), (8_000, 0), (4_000, 0), (1e6, 8_000), (1e6, 2_000)]
 )
 def test_poses_come_while_the_map_takes_all_it_can(rate: float, limit: int) -> None:
-    told = Told(rate, has_map=True, limit=limit, wants=["map", "pose"])
-    told.tick(100, poses=True)
-    begun_s = told.now_s
-    told.heard.clear()
-    told.tick(800, poses=True)
+    reported = SentState(rate, has_map=True, limit=limit, wants=["map", "pose"])
+    reported.tick(100, poses=True)
+    begun_s = reported.now_s
+    reported.heard.clear()
+    reported.tick(800, poses=True)
     bytes_per_s = min(rate, limit or rate)
-    of_all = bytes_per_s * (told.now_s - begun_s)
-    assert told.bytes_of(Pose) > 0.8 * SHARES["pose"] * of_all
-    assert told.bytes_of(Blocks) > 0.7 * of_all
-    each_s = len(framed(told.of(Pose)[0])) / (SHARES["pose"] * bytes_per_s)
-    gaps_s = np.diff([at_s for at_s, one in told.heard if isinstance(one, Pose)])
+    of_all = bytes_per_s * (reported.now_s - begun_s)
+    assert reported.bytes_of(Pose) > 0.8 * SHARES["pose"] * of_all
+    assert reported.bytes_of(Blocks) > 0.7 * of_all
+    each_s = len(framed(reported.of(Pose)[0])) / (SHARES["pose"] * bytes_per_s)
+    gaps_s = np.diff([at_s for at_s, one in reported.heard if isinstance(one, Pose)])
     assert gaps_s.max() < 1.5 * each_s + 2 * max(UNSENT_S, MIN_UNSENT / bytes_per_s)
 
 
 def test_the_map_gives_way_to_what_is_due_and_asks_for_no_crumbs() -> None:
-    told = Told(32_000, has_map=True, wants=["map"])
-    told.tick(100)
-    session, pacer = told.session, told.session.pacer
-    pacer.note_ack(pacer.sent, told.now_s)
-    room = session.map_rooms(told.now_s).far
+    reported = SentState(32_000, has_map=True, wants=["map"])
+    reported.tick(100)
+    session, pacer = reported.session, reported.session.pacer
+    pacer.note_ack(pacer.sent, reported.now_s)
+    room = session.map_rooms(reported.now_s).far
     assert room > pacer.least()
     session.portions.waits = True
-    assert session.map_rooms(told.now_s).far == 0
+    assert session.map_rooms(reported.now_s).far == 0
     session.portions.waits = False
-    pacer.note_sent(pacer.room(told.now_s) - pacer.least() // 2, told.now_s)
-    assert pacer.room(told.now_s) > 600
-    assert session.map_rooms(told.now_s).far == 0
+    pacer.note_sent(pacer.room(reported.now_s) - pacer.least() // 2, reported.now_s)
+    assert pacer.room(reported.now_s) > 600
+    assert session.map_rooms(reported.now_s).far == 0
 
 
 @pytest.mark.parametrize("rate", [4_000, 32_000])
 def test_the_map_starves_nothing_that_comes_to_an_end(rate: float) -> None:
     """Settings are large messages, for which little room is left beside the map."""
-    told = Told(rate, has_map=True, wants=["map", "pose", "settings", "status"])
-    told.feed.settings = SettingLog({f"a.b{n}": {"text": "x" * 300} for n in range(50)})
-    told.tick(20 * 80, poses=True)
-    facts = {name for one in told.of(Settings) for name in one.facts}
+    reported = SentState(rate, has_map=True, wants=["map", "pose", "settings", "status"])
+    reported.feed.settings = SettingLog({f"a.b{n}": {"text": "x" * 300} for n in range(50)})
+    reported.tick(20 * 80, poses=True)
+    facts = {name for one in reported.of(Settings) for name in one.facts}
     assert len(facts) == 50
-    assert sum(1 for one in told.of(Status) if one.status) > 2
-    assert told.bytes_of(Blocks) > 0.4 * rate * 80
+    assert sum(1 for one in reported.of(Status) if one.status) > 2
+    assert reported.bytes_of(Blocks) > 0.4 * rate * 80
 
 
 def test_settings_come_in_pieces_and_poses_between_them() -> None:
-    told = Told(20_000, wants=["settings", "pose"])
-    told.feed.settings = SettingLog(
+    reported = SentState(20_000, wants=["settings", "pose"])
+    reported.feed.settings = SettingLog(
         {f"a.b{n}": {"value": n, "text": "x" * 300} for n in range(300)}
     )
-    told.tick(240, poses=True)
+    reported.tick(240, poses=True)
     facts: dict[str, Any] = {}
-    for one in told.of(Settings):
+    for one in reported.of(Settings):
         facts |= one.facts
     assert len(facts) == 300
-    at_s = [at_s for at_s, one in told.heard if isinstance(one, Pose)]
+    at_s = [at_s for at_s, one in reported.heard if isinstance(one, Pose)]
     assert np.diff(at_s).max() < 0.7
-    told.feed.settings.put({"a.b7": {"value": 8}})
-    told.tick(20)
-    assert told.of(Settings)[-1].facts == {"a.b7": {"value": 8}}
+    reported.feed.settings.put({"a.b7": {"value": 8}})
+    reported.tick(20)
+    assert reported.of(Settings)[-1].facts == {"a.b7": {"value": 8}}
 
 
-def test_events_are_told_once_and_those_that_are_forgotten_counted() -> None:
-    told = Told(1e6, wants=["events"], events_since=0)
+def test_events_are_reported_once_and_those_that_are_forgotten_counted() -> None:
+    reported = SentState(1e6, wants=["events"], events_since=0)
     for n in range(1200):
-        told.events.add(Severity.INFO, "n", str(n))
-    told.tick(200)
-    numbers = [one.event["number"] for one in told.of(Event)]
+        reported.events.add(Severity.INFO, "n", str(n))
+    reported.tick(200)
+    numbers = [one.event["number"] for one in reported.of(Event)]
     assert numbers == [*range(201, 1201)]
-    assert [one.lost for one in told.of(Event)][:2] == [200, 0]
+    assert [one.lost for one in reported.of(Event)][:2] == [200, 0]
 
 
-def test_a_path_grows_goes_on_and_is_sent_anew_where_it_was_thinned() -> None:
-    told = Told(1e6, wants=["path"])
+def test_a_path_grows_goes_on_and_is_sent_again_where_it_was_thinned() -> None:
+    reported = SentState(1e6, wants=["path"])
     for n in range(500):
-        told.feed.path.add(np.array([2.0 * n, 0, 0]))
-    told.tick(20)
-    assert points_of(told)[:, 0].tolist() == [2.0 * n for n in range(500)]
+        reported.feed.path.add(np.array([2.0 * n, 0, 0]))
+    reported.tick(20)
+    assert points_of(reported)[:, 0].tolist() == [2.0 * n for n in range(500)]
     resume = Resume(map="m1", session="s1", revision=1, path=498)
-    again = Told(1e6, wants=["path"], resume=resume)
-    again.feed.path = told.feed.path
+    again = SentState(1e6, wants=["path"], resume=resume)
+    again.feed.path = reported.feed.path
     again.tick(20)
     assert [one.first for one in again.of(Path)] == [498]
-    other = Told(1e6, wants=["path"], resume=Resume(map="m1", session="s0", revision=1, path=498))
-    other.feed.path = told.feed.path
+    other = SentState(
+        1e6, wants=["path"], resume=Resume(map="m1", session="s0", revision=1, path=498)
+    )
+    other.feed.path = reported.feed.path
     other.tick(20)
     assert not other.of(Welcome)[0].resumed
     assert other.of(Path)[0].first == 0
     for n in range(500, 1001):
-        told.feed.path.add(np.array([2.0 * n, 0, 0]))
-    told.tick(20)
-    assert told.of(Path)[-1].version == 1
-    assert points_of(told)[:, 0].tolist() == [4.0 * n for n in range(501)]
+        reported.feed.path.add(np.array([2.0 * n, 0, 0]))
+    reported.tick(20)
+    assert reported.of(Path)[-1].version == 1
+    assert points_of(reported)[:, 0].tolist() == [4.0 * n for n in range(501)]
 
 
-def points_of(told: Told) -> Any:
+def points_of(reported: SentState) -> Any:
     points = np.zeros((0, 3))
-    for one in told.of(Path):
+    for one in reported.of(Path):
         points = np.vstack([points[: one.first], np.frombuffer(one.points, "<f4").reshape(-1, 3)])
     return points
 
 
-def test_what_is_not_wanted_any_more_is_not_told() -> None:
-    told = Told(1e6, wants=["pose"])
-    told.tick(10, poses=True)
-    told.say(Change(wants=["robots"]))
-    told.tick(5)
-    told.heard.clear()
-    told.feed.make("robots", Robots(seen=[(1, 2.0, 3.0, 4.0)]))
-    told.tick(10, poses=True)
-    assert not told.of(Pose)
-    assert len(told.of(Robots)) == 1
+def test_what_is_not_wanted_any_more_is_not_reported() -> None:
+    reported = SentState(1e6, wants=["pose"])
+    reported.tick(10, poses=True)
+    reported.say(Change(wants=["robots"]))
+    reported.tick(5)
+    reported.heard.clear()
+    reported.feed.make("robots", Robots(seen=[(1, 2.0, 3.0, 4.0)]))
+    reported.tick(10, poses=True)
+    assert not reported.of(Pose)
+    assert len(reported.of(Robots)) == 1
 
 
 def test_pictures_are_as_fine_as_the_link_has_room_for() -> None:
-    told = Told(1e6, wants=["pose"])
-    told.feed.pictures = [80_000, 20_000, 5_000]
+    reported = SentState(1e6, wants=["pose"])
+    reported.feed.pictures = [80_000, 20_000, 5_000]
     found: Counter[int] = Counter()
     for rate in (5e6, 2e5, 1e4):
-        told.session.pacer.rate = rate
-        found[told.session.portions.coarseness()] += 1
+        reported.session.pacer.rate = rate
+        found[reported.session.portions.coarseness()] += 1
     assert found == {0: 1, 1: 1, 2: 1}

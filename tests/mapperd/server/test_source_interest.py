@@ -11,11 +11,18 @@ from mapperd.server import map_source as source_module
 from mapperd.server.map_index import distances_m
 from mapperd.server.priority_queue import NEAR_M
 from mapperd.wire.messages import Blocks, Box, Interest
-from tests.mapperd.server.told import SECOND_NS, Client, assert_same, expected, scatter, source_of
+from tests.mapperd.server.sent_state import (
+    SECOND_NS,
+    Client,
+    assert_same,
+    expected,
+    scatter,
+    source_of,
+)
 from tests.mapperd.store.dive import CONFIG, mapped
 
 
-def test_the_nearest_is_told_first_within_the_bytes_that_are_given() -> None:
+def test_the_nearest_is_reported_first_within_the_bytes_that_are_given() -> None:
     """Near the vehicle all of the same age; and few of those that are far away before."""
     sonar_map = SonarMap(CONFIG)
     scatter(sonar_map, 1, 2000, reach_m=5.0)
@@ -45,11 +52,11 @@ def test_the_nearest_is_told_first_within_the_bytes_that_are_given() -> None:
             assert (away > NEAR_M).sum() == 0
         nearby -= (away <= NEAR_M).sum()
         before = keys
-    assert client.told_messages > 10
+    assert client.sent_messages > 10
     assert_same(client, sonar_map)
 
 
-def test_a_box_is_told_and_nothing_else() -> None:
+def test_a_box_is_reported_and_nothing_else() -> None:
     sonar_map = SonarMap(CONFIG)
     scatter(sonar_map, 2, 3000)
     source = source_of(sonar_map)
@@ -60,15 +67,15 @@ def test_a_box_is_told_and_nothing_else() -> None:
     whole = expected(sonar_map.core, source.facts(), interest)
     low, high = np.array(interest.box.low_m), np.array(interest.box.high_m)  # type: ignore[union-attr]
     inside = {
-        key: told
-        for key, told in whole.items()
+        key: sent
+        for key, sent in whole.items()
         if ((np.array(key) * 0.8 < high) & (np.array(key) * 0.8 + 0.8 > low)).all()
     }
     assert 0 < len(inside) < len(whole)
     assert client.holds() == inside
 
 
-def test_another_interest_is_told_anew() -> None:
+def test_another_interest_is_reported_again() -> None:
     sonar_map = mapped(2)
     source = source_of(sonar_map)
     client = Client(source)
@@ -82,14 +89,14 @@ def test_another_interest_is_told_anew() -> None:
     assert_same(client, sonar_map)
 
 
-def test_resuming_tells_what_changed_meanwhile_and_no_more() -> None:
+def test_resuming_reports_what_changed_meanwhile_and_no_more() -> None:
     sonar_map = SonarMap(CONFIG)
     scatter(sonar_map, 3, 2000)
     source = source_of(sonar_map)
     client = Client(source)
     source.look(SECOND_NS)
     client.hear()
-    told = client.told_blocks
+    sent = client.sent_blocks
     client.view.close()
     for minute in (2, 3, 4):  # long enough that nobody remembers what was told
         source.look(minute * 60 * SECOND_NS)
@@ -99,7 +106,7 @@ def test_resuming_tells_what_changed_meanwhile_and_no_more() -> None:
     source.look(300 * SECOND_NS)
     client.hear()
     # Those in the same blocks of the map, at most: eight of the stream each.
-    assert client.told_blocks <= told + 3 * 8
+    assert client.sent_blocks <= sent + 3 * 8
     assert_same(client, sonar_map)
 
 
@@ -112,7 +119,7 @@ LIES: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("reason", LIES)
-def test_a_lie_is_told_all(reason: str) -> None:
+def test_a_lie_is_reported_all(reason: str) -> None:
     sonar_map = mapped(2)
     source = source_of(sonar_map)
     honest = Client(source)
@@ -138,7 +145,7 @@ def test_a_radius_is_not_resumed() -> None:
     assert (client.view.resumed, client.view.reason) == (False, "moving_interest")
 
 
-def test_a_radius_without_a_position_tells_nothing() -> None:
+def test_a_radius_without_a_position_reports_nothing() -> None:
     sonar_map = mapped(2)
     source = source_of(sonar_map)
     client = Client(source, Interest(radius_m=2.0))
@@ -150,7 +157,7 @@ def test_a_radius_without_a_position_tells_nothing() -> None:
     assert client.mirror.complete == source.revision
 
 
-def test_blocks_are_told_as_the_vehicle_comes_and_forgotten_as_it_goes() -> None:
+def test_blocks_are_reported_as_the_vehicle_comes_and_forgotten_as_it_goes() -> None:
     sonar_map = SonarMap(CONFIG)
     scatter(sonar_map, 5, 3000, reach_m=4.0)
     source = source_of(sonar_map)
@@ -166,10 +173,10 @@ def test_blocks_are_told_as_the_vehicle_comes_and_forgotten_as_it_goes() -> None
         holds = client.holds()
         assert {key for key, far in away.items() if far <= 1.5 * 0.98} <= holds.keys()
         assert holds.keys() <= {key for key, far in away.items() if far <= 1.5 * 1.12}
-        assert all(whole[key] == told for key, told in holds.items())
+        assert all(whole[key] == sent for key, sent in holds.items())
         before = max(before, len(holds))
     assert 10 < before < len(whole) / 3
-    assert client.told_blocks < 2.5 * len(whole)  # there and gone, each once
+    assert client.sent_blocks < 2.5 * len(whole)  # there and gone, each once
 
 
 def test_much_that_changed_is_found_in_pieces_nearest_first(
@@ -200,7 +207,7 @@ def test_much_that_changed_is_found_in_pieces_nearest_first(
     assert_same(client, sonar_map)
 
 
-def test_what_was_told_before_its_turn_and_is_as_before_is_told_again(
+def test_what_was_reported_before_its_turn_and_is_as_before_is_sent_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Its change was seen by a look, and not indexed yet, when it was told as it is."""

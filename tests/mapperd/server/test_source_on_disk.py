@@ -21,7 +21,13 @@ from mapperd.server.map_source import MapSource
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
 from mapperd.wire.messages import Interest
-from tests.mapperd.server.told import SECOND_NS, Client, Told, expected, look_until_indexed
+from tests.mapperd.server.sent_state import (
+    SECOND_NS,
+    Client,
+    SentState,
+    expected,
+    look_until_indexed,
+)
 from tests.mapperd.store.dive import CONFIG, dive_on, integrate, open_store
 
 LEVELS = [Interest(level=level, detail="counts") for level in range(4)]
@@ -48,7 +54,7 @@ class Daemon:
     def dive(self, begin: int, end: int) -> None:
         dive_on(self.map, self.store, begin, end)
 
-    def expected(self, client: Client) -> Told:
+    def expected(self, client: Client) -> SentState:
         self.store.save()
         whole = SonarMap(CONFIG)
         with StoreReader(self.store.path) as reader:
@@ -68,7 +74,7 @@ def daemon_of(path: Path, *, stops_well: bool = True) -> Iterator[Daemon]:
         daemon.store.close()
 
 
-def told_all(daemon: Daemon, client: Client) -> None:
+def all_sent(daemon: Daemon, client: Client) -> None:
     look_until_indexed(daemon.source, 1000 * SECOND_NS)
     client.hear()
     assert client.holds() == daemon.expected(client)
@@ -77,7 +83,7 @@ def told_all(daemon: Daemon, client: Client) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("every", [1, 7, 100])
-def test_tiles_that_come_and_go_between_looks_are_told(tmp_path: Path, every: int) -> None:
+def test_tiles_that_come_and_go_between_looks_are_reported(tmp_path: Path, every: int) -> None:
     with daemon_of(tmp_path / "dive.map") as daemon:
         clients = [Client(daemon.source, interest) for interest in LEVELS]
         for ping in range(40):
@@ -88,7 +94,7 @@ def test_tiles_that_come_and_go_between_looks_are_told(tmp_path: Path, every: in
                     client.hear(2000, 3)
         assert daemon.store.counters.tiles_dropped > 3
         for client in clients:
-            told_all(daemon, client)
+            all_sent(daemon, client)
 
 
 class Interrupted:
@@ -108,7 +114,11 @@ class Interrupted:
 @pytest.mark.slow
 @pytest.mark.parametrize("saved", [False, True])
 @pytest.mark.parametrize("asked", ["changed_blocks", "stream_digests", "stream_blocks"])
-def test_tiles_that_leave_in_the_middle_are_told(tmp_path: Path, asked: str, saved: bool) -> None:  # noqa: FBT001
+def test_tiles_that_leave_in_the_middle_are_reported(
+    tmp_path: Path,
+    asked: str,
+    saved: bool,  # noqa: FBT001
+) -> None:
     with daemon_of(tmp_path / "dive.map") as daemon:
         client, late = Client(daemon.source), Client(daemon.source, LEVELS[2])
         daemon.dive(0, 9)
@@ -126,7 +136,7 @@ def test_tiles_that_leave_in_the_middle_are_told(tmp_path: Path, asked: str, sav
         for one in (client, late):
             if one.mirror.complete == daemon.map.core.revision:
                 assert one.holds() == daemon.expected(one)
-            told_all(daemon, one)
+            all_sent(daemon, one)
             resumed = Client(daemon.source, one.interest, one.resume())
             assert resumed.view.resumed
             assert not resumed.view.left
@@ -138,14 +148,14 @@ def test_what_left_memory_is_not_forgotten(tmp_path: Path) -> None:
         daemon.dive(0, 10)
         daemon.look()
         client.hear()
-        told = set(client.holds())
+        sent = set(client.holds())
         daemon.dive(35, 45)
         daemon.look()
         client.hear()
-        assert told <= set(client.holds())
+        assert sent <= set(client.holds())
         late = Client(daemon.source)
         late.hear()
-        told_all(daemon, late)
+        all_sent(daemon, late)
         assert late.holds() == client.holds()
 
 
@@ -169,31 +179,31 @@ def test_a_file_that_is_there_is_indexed_a_piece_a_look_nearest_first(
             daemon.look()
             looks += 1
         assert looks > 4
-        told_all(daemon, client)
+        all_sent(daemon, client)
 
 
-def test_who_held_all_when_the_daemon_stopped_is_told_changes_alone(tmp_path: Path) -> None:
+def test_who_held_all_when_the_daemon_stopped_is_reported_changes_alone(tmp_path: Path) -> None:
     with daemon_of(tmp_path / "dive.map") as daemon:
         client = Client(daemon.source)
         daemon.dive(0, 20)
-        told_all(daemon, client)
+        all_sent(daemon, client)
     with daemon_of(tmp_path / "dive.map") as daemon:
         integrate(daemon.map, 20)
         daemon.store.advance(b"")
-        told = client.told_blocks
+        sent = client.sent_blocks
         client.reconnect(daemon.source)
         assert (client.view.resumed, client.view.reason) == (True, "")
-        told_all(daemon, client)
-        assert 0 < client.told_blocks - told < len(client.mirror) / 2
+        all_sent(daemon, client)
+        assert 0 < client.sent_blocks - sent < len(client.mirror) / 2
     with daemon_of(tmp_path / "dive.map") as daemon:
-        told = client.told_blocks
+        sent = client.sent_blocks
         client.reconnect(daemon.source)
-        told_all(daemon, client)
+        all_sent(daemon, client)
         assert client.view.resumed
-        assert client.told_blocks == told
+        assert client.sent_blocks == sent
 
 
-def test_who_knows_what_was_never_saved_is_told_all(tmp_path: Path) -> None:
+def test_who_knows_what_was_never_saved_is_reported_all(tmp_path: Path) -> None:
     with daemon_of(tmp_path / "dive.map", stops_well=False) as daemon:
         ahead, behind, between = (Client(daemon.source) for _ in range(3))
         daemon.dive(0, 11)  # saved up to ping 9
@@ -212,14 +222,16 @@ def test_who_knows_what_was_never_saved_is_told_all(tmp_path: Path) -> None:
         for client, reason in ((ahead, "not_kept"), (behind, ""), (between, "not_kept")):
             client.reconnect(daemon.source)
             assert (client.view.resumed, client.view.reason) == (not reason, reason)
-            told_all(daemon, client)
+            all_sent(daemon, client)
 
 
-def test_who_does_not_say_what_it_knows_of_another_session_is_told_all(tmp_path: Path) -> None:
+def test_who_does_not_report_what_it_knows_of_another_session_is_reported_all(
+    tmp_path: Path,
+) -> None:
     with daemon_of(tmp_path / "dive.map") as daemon:
         client = Client(daemon.source)
         daemon.dive(0, 3)
-        told_all(daemon, client)
+        all_sent(daemon, client)
         resume = client.resume()
     assert resume is not None
     with daemon_of(tmp_path / "dive.map") as daemon:
@@ -232,11 +244,11 @@ def test_a_reset_makes_another_map_for_good(tmp_path: Path) -> None:
     with daemon_of(tmp_path / "dive.map") as daemon:
         client = Client(daemon.source)
         daemon.dive(0, 10)
-        told_all(daemon, client)
+        all_sent(daemon, client)
         before, resume = daemon.source.facts().id, client.resume()
         daemon.store.reset()
         daemon.dive(30, 32)
-        told_all(daemon, client)
+        all_sent(daemon, client)
         after = daemon.source.facts().id
         assert (client.resets, after != before) == (1, True)
         assert daemon.source.subscribe(Interest(), resume).reason == "another_map"
@@ -250,7 +262,7 @@ def test_sessions_are_remembered_for_a_while(tmp_path: Path) -> None:
     with daemon_of(tmp_path / "dive.map") as daemon:
         client = Client(daemon.source)
         daemon.dive(0, 2)
-        told_all(daemon, client)
+        all_sent(daemon, client)
         resume = client.resume()
     reasons = []
     for _ in range(17):
@@ -263,7 +275,7 @@ def test_a_file_of_before_becomes_a_map_of_its_own(tmp_path: Path) -> None:
     with daemon_of(tmp_path / "dive.map") as daemon:
         client = Client(daemon.source)
         daemon.dive(0, 2)
-        told_all(daemon, client)
+        all_sent(daemon, client)
         before = daemon.source.facts().id
     for change in ("DELETE FROM fact", "UPDATE fact SET value = '{'"):
         with sqlite3.connect(tmp_path / "dive.map") as connection:
@@ -274,7 +286,7 @@ def test_a_file_of_before_becomes_a_map_of_its_own(tmp_path: Path) -> None:
             before = daemon.source.facts().id
             client.reconnect(daemon.source)
             assert client.view.reason == "another_map"
-            told_all(daemon, client)
+            all_sent(daemon, client)
 
 
 def test_after_damage_nobody_goes_on_from_before(tmp_path: Path) -> None:
@@ -282,7 +294,7 @@ def test_after_damage_nobody_goes_on_from_before(tmp_path: Path) -> None:
     with daemon_of(path) as daemon:
         client = Client(daemon.source)
         daemon.dive(0, 20)
-        told_all(daemon, client)
+        all_sent(daemon, client)
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE brick SET crc = crc + 1 WHERE rowid = 1")
     connection.close()
@@ -290,15 +302,15 @@ def test_after_damage_nobody_goes_on_from_before(tmp_path: Path) -> None:
         assert daemon.store.check()
         client.reconnect(daemon.source)
         assert client.view.reason == "map_damaged"
-        told_all(daemon, client)
+        all_sent(daemon, client)
 
 
-def test_a_brick_that_came_back_is_told_to_who_goes_on(tmp_path: Path) -> None:
+def test_a_brick_that_came_back_is_reported_to_who_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "dive.map"
     with daemon_of(path) as daemon:
         client = Client(daemon.source)
         daemon.dive(0, 20)
-        told_all(daemon, client)
+        all_sent(daemon, client)
         bricks = _bricks(path)
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE brick SET crc = crc + 1 WHERE rowid = 1")
@@ -313,7 +325,7 @@ def test_a_brick_that_came_back_is_told_to_who_goes_on(tmp_path: Path) -> None:
         daemon.store.restore([(key, bricks[key]) for key in lost], whole=True)
         client.reconnect(daemon.source)
         assert client.view.resumed
-        told_all(daemon, client)
+        all_sent(daemon, client)
 
 
 def _bricks(path: Path) -> dict[tuple[int, int, int], bytes]:
@@ -323,7 +335,7 @@ def _bricks(path: Path) -> dict[tuple[int, int, int], bytes]:
     return {key: brick for key, _, brick in whole.core.bricks_since(0)[1]}
 
 
-def test_a_file_that_cannot_be_read_is_said_and_tried_again(
+def test_a_file_that_cannot_be_read_is_reported_and_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with daemon_of(tmp_path / "dive.map") as daemon:
@@ -346,4 +358,4 @@ def test_a_file_that_cannot_be_read_is_said_and_tried_again(
         daemon.source.look(SECOND_NS)
         while client.hear():
             pass
-        told_all(daemon, client)
+        all_sent(daemon, client)

@@ -34,7 +34,7 @@ MOUNTED = config_from_text(
 
 
 @dataclass
-class Told:
+class SentState:
     """As the mapping thread's facts, as far as the feed reads them."""
 
     odometry: dict[str, Any] = field(default_factory=lambda: {"source": "odometry"})
@@ -56,9 +56,9 @@ def treated(ping: Ping, pose: FusedPose | Reject, stats: PingStats | Reject) -> 
     return PingResult(PosedPing(0, ping, pose, 2_000, 1_000), pose, stats)
 
 
-def feed_of(config: Config = MOUNTED) -> tuple[Feed, Told, FakeDaemon]:
-    told, daemon = Told(), FakeDaemon(config)
-    return Feed(daemon, lambda: told, 100), told, daemon  # type: ignore[arg-type,return-value]
+def feed_of(config: Config = MOUNTED) -> tuple[Feed, SentState, FakeDaemon]:
+    sent, daemon = SentState(), FakeDaemon(config)
+    return Feed(daemon, lambda: sent, 100), sent, daemon  # type: ignore[arg-type,return-value]
 
 
 def message(frame: bytes) -> Any:
@@ -74,17 +74,17 @@ def test_the_pose_is_the_pings_and_the_sonars_beside_it(ping: Ping) -> None:
     feed.refresh({"pose"}, 0.1)
     feed.refresh({"pose"}, 0.2)
     assert feed.newest("pose").number == 1
-    said = message(feed.newest("pose").frame)
-    assert isinstance(said, Pose)
-    assert (said.stamp_ns, said.source) == (1_000, "odometry")
-    assert said.position_m == feed.position_m == (5.0, 2.0, -3.0)
-    np.testing.assert_allclose(said.sonar_position_m, (5.0, 3.0, -2.5), atol=1e-12)
-    x, y, z, w = said.sonar_orientation_xyzw
+    output = message(feed.newest("pose").frame)
+    assert isinstance(output, Pose)
+    assert (output.stamp_ns, output.source) == (1_000, "odometry")
+    assert output.position_m == feed.position_m == (5.0, 2.0, -3.0)
+    np.testing.assert_allclose(output.sonar_position_m, (5.0, 3.0, -2.5), atol=1e-12)
+    x, y, z, w = output.sonar_orientation_xyzw
     ahead = quaternion_to_matrix((w, x, y, z)) @ [1, 0, 0]
     down = math.sin(math.radians(30))
     np.testing.assert_allclose(ahead, (0, math.cos(math.radians(30)), -down), atol=1e-12)
-    assert said.covariance is not None
-    assert said.covariance[:8] == (0.04, 0, 0, 0, 0, 0, 0, 0.04)
+    assert output.covariance is not None
+    assert output.covariance[:8] == (0.04, 0, 0, 0, 0, 0, 0, 0.04)
 
 
 def test_a_ping_without_a_pose_moves_nothing(ping: Ping) -> None:
@@ -95,30 +95,30 @@ def test_a_ping_without_a_pose_moves_nothing(ping: Ping) -> None:
     assert feed.position_m is None
     assert len(feed.path) == 0
     feed.draw({"returns"}, [])
-    said = message(feed.newest("returns").frame)
-    assert isinstance(said, Returns)
-    assert (said.outcome, said.sonar_position_m) == ("no_odometry", None)
+    output = message(feed.newest("returns").frame)
+    assert isinstance(output, Returns)
+    assert (output.outcome, output.sonar_position_m) == ("no_odometry", None)
 
 
-def test_the_fan_is_told_when_it_changes(ping: Ping) -> None:
+def test_the_fan_is_reported_when_it_changes(ping: Ping) -> None:
     feed, _, daemon = feed_of()
     for n in range(3):
         feed.put(treated(ping, fused(n), PingStats()))
         feed.refresh({"fan"}, n)
     assert feed.newest("fan").number == 1
-    said = message(feed.newest("fan").frame)
-    assert isinstance(said, Fan)
-    assert said.bearings_rad[0] == pytest.approx(ping.bearings_rad[0], abs=1e-4)
-    assert said.vertical_aperture_rad == pytest.approx(math.radians(14))
-    assert said.min_range_m == 0.5
-    assert said.max_range_m == pytest.approx(ping.max_range_m, abs=1e-3)
+    output = message(feed.newest("fan").frame)
+    assert isinstance(output, Fan)
+    assert output.bearings_rad[0] == pytest.approx(ping.bearings_rad[0], abs=1e-4)
+    assert output.vertical_aperture_rad == pytest.approx(math.radians(14))
+    assert output.min_range_m == 0.5
+    assert output.max_range_m == pytest.approx(ping.max_range_m, abs=1e-3)
     daemon.settings.apply({"filtering.min_range": 0.7}, "test")
     feed.put(treated(ping, fused(9), PingStats()))
     feed.refresh({"fan"}, 9)
     assert message(feed.newest("fan").frame).min_range_m == 0.7
 
 
-def test_settings_that_change_are_told() -> None:
+def test_settings_that_change_are_reported() -> None:
     feed, _, daemon = feed_of()
     last = feed.settings.last
     daemon.settings.apply({"filtering.min_range": 0.7}, "somebody")
@@ -130,16 +130,16 @@ def test_settings_that_change_are_told() -> None:
     assert (fact["value"], fact["dynamic"]) == (0.7, True)
 
 
-def test_robots_are_told_when_they_come_and_go() -> None:
-    feed, told, _ = feed_of()
+def test_robots_are_reported_when_they_come_and_go() -> None:
+    feed, sent, _ = feed_of()
     feed.refresh({"robots"}, 0.0)
-    told.robots = [{"t_s": 2.5, "position_m": [1.0, 2.0, 3.0]}]
+    sent.robots = [{"t_s": 2.5, "position_m": [1.0, 2.0, 3.0]}]
     feed.refresh({"robots"}, 0.1)
     feed.refresh({"robots"}, 0.2)
-    said = message(feed.newest("robots").frame)
-    assert isinstance(said, Robots)
-    assert said.seen == [(2_500_000_000, 1.0, 2.0, 3.0)]
-    told.robots = []
+    output = message(feed.newest("robots").frame)
+    assert isinstance(output, Robots)
+    assert output.seen == [(2_500_000_000, 1.0, 2.0, 3.0)]
+    sent.robots = []
     feed.refresh({"robots"}, 0.3)
     assert message(feed.newest("robots").frame).seen == []
 
@@ -162,22 +162,22 @@ def test_pictures_are_drawn_only_when_somebody_wants_them(ping: Ping) -> None:
 def test_a_picture_keeps_the_brightest_sample_of_each_pixel(ping: Ping) -> None:
     rows, beams = ping.image.shape
     for size in (*IMAGE_SIZES, (7, 5), (10_000, 10_000)):
-        said = image_message(ping, 5, size)
-        assert isinstance(said, Image)
-        assert said.rows <= size[0]
-        assert said.beams <= size[1]
-        pixels = np.frombuffer(zstandard.decompress(said.body), np.uint8)
-        pixels = pixels.reshape(said.rows, said.beams)
-        by_row, by_beam = -(-rows // said.rows), -(-beams // said.beams)
-        for row, beam in ((0, 0), (said.rows - 1, said.beams - 1), (said.rows // 2, 1)):
+        output = image_message(ping, 5, size)
+        assert isinstance(output, Image)
+        assert output.rows <= size[0]
+        assert output.beams <= size[1]
+        pixels = np.frombuffer(zstandard.decompress(output.body), np.uint8)
+        pixels = pixels.reshape(output.rows, output.beams)
+        by_row, by_beam = -(-rows // output.rows), -(-beams // output.beams)
+        for row, beam in ((0, 0), (output.rows - 1, output.beams - 1), (output.rows // 2, 1)):
             part = ping.image[
                 row * by_row : (row + 1) * by_row, beam * by_beam : (beam + 1) * by_beam
             ]
             assert pixels[row, beam] == round(int(part.max()) * 255 / ping.full_scale)
-        bearings = np.frombuffer(said.bearings_rad, "<f4")
-        assert len(bearings) == said.beams
+        bearings = np.frombuffer(output.bearings_rad, "<f4")
+        assert len(bearings) == output.beams
         assert bearings[0] == pytest.approx(ping.bearings_rad[:by_beam].mean(), abs=1e-6)
-        assert said.range_resolution_m == pytest.approx(ping.range_resolution_m * by_row)
+        assert output.range_resolution_m == pytest.approx(ping.range_resolution_m * by_row)
 
 
 def test_first_returns_are_the_nearest_above_the_threshold() -> None:
@@ -194,7 +194,7 @@ def test_first_returns_are_the_nearest_above_the_threshold() -> None:
     assert len(first_returns(PingImage(intensity[:3], echo.bearings_rad, 0.1), Config())[0]) == 0
 
 
-def test_a_path_is_bounded_and_numbered_anew_when_it_is_thinned() -> None:
+def test_a_path_is_bounded_and_numbered_again_when_it_is_thinned() -> None:
     track = Track(10, 1.0)
     for n in range(10):
         track.add(np.array([n, 0.0, 0.0]))
@@ -216,37 +216,37 @@ def test_a_log_of_settings_holds_each_once_and_the_newest() -> None:
     number, facts = log.since(0, 1)
     assert (number, [*facts]) == (1, ["a"])
     log.put({"b": 9})
-    told: list[tuple[str, int]] = []
+    sent: list[tuple[str, int]] = []
     while number < log.last:
         number, facts = log.since(number, 1)
-        told += [(name, msgspec.msgpack.decode(raw)) for name, raw in facts.items()]
-    assert told == [("c", 3), ("b", 9)]
+        sent += [(name, msgspec.msgpack.decode(raw)) for name, raw in facts.items()]
+    assert sent == [("c", 3), ("b", 9)]
     assert log.since(0, 1 << 20)[0] == 4
 
 
-def test_the_sonar_sits_where_the_settings_say(ping: Ping) -> None:
+def test_the_sonar_sits_where_the_settings_report(ping: Ping) -> None:
     feed, _, _ = feed_of(Config())
     base = pose_from_rpy((1, 2, 3), (10, 20, 30))
     pose = FusedPose(base, None, None, np.full((6, 6), np.nan), 0, 0.0)
     feed.put(treated(ping, pose, PingStats()))
     feed.refresh({"pose"}, 0.0)
-    said = message(feed.newest("pose").frame)
-    assert said.covariance is None
-    assert said.velocity_mps is None
-    x, y, z, w = said.orientation_xyzw
-    again = Place(np.array(said.position_m), np.array([w, x, y, z]))
+    output = message(feed.newest("pose").frame)
+    assert output.covariance is None
+    assert output.velocity_mps is None
+    x, y, z, w = output.orientation_xyzw
+    again = Place(np.array(output.position_m), np.array([w, x, y, z]))
     np.testing.assert_allclose(again.map_T_base, base.map_T_base, atol=1e-12)
 
 
-def test_what_is_no_number_is_counted_and_never_told(ping: Ping) -> None:
+def test_what_is_no_number_is_counted_and_never_reported(ping: Ping) -> None:
     feed, _, _ = feed_of()
     for x, speed in ((1.0, math.nan), (2.0, math.inf), (1e300, 0.5)):
         pose = FusedPose(fused(x).pose, np.array([0, speed, 0]), None, np.eye(6), 0, 0.0)
         feed.put(treated(ping, pose, PingStats()))
         feed.refresh({"pose"}, x)
-        said = message(feed.newest("pose").frame)
-        check_message(said)  # a client takes it
-        assert said.velocity_mps == (None if x < 3 else (0.0, 0.5, 0.0))
+        output = message(feed.newest("pose").frame)
+        check_message(output)  # a client takes it
+        assert output.velocity_mps == (None if x < 3 else (0.0, 0.5, 0.0))
     assert feed.left_out == {"not_finite_velocity": 2}
     _, _, points = feed.path.since(0, 0, 100)
     assert points[:, 0].tolist() == [1.0, 2.0]

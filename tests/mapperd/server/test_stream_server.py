@@ -105,7 +105,7 @@ def test_a_client_that_never_reads_costs_the_others_nothing(short: Path) -> None
     run(work())
 
 
-def test_a_client_that_reads_slowly_is_told_the_newest(short: Path) -> None:
+def test_a_client_that_reads_slowly_is_reported_the_newest(short: Path) -> None:
     async def work() -> None:
         async with bed_of(short) as bed:
             watcher, quick = await bed.watcher(), await bed.welcomed()
@@ -143,7 +143,7 @@ def test_a_map_that_is_emptied_is_empty_at_the_client(short: Path) -> None:
     run(work())
 
 
-def test_another_interest_is_told_anew(short: Path) -> None:
+def test_another_interest_is_reported_again(short: Path) -> None:
     async def work() -> None:
         async with bed_of(short) as bed:
             fill(bed, 30)
@@ -222,8 +222,8 @@ def test_who_does_not_stays_outside(short: Path, token: bytes | None) -> None:
                 assert bye.reason == ("wrong_token" if attempt < 5 else "locked_out")
             assert bed.counters["refused_wrong_token"] == 5
             assert bed.counters["refused_locked_out"] == 2
-            told = [e for e in bed.daemon.events.since(0)[0] if e.code == "stream_wrong_token"]
-            assert len(told) == 5
+            sent = [e for e in bed.daemon.events.since(0)[0] if e.code == "stream_wrong_token"]
+            assert len(sent) == 5
 
     run(work())
 
@@ -272,11 +272,11 @@ def test_a_setting_that_one_changes_is_seen_by_another(short: Path) -> None:
             one.heard.clear()
             answer = await two.ask(do="set", id=4, changes={"filtering.min_range": 2.0})
             assert answer.result == {"changed": {"filtering.min_range": [0.5, 2.0]}}
-            await one.until(lambda: any(isinstance(told, Settings) for told in one.heard))
-            told = one.newest[Settings]
-            assert isinstance(told, Settings)
-            assert [*told.facts] == ["filtering.min_range"]
-            assert told.facts["filtering.min_range"]["value"] == 2.0
+            await one.until(lambda: any(isinstance(sent, Settings) for sent in one.heard))
+            sent = one.newest[Settings]
+            assert isinstance(sent, Settings)
+            assert [*sent.facts] == ["filtering.min_range"]
+            assert sent.facts["filtering.min_range"]["value"] == 2.0
             refused = await two.ask(do="set", id=5, changes={"filtering.min_range": -1})
             assert refused.error["reason"] == "refused"
             for each in (one, two):
@@ -323,7 +323,7 @@ def test_no_more_clients_than_allowed(short: Path) -> None:
     run(work())
 
 
-def test_the_end_is_told(short: Path) -> None:
+def test_the_end_is_reported(short: Path) -> None:
     async def work() -> None:
         async with bed_of(short) as bed:
             fill(bed, 100)

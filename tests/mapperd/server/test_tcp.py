@@ -64,7 +64,7 @@ def test_what_a_reader_does_not_take_waits(pair: Pair) -> None:
     assert tcp_state(here).unsent == 0
 
 
-def test_a_local_socket_tells_neither() -> None:
+def test_a_local_socket_reports_neither() -> None:
     here, there = socket.socketpair()
     with here, there:
         tune(here)
@@ -72,7 +72,7 @@ def test_a_local_socket_tells_neither() -> None:
         assert tcp_state(here) == TcpState()
 
 
-def test_a_socket_that_is_closed_tells_nothing(pair: Pair) -> None:
+def test_a_socket_that_is_closed_reports_nothing(pair: Pair) -> None:
     pair[0].close()
     assert tcp_state(pair[0]) == TcpState()
 
@@ -140,9 +140,9 @@ def test_a_local_socket_is_not_asked() -> None:
 
 
 @pytest.mark.parametrize("name", [b"cubic", CALM])
-def test_a_connection_tells_its_pacer_all_of_it(name: bytes) -> None:
-    told: list[tuple[object, ...]] = []
-    pacer = SimpleNamespace(note_link=lambda *said, **more: told.append((*said, more)))
+def test_a_connection_reports_its_pacer_all_of_it(name: bytes) -> None:
+    reported: list[tuple[object, ...]] = []
+    pacer = SimpleNamespace(note_link=lambda *output, **more: reported.append((*output, more)))
     session: Any = SimpleNamespace(greeting=lambda _: b"", state="served", pacer=pacer)
     around: Any = SimpleNamespace(
         clock=lambda: 7.0, limits=Limits(), count=Counter().update, gone=lambda _: None
@@ -159,7 +159,7 @@ def test_a_connection_tells_its_pacer_all_of_it(name: bytes) -> None:
 
     asyncio.run(work())
     rate = 31_000 + 2 * 2.0**32 if name == CALM else 12_345.0
-    assert told == [(1_777, 0.099 if name == CALM else 0.1255, 0.25, 14_480, rate, {})]
+    assert reported == [(1_777, 0.099 if name == CALM else 0.1255, 0.25, 14_480, rate, {})]
 
 
 @pytest.mark.parametrize("kind", ["open", "tls", "unix"])

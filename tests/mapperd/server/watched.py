@@ -58,24 +58,24 @@ class PlainView:
 
     def __init__(self, source: "PlainSource", resume: Resume | None) -> None:
         self._source = source
-        self._told: dict[Key, int] = {}
+        self._sent_to: dict[Key, int] = {}
         self.resumed = resume is not None and resume.map == source.map_id
         self.reason = "" if self.resumed else "fresh"
         if resume is not None and self.resumed:
             seen = source.seen.items()
-            self._told = {key: one[0] for key, one in seen if one[0] <= (resume.revision or 0)}
+            self._sent_to = {key: one[0] for key, one in seen if one[0] <= (resume.revision or 0)}
         self._map_id = source.map_id
-        self._interest, self._anew = Interest(), False
+        self._interest, self._again = Interest(), False
 
     def _due(self) -> list[Key]:
-        return [key for key, one in self._source.seen.items() if self._told.get(key) != one[0]]
+        return [key for key, one in self._source.seen.items() if self._sent_to.get(key) != one[0]]
 
     @property
     def left(self) -> int:
         return len(self._due())
 
     def change(self, interest: Interest) -> None:
-        self._told, self._interest, self._anew = {}, interest, True
+        self._sent_to, self._interest, self._again = {}, interest, True
 
     def close(self) -> None:
         self._source.views.remove(self)
@@ -96,8 +96,8 @@ class PlainView:
         if part == "far":
             return None  # all of it is near
         source = self._source
-        if source.map_id != self._map_id or self._anew:
-            self._map_id, self._told, self._anew = source.map_id, {}, False
+        if source.map_id != self._map_id or self._again:
+            self._map_id, self._sent_to, self._again = source.map_id, {}, False
             reset = Reset(map=source.facts(), revision=source.revision, interest=self._interest)
             return framed(reset)
         due = self._due()
@@ -106,8 +106,8 @@ class PlainView:
         near = np.array(position_m or (0.0, 0.0, 0.0))
         due.sort(key=lambda key: float(np.linalg.norm(np.array(key) - near)))
         taken = due[: max(1, most_bytes // 600)]
-        self._told |= {key: source.seen[key][0] for key in taken}
-        fault, source.telling_fault = source.telling_fault, None
+        self._sent_to |= {key: source.seen[key][0] for key in taken}
+        fault, source.reported_fault = source.reported_fault, None
         if fault is not None:
             raise fault
         keys = np.array(taken, np.int32)
@@ -131,7 +131,7 @@ class PlainSource:
         self.views: list[PlainView] = []
         self.revision = self.written = 0
         self.fault: Exception | None = None
-        self.telling_fault: Exception | None = None
+        self.reported_fault: Exception | None = None
 
     def put(self, key: Key, value: int) -> None:
         noise = np.random.default_rng(abs(hash(key)) + value)

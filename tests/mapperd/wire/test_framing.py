@@ -27,20 +27,20 @@ from mapperd.wire.messages import (
 @given(st.data())
 @settings(max_examples=30, deadline=None)
 def test_messages_come_out_however_the_bytes_are_cut(data: st.DataObject) -> None:
-    said: list[FromClient] = [
+    output: list[FromClient] = [
         Ack(bytes=5),
         Change(interest=Interest(level=2)),
         Hello(version=1, name="me"),
     ]
-    stream = b"".join(map(framed, said))
+    stream = b"".join(map(framed, output))
     inbox = server_inbox()
     heard = []
     while stream:
         size = data.draw(st.integers(1, len(stream)))
         heard += inbox.feed(stream[:size])
         stream = stream[size:]
-    assert heard == said
-    assert inbox.received == sum(len(framed(message)) for message in said)
+    assert heard == output
+    assert inbox.received == sum(len(framed(message)) for message in output)
 
 
 @pytest.mark.parametrize("limit", [MAX_FROM_CLIENT, MAX_FROM_SERVER])
@@ -75,7 +75,7 @@ def test_long_message_is_refused_by_its_length_alone(limit: int) -> None:
         None,
     ],
 )
-def test_what_no_client_may_say_is_refused(message: object) -> None:
+def test_what_no_client_may_report_is_refused(message: object) -> None:
     body = msgspec.msgpack.encode(message)
     with pytest.raises(StreamError) as caught:
         server_inbox().feed(len(body).to_bytes(4, "big") + body)
@@ -104,7 +104,7 @@ def test_any_bytes_are_messages_or_refused(data: bytes) -> None:
 @pytest.mark.parametrize(
     "value", [b"\xa1\xff", b"\x81\x80\x00", b"\x81\x91\x80\x00", b"\xd4\xff\x00"]
 )
-def test_values_that_are_none_are_refused(value: bytes) -> None:
+def test_values_that_are_invalid_are_refused(value: bytes) -> None:
     body = b"\x83\xa1t\xa6status\xa8stamp_ns\x01\xa6status\x81\xa1a" + value
     with pytest.raises(StreamError) as caught:
         client_inbox().feed(len(body).to_bytes(4, "big") + body)
@@ -117,7 +117,7 @@ def test_deep_nesting_is_refused() -> None:
         client_inbox().feed(len(body).to_bytes(4, "big") + body)
 
 
-def test_memory_does_not_grow_with_what_was_said() -> None:
+def test_memory_does_not_grow_with_what_was_reported() -> None:
     stream = framed(Status(stamp_ns=1, status={"a": list(range(100))})) * 50
     asks = framed(Ask(ask=msgspec.Raw(b"\xc0"))) * 50
     inboxes = client_inbox(), server_inbox()

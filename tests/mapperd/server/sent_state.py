@@ -13,10 +13,10 @@ from mapperd.wire.blocks import CELLS, UNKNOWN, decode_blocks
 from mapperd.wire.messages import BLOCK_EDGE, Blocks, Interest, MapFacts, Reset, Resume
 
 SECOND_NS = 1_000_000_000
-Told = dict[tuple[int, ...], tuple[bytes, bytes]]
+SentState = dict[tuple[int, ...], tuple[bytes, bytes]]
 
 
-def expected(core: _core.VoxelMap, facts: MapFacts, interest: Interest) -> Told:
+def expected(core: _core.VoxelMap, facts: MapFacts, interest: Interest) -> SentState:
     """Block to cells and counts, of a map that is in memory as a whole."""
     blocks, units, counts = core.blocks()
     edge = _core.BLOCK_EDGE
@@ -68,7 +68,7 @@ class Client:
     ) -> None:
         self.interest = interest or Interest()
         self.newest = 0
-        self.told_blocks = self.told_messages = self.resets = 0
+        self.sent_blocks = self.sent_messages = self.resets = 0
         self.connect(source, resume)
 
     def connect(self, source: MapSource, resume: Resume | None = None) -> None:
@@ -112,7 +112,7 @@ class Client:
 
     def take(self, message: Blocks | Reset) -> None:
         self.newest = max(self.newest, message.revision)
-        self.told_messages += 1
+        self.sent_messages += 1
         if isinstance(message, Reset):
             self.resets += 1
             self.mirror = MapMirror(message.map, message.interest or self.interest)
@@ -120,12 +120,12 @@ class Client:
             return
         assert message.complete is None or message.left == 0
         blocks = decode_blocks(message.body, counts=self.interest.detail == "counts")
-        self.told_blocks += len(blocks)
+        self.sent_blocks += len(blocks)
         self.mirror.put(blocks, message.stamp_ns)
         if message.complete is not None:
             self.mirror.complete = message.complete
 
-    def holds(self) -> Told:
+    def holds(self) -> SentState:
         blocks = self.mirror.blocks()
         return {
             tuple(key.tolist()): (
