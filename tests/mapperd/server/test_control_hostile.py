@@ -273,7 +273,7 @@ def test_nothing_grows_under_all_of_it(short: Path, tls: Contexts) -> None:
         await until(lambda: one.server.status()["newcomers"] == 0)
 
     async def work(one: Served) -> None:
-        for _ in range(2):  # caches fill
+        for _ in range(20):  # bounded histories and caches fill
             await round_of(one)
         gc.collect()
         files, tasks = descriptors(), len(asyncio.all_tasks())

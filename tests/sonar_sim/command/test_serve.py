@@ -92,7 +92,7 @@ def test_serve_ends_with_the_time(scene: Path, capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (["--odometry", "native"], "no link"),
+        (["--odometry", "native"], "not a link"),
         (["--odometry", "x@pty"], "no format"),
         (["--effects", "magic"], "magic"),
     ],

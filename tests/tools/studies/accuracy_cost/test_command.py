@@ -55,7 +55,7 @@ def test_run_plot_and_check_make_everything(
     assert "| | default | published |" in page
     assert "| error, m | 1.5 | 2.25 |" in page
     assert "| CPU, ms | 10 | 100 |" in page
-    assert "1: 1.5 at 10 | 2: 3.3 at 2.5 | 0.5: 0.75 at 40 | 2: 3.3 at 2.5 | on the front |" in page
+    assert "1: 1.5 at 10 | 2: 3.3 at 2.5 | 0.5: 0.75 at 40 | 2: 3.3 at 2.5 | yes |" in page
     assert "10 % behind good" in page
 
     assert accuracy_cost(tmp_path, "check") == 0
