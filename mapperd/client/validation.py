@@ -71,7 +71,7 @@ def check_message(message: FromServer) -> None:
 
 
 def check_facts(facts: MapFacts) -> None:
-    """Refuse what is no map.
+    """Refuse what is not a map.
 
     Raises:
         StreamError: `bad_value`.

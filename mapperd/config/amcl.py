@@ -298,8 +298,8 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("laser_z_hit and laser_z_rand are both 0; allowed: one of them above")
         if not self._covariance_possible():
             raise ValueError(
-                "initial_cov_* is no covariance: not positive semi-definite; allowed: covariances "
-                "within what the variances permit"
+                "initial_cov_* is not a covariance: not positive semi-definite; allowed: "
+                "covariances within what the variances permit"
             )
 
     def _covariance_possible(self) -> bool:

@@ -30,7 +30,7 @@ class CrosstalkConfig(Struct, frozen=True, forbid_unknown_fields=True):
     morpho_kernel_shape: Annotated[
         Literal["rect", "ellipse", "cross"],
         rule(
-            "Kernel over three sectors of the fan: rect asks most of an echo that is no stripe.",
+            "Kernel over three sectors of the fan: rect asks most of an echo that is not a stripe.",
             live=True,
         ),
     ] = "rect"
@@ -86,7 +86,7 @@ class CrosstalkConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TerrainDetectionConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """Intensities of terrain, while `robot_detection.enabled`; others are no terrain."""
+    """Intensities of terrain, while `robot_detection.enabled`; others are not terrain."""
 
     min_threshold: Annotated[
         float, rule("Samples from here on are terrain.", "0-255", live=True, ge=0, le=255)

@@ -67,7 +67,7 @@ class ScanExtractionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     burst_share: Annotated[
         float,
         rule(
-            "A ping where more beams than this changed by more than the vehicle moves is no scan.",
+            "A ping is skipped if more beams than this changed by more than the vehicle moves.",
             "0-1",
             live=True,
             gt=0,

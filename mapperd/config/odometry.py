@@ -299,15 +299,15 @@ class WorldInitConfig(Struct, frozen=True, forbid_unknown_fields=True):
         int, rule("Accelerations that are averaged.", "records", ge=1, le=100000)
     ] = 50
     max_rate: Annotated[
-        float, rule("Turning faster than this is no standing still.", "deg/s", gt=0, le=360)
+        float, rule("Turning faster than this is not standing still.", "deg/s", gt=0, le=360)
     ] = 2.0
     max_speed: Annotated[
-        float, rule("Driving faster than this is no standing still.", "m/s", gt=0, le=10)
+        float, rule("Driving faster than this is not standing still.", "m/s", gt=0, le=10)
     ] = 0.05
     max_spread: Annotated[
         float,
         rule(
-            "Accelerations that differ more than this are no standing still.", "m/s2", gt=0, le=10
+            "Accelerations that differ more than this are not standing still.", "m/s2", gt=0, le=10
         ),
     ] = 0.3
     parent_frame: Annotated[

@@ -72,7 +72,7 @@ def load_known_map(path: Path, config: Config) -> KnownMap:
             voxels the resolution.
 
     Raises:
-        MapError: it cannot be read, is no map, or is too large to be localized on; one line.
+        MapError: it cannot be read, is not a map, or is too large to be localized on; one line.
     """
     if path.suffix.lower() in (".yaml", ".yml"):
         grid = read_nav2_map(path)

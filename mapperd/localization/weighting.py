@@ -67,7 +67,7 @@ SEARCH_BEAMS, SEARCH_ELEVATIONS = 30, 3
 """Enough for a coarse search; all beams refine the pose."""
 
 MIN_BEAMS = 15
-"""A scan of fewer is no scan to search by, unless the settings thin all scans to fewer."""
+"""A scan of fewer is not a scan to search by, unless the settings thin all scans to fewer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

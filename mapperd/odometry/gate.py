@@ -103,7 +103,7 @@ NUMBERS = ("depth_m", "heading_rad", "altitude_m", "confidence")
 
 
 def bad_record(odometry: Odometry) -> Reject | None:
-    """Why a record is of no use: it holds what is no number, no possible one, or no rotation."""
+    """Why a record is of no use: it holds what is not a number, no possible one, or no rotation."""
     for key in ARRAYS:
         array = getattr(odometry, key)
         if array is not None and (bad := bad_numbers(key, array.ravel().tolist(), LARGEST)):

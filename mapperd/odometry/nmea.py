@@ -293,7 +293,7 @@ def _sign(text: str, letters: str) -> float:
 def _limited(text: str, limit: float) -> float:
     """A number that is written out, between -limit and limit."""
     if _NUMBER.fullmatch(text) is None:
-        raise ValueError(f"{text[:20]!r} is no number")
+        raise ValueError(f"{text[:20]!r} is not a number")
     number = float(text)
     if abs(number) > limit:
         raise ValueError(f"{number:g} is beyond {limit:g}")

@@ -162,7 +162,7 @@ def bad_number(key: str, number: float, least: float, most: float) -> Reject | N
 
 
 def bad_quaternion(quaternion: Sequence[float]) -> Reject | None:
-    """Why these finite numbers are no orientation, if so."""
+    """Why these finite numbers are not an orientation, if so."""
     norm = math.hypot(*quaternion)
     if norm < ZERO_NORM:
         return Reject("zero_quaternion", "q is zero: no orientation")

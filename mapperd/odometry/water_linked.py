@@ -344,7 +344,7 @@ def _position(fields: list[str], _counters: DecoderCounters) -> Odometry | Rejec
 def _number(text: str) -> float:
     number = float(text)
     if not math.isfinite(number):
-        raise ValueError(f"{text!r} is no number")
+        raise ValueError(f"{text!r} is not a number")
     return number
 
 

@@ -109,12 +109,12 @@ def inherited_listener(listening: socket.socket, section: Section = "control") -
         section: of the settings, for messages.
 
     Raises:
-        ConfigError: it is no listening Unix socket; anybody could come in by another.
+        ConfigError: it is not a listening Unix socket; anybody could come in by another.
     """
     is_unix = listening.family == socket.AF_UNIX and listening.type == socket.SOCK_STREAM
     if not is_unix or not listening.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
         listening.close()
-        text = f"the inherited {section} socket is no listening Unix socket"
+        text = f"the inherited {section} socket is not a listening Unix socket"
         raise ConfigError(text, f"$.{section}")
     listening.settimeout(0)
     name = f"unix {os.fsdecode(listening.getsockname())}"
@@ -238,7 +238,7 @@ def _require_free(path: Path) -> None:
     except FileNotFoundError:
         return
     if not stat.S_ISSOCK(kind):
-        raise FileExistsError(errno.EEXIST, "something is there that is no socket")
+        raise FileExistsError(errno.EEXIST, "something is there that is not a socket")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(1.0)
         try:

@@ -76,7 +76,7 @@ class Newcomer:
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """A part of the map that is to be told; None is no map."""
+    """Changed blocks of the map to send, or None."""
 
     interest: Interest | None
     resume: Resume | None = None

@@ -116,7 +116,7 @@ class Feed:
         path: the vehicle's.
         settings: their facts.
         position_m: of the vehicle, map frame; None before it is known.
-        left_out: what was not told since it was no number, by kind.
+        left_out: values left out because they were not finite, by kind.
     """
 
     def __init__(

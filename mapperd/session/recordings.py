@@ -115,7 +115,7 @@ def sessions_of(paths: Iterable[Path]) -> list[RecordedSession]:
     """Put files together that follow each other in one session.
 
     Raises:
-        RecordingError: one cannot be read, or is no recording.
+        RecordingError: one cannot be read, or is not a recording.
     """
     return [
         RecordedSession(list(group), session) for session, group in groupby(paths, key=_session_of)
@@ -147,7 +147,7 @@ NUMBER = re.compile(r"_(\d{6,})_\d{8}T\d{6}Z\.mcap$")
 
 
 def files_of(folder: Path, session: str) -> dict[int, Path]:
-    """A session's recordings by the numbers in their names, in order; what is no recording is not.
+    """Return a session's recordings, ordered by the numbers in their names.
 
     Args:
         folder: of the recordings; need not be there.

@@ -137,4 +137,4 @@ def _kind_of_octomap(path: Path, begin: bytes) -> dict[str, Any]:
     try:
         return {"octree.voxel_resolution": float(found[1])} if found else {}
     except ValueError:
-        raise MapError(f"{path}: its resolution is no number", "bad_octomap_file") from None
+        raise MapError(f"{path}: its resolution is not a number", "bad_octomap_file") from None

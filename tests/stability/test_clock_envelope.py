@@ -142,7 +142,7 @@ def test_burst_of_records_in_one_nanosecond() -> None:
 
 
 def test_stamps_all_alike() -> None:
-    """Stamps that stand still are no clock, and are reported as invalid.
+    """Stamps that stand still are not a clock, and are reported as invalid.
 
     Naively they are fitted with a drift of -1, and all records lie at one moment.
     """

@@ -154,7 +154,7 @@ def test_restart_again_and_again() -> None:
 
 
 def test_row_times_at_unix_nanoseconds() -> None:
-    """Each row's time is right to the nanosecond, though 1.7e18 is no whole number of a double.
+    """Each row's time is right to the nanosecond, though 1.7e18 is not a whole number of a double.
 
     Naively the way of the sound is added to a float of the transmission: steps of 256 ns.
     """

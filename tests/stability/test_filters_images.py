@@ -42,7 +42,7 @@ def test_an_image_smaller_than_the_kernel_goes_through(shape: tuple[int, int]) -
     """Images of one row or a few beams come from cut recordings and narrow fields of view.
 
     Naively the kernel is taken for smaller than the image, and there are 24 sectors of a single
-    beam: means of nothing are no numbers.
+    beam: means of nothing are not numbers.
     """
     image = np.full(shape, 100, np.float32)
     tall = replace(USUAL, morpho_kernel_size=101)
@@ -172,7 +172,7 @@ def test_silence_is_no_robot_at_any_threshold() -> None:
 
 
 def test_bands_that_touch_leave_no_sample_out_and_none_in_both() -> None:
-    """Terrain ends where robots begin, at one number that is no whole one.
+    """Terrain ends where robots begin, at one number that is not a whole one.
 
     Naively the two bands compare in different precision, and a sample at the limit is neither.
     """

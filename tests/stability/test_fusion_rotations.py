@@ -71,7 +71,7 @@ def test_unnormalised_quaternion_of_a_sender() -> None:
 
 @pytest.mark.parametrize("size", [0.0, 1e-320, 1e-9])
 def test_zero_quaternion(size: float) -> None:
-    """Four zeros, as of a filter that has not begun, are no orientation.
+    """Four zeros, as of a filter that has not begun, are not an orientation.
 
     Naively they are divided by their norm: 0 / 0 is NaN, and NaN is in every voxel of that ping.
     """

@@ -212,7 +212,7 @@ def test_distances_that_nobody_knows_and_beyond_the_truncation() -> None:
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -1e-9, 1e16])
 def test_given_likelihoods_that_are_invalid(wrong: float) -> None:
-    """Values of a field that are no numbers, negative or infinite are refused.
+    """Values of a field that are not numbers, negative or infinite are refused.
 
     Naively one NaN in a corner waits for the particle whose beam ends there.
     """

@@ -66,7 +66,7 @@ def test_no_motion_with_a_floor_keeps_the_cloud_alive() -> None:
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, 1e9])
 def test_odometry_jump_and_odometry_not_a_number(model: str, wrong: float) -> None:
-    """A step that is no number, or longer than the vehicle can go, moves nothing.
+    """A step that is not a number, or longer than the vehicle can go, moves nothing.
 
     Naively NaN enters every pose and never leaves, and a jump throws the cloud off the map.
     """
@@ -282,7 +282,7 @@ def test_singular_initial_covariance(covariance: NDArray[np.float64]) -> None:
     ids=["negative", "asymmetric", "not a number", "infinite"],
 )
 def test_initial_covariance_that_is_invalid(covariance: NDArray[np.float64]) -> None:
-    """A matrix that is no covariance is refused, and the cloud there was is kept.
+    """A matrix that is not a covariance is refused, and the cloud there was is kept.
 
     Naively half of it is used, or NaN is drawn into every particle.
     """

@@ -78,7 +78,7 @@ def test_random_particles_come_once_for_one_bad_moment() -> None:
 
 @pytest.mark.parametrize("aggregation", ["cube_sum", "product"])
 def test_good_fit_triggers_no_recovery_though_numbers_change(aggregation: str) -> None:
-    """A change of the number of particles is no change of the fit.
+    """A change of the number of particles is not a change of the fit.
 
     Naively, with 1 / N for a mean weight, a cloud that grows from 500 to 2000 looks lost.
     """
@@ -153,7 +153,7 @@ def test_kidnapped_vehicle_is_found_again() -> None:
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_fit_that_is_no_number(wrong: float) -> None:
-    """A fit that is no number is passed over.
+    """A fit that is not a number is passed over.
 
     Naively the running averages never forget a NaN or an infinity: recovery is off, or on, for
     ever.
@@ -167,7 +167,7 @@ def test_fit_that_is_no_number(wrong: float) -> None:
 def test_fit_of_nothing_at_all() -> None:
     """A fit of 0 from the beginning asks for no random particles.
 
-    Naively the share is 1 - 0 / 0, which is no number, and no clamp makes it one.
+    Naively the share is 1 - 0 / 0, which is not a number, and no clamp makes it one.
     """
     recovery = _core.MclRecovery(0.1, 0.5)
     for _ in range(3):

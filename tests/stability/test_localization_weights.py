@@ -260,7 +260,7 @@ def test_range_of_nothing_and_beyond_all(range_m: float) -> None:
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_beam_not_a_number(wrong: float) -> None:
-    """A reading that is no number is refused before it counts.
+    """A reading that is not a number is refused before it counts.
 
     Naively it makes every particle's weight NaN.
     """

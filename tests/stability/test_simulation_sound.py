@@ -35,7 +35,7 @@ def test_a_range_of_100_km_is_silence_and_not_nan() -> None:
     """At 100 km absorption is 25000 dB each way, and the varied gain makes up for it.
 
     Naively both are ratios: the gain overflows to infinity, the echo underflows to 0, and infinity
-    times 0 is no number.
+    times 0 is not a number.
     """
     sonar = SonarSettings(max_range_m=1e5, demanded_range_m=1e5, beams=32)
     lossy = dataclasses.replace(MEAN, attenuation_db_per_m=0.25, tvg=True, gain=True)

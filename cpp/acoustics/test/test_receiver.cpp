@@ -31,7 +31,7 @@ TEST_CASE("amplitudes of a field and of its power are alike, after gain") {
   CHECK(out == expected);
 }
 
-TEST_CASE("what is no number is silence, what is endless is finite") {
+TEST_CASE("what is not a number is silence, what is endless is finite") {
   const float nan = std::numeric_limits<float>::quiet_NaN();
   const float endless = std::numeric_limits<float>::infinity();
   const std::vector<float> power{nan, endless, -1.0F, 1.0F};

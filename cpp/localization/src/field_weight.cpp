@@ -16,7 +16,7 @@ struct End {
   const float* layer;
 };
 
-// The field's values at one end of a beam, for a block; what is no number lies outside.
+// The field's values at one end of a beam, for a block; what is not a number lies outside.
 MAPPERD_INLINE void look_up(const BlockPoses& p, const End& end, double last_u, double last_v,
                             std::int32_t stride, float* out) {
   for (std::size_t i = 0; i < kBlock; ++i) {

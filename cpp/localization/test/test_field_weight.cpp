@@ -109,7 +109,7 @@ TEST_CASE("of a fan of elevations the likeliest counts, at its height") {
   CHECK_THROWS_AS(logs({1, {2.0}, {0.0}, {}, {1.0}}), std::invalid_argument);
 }
 
-TEST_CASE("poses that are no numbers count as off the map") {
+TEST_CASE("poses that are not numbers count as off the map") {
   const LikelihoodField field(basin(), {}, {}, 1);
   Particles particles;
   particles.resize(3);

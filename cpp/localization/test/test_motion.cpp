@@ -159,7 +159,7 @@ TEST_CASE("turns are angles, whichever way the headings pass pi") {
   CHECK(one.mean[1] == near(wrapped(-6.0), 1e-12));
 }
 
-TEST_CASE("odometry that is no number is refused") {
+TEST_CASE("odometry that is not a number is refused") {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   CHECK_THROWS_AS(motion_draws(MotionModel::kDifferential, {}, {nan, 0, 0}, {}),
                   std::invalid_argument);

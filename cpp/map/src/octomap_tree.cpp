@@ -60,7 +60,7 @@ class TreeReader {
     for (unsigned i = 0; i < 4; ++i) bits |= byte(bytes[i]) << (8 * i);
     float log_odds = 0.0F;
     std::memcpy(&log_odds, &bits, sizeof log_odds);
-    if (std::isnan(log_odds)) refuse_octomap(record, "a node's log-odds are no number");
+    if (std::isnan(log_odds)) refuse_octomap(record, "a node's log-odds are not a number");
     const unsigned mask = byte(bytes[4]);
     if (mask == 0) {
       visit_(record, cube, static_cast<double>(log_odds));

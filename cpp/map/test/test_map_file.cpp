@@ -124,7 +124,7 @@ TEST_CASE("maps of another kind are refused by what differs") {
   CHECK(contains(refusal_of(file, counted), "it counts to 90"));
 }
 
-TEST_CASE("what is no map file is refused") {
+TEST_CASE("what is not a map file is refused") {
   CHECK(contains(refusal_of(""), "no map of mapperd"));
   CHECK(contains(refusal_of("# Octomap OcTree file\n"), "no map of mapperd"));
   CHECK(contains(refusal_of(std::string(mapperd::map::kMapFileMagic)), "ends too early"));

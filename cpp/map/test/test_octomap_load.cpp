@@ -293,7 +293,7 @@ TEST_CASE("an inner node of a .bt must have children") {
   check_refused(header(true, "3") + bt_chain(2) + bt_record(0), "an inner node without children");
 }
 
-TEST_CASE("log-odds that are no number are refused, at leaves and above") {
+TEST_CASE("log-odds that are not a number are refused, at leaves and above") {
   check_refused(header(false, "17") + ot_chain(16) + ot_record(0x7FC00000, 0), "no number");
   check_refused(header(false, "17") + ot_chain(15) + ot_record(0xFF800001, 1) + ot_record(kOne, 0),
                 "no number");

@@ -91,7 +91,7 @@ TEST_CASE("points and boxes are classified as their voxels are") {
   CHECK(classify(map, {xyz.data(), xyz.size() / 3}, kThresholds) == expected);
 }
 
-TEST_CASE("points beyond the reach are unknown, points that are no numbers are refused") {
+TEST_CASE("points beyond the reach are unknown, points that are not numbers are refused") {
   const VoxelMap map = maps::random_map(3, 10, 2);
   const double far[] = {1e30, 0, 0};
   CHECK(classify(map, {far, 1}, kThresholds)[0] == Occupancy::kUnknown);

@@ -137,14 +137,14 @@ def test_all_may_change_while_running_but_names_and_sources() -> None:
         ("pf_z: .nan", "pf_z"),
         ("laser_z_hit: 0, laser_z_rand: 0", "both 0"),
         ("robot_model_type: diff", "allowed: differential_drive or omnidirectional_drive"),
-        ("initial_cov_xy: 0.1", "no covariance"),
-        ("initial_cov_xx: 1, initial_cov_yy: 1, initial_cov_xy: 1.1", "no covariance"),
+        ("initial_cov_xy: 0.1", "not a covariance"),
+        ("initial_cov_xx: 1, initial_cov_yy: 1, initial_cov_xy: 1.1", "not a covariance"),
         (
             (
                 "initial_cov_xx: 1, initial_cov_yy: 1, initial_cov_aa: 1, initial_cov_xy: 0.9, "
                 "initial_cov_xa: 0.9, initial_cov_ya: -0.9"
             ),
-            "no covariance",
+            "not a covariance",
         ),
     ],
 )

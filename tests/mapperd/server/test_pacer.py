@@ -31,7 +31,10 @@ def most_waiting_s(rate: float, round_trip_s: float, piece: int, *, calm: bool) 
 
 
 @CALM
-@pytest.mark.parametrize(("rate", "piece"), [(8_000, 1_000), (32_000, 1_000), (1e6, 10_000)])
+@pytest.mark.parametrize(
+    ("rate", "piece"),
+    [(8_000, 1_000), (32_000, 1_000), pytest.param(1e6, 10_000, marks=pytest.mark.slow)],
+)
 @pytest.mark.parametrize("there_s", [0.0, 0.15, 0.3])
 def test_a_steady_link_is_busy_and_little_waits(
     rate: float, piece: int, there_s: float, *, calm: bool

@@ -12,6 +12,8 @@ from studies.scan_truth import PLACES, Look, look
 if TYPE_CHECKING:
     from sonar_sim.propagation.ground_truth import Truth
 
+pytestmark = pytest.mark.slow
+
 PINGS = 6
 
 
@@ -24,7 +26,6 @@ MIN_TRUE = {"harbour": 0.7, "tank": 0.8}
 """Of the returns before floor and surface: what six pings give, less a tenth."""
 
 
-@pytest.mark.slow
 def test_most_returns_are_within_a_cell_of_the_first_surface(
     looks: tuple[str, list[Look]],
 ) -> None:
@@ -56,7 +57,6 @@ def test_truth_is_the_first_surface_of_the_beam_s_directions() -> None:
     assert [sorted(set(row[np.isfinite(row)])) for row in found] == [[5.0], [7.0], []]
 
 
-@pytest.mark.slow
 def test_picture_shows_every_return(looks: tuple[str, list[Look]]) -> None:
     _, made = looks
     plain = draw_scan(made[0].echo, made[0].scan)

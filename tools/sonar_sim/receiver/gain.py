@@ -13,7 +13,7 @@ FULL_SCALE_DB = 210.0
 """Level after gains that fills the quantiser; one constant, free because levels are relative."""
 
 MAX_DB = 700.0
-"""Of all gains: beyond, single precision is infinite, and silence would be no number."""
+"""Of all gains: beyond, single precision is infinite, and silence would be not a number."""
 
 
 def noise_level_db(sonar: SonarSettings, water: Water) -> float:

@@ -77,7 +77,7 @@ class EvidenceGrid {
   double high_sine() const { return edge_sines_.back(); }
   bool averages() const { return averages_; }
 
-  /// Neighbouring beams differ so much in width that a cell's columns are no linear function.
+  /// Neighbouring beams differ so much in width that a cell's columns are not a linear function.
   bool is_irregular() const { return irregular_; }
 
   GridView view() const;
