@@ -123,7 +123,7 @@ def _allowed(hint: Any) -> str:  # noqa: ANN401 an annotation
     if base is bool:
         return "true or false"
     if base is str:
-        return str(meta.extra["unit"])
+        return str(meta.extra_json_schema["x-unit"])
     if get_origin(base) is not None:
         return " or ".join(str(choice) for choice in get_args(base))
     return _number(base, meta)
@@ -132,7 +132,7 @@ def _allowed(hint: Any) -> str:  # noqa: ANN401 an annotation
 def _number(base: type, meta: Meta) -> str:
     limits = [f"{s} {getattr(meta, k):g}" for k, s in SIGNS.items() if getattr(meta, k) is not None]
     kind = "a whole number" if base is int else "a number"
-    unit = (meta.extra or {})["unit"]
+    unit = (meta.extra_json_schema or {})["x-unit"]
     return f"{kind} {' and '.join(limits)}" + (f" ({unit})" if unit else "")
 
 
@@ -143,7 +143,8 @@ def _walk(
         if get_origin(hint) is Annotated:
             meta = hint.__metadata__[0]
             default = defaults.get(field, msgspec.UNSET)
-            unit, dynamic = meta.extra["unit"], meta.extra["dynamic"] and not inside
+            marks = meta.extra_json_schema
+            unit, dynamic = marks["x-unit"], marks["x-dynamic"] and not inside
             allowed, about = _allowed(hint), meta.description
             yield Parameter(f"{prefix}{field}", default, unit, allowed, about, dynamic, hint)
         else:

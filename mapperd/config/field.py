@@ -8,6 +8,10 @@ __all__ = ["rule"]
 
 
 def rule(description: str, unit: str = "", *, live: bool = False, **limits: float | str) -> Meta:
-    """Annotate a field with its description, unit, limits, and whether it may change live."""
-    known: dict[str, Any] = {**limits, "extra": {"unit": unit, "dynamic": live}}
-    return Meta(description=description, **known)
+    """Annotate a field with its description, unit, limits, and whether it may change live.
+
+    The unit and `live` are `x-unit` and `x-dynamic` of the field's JSON Schema.
+    """
+    known: dict[str, Any] = dict(limits)
+    marks = {"x-unit": unit, "x-dynamic": live}
+    return Meta(description=description, extra_json_schema=marks, **known)

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from msgspec import Meta, Struct
+from msgspec import Struct
 
 from mapperd.config.field import rule
 from mapperd.config.link_address import parse_address
@@ -239,12 +239,7 @@ class OdometryFusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     sources: Annotated[
         tuple[OdometrySourceConfig, ...],
-        Meta(
-            description="Who sends odometry.",
-            min_length=1,
-            max_length=16,
-            extra={"unit": "", "dynamic": False},
-        ),
+        rule("Who sends odometry.", min_length=1, max_length=16),
     ] = (OdometrySourceConfig(),)
     owners: OwnersConfig = OwnersConfig()
     limits: LimitsConfig = LimitsConfig()
@@ -259,10 +254,7 @@ class OdometryFusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ] = "continue"
     origin: Annotated[
         GeoOriginConfig | None,
-        Meta(
-            description="Where geographic positions have their zero; none is the map's first fix.",
-            extra={"unit": "", "dynamic": False},
-        ),
+        rule("Where geographic positions have their zero; none is the map's first fix."),
     ] = None
     position_std: Annotated[
         float, rule("Of positions whose source gives none.", "m", live=True, gt=0, le=1e4)

@@ -145,7 +145,7 @@ def _interval(annotation: Any) -> str:  # noqa: ANN401 an annotation
     low = f"[{meta.ge:g}" if meta.gt is None else f"({meta.gt:g}"
     high = f"{meta.le:g}]" if meta.lt is None else f"{meta.lt:g})"
     kind = "integer" if base is int else ""
-    return " ".join(filter(None, (kind, f"{low}, {high}", meta.extra["unit"])))
+    return " ".join(filter(None, (kind, f"{low}, {high}", meta.extra_json_schema["x-unit"])))
 
 
 def _default(parameter: Parameter) -> str:

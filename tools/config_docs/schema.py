@@ -5,7 +5,6 @@ from typing import Any
 import msgspec
 
 from mapperd.config.aliases import ALIASES, IGNORED, VALUE_ALIASES
-from mapperd.config.catalog import inner_parameters, parameters, section_of
 from mapperd.config.tree import Config
 
 __all__ = ["json_schema"]
@@ -19,14 +18,6 @@ def json_schema() -> dict[str, Any]:
     Rules about several settings are beyond it: what it lets through may still be refused.
     """
     schema = {"$schema": DIALECT, **msgspec.json.schema(Config)}
-    for parameter in parameters().values():
-        _mark(schema, parameter.name, unit=parameter.unit, dynamic=parameter.dynamic)
-        for inner in inner_parameters(parameter):
-            section = section_of(parameter.annotation)
-            if section is not None:
-                node = schema["$defs"][section.__name__]
-                field = inner.name.rpartition(".")[2]
-                node["properties"][field] |= _marks(unit=inner.unit, dynamic=inner.dynamic)
     _add_other_names(schema["$defs"]["AmclConfig"]["properties"])
     for name in IGNORED:
         place, _, field = name.partition(".")
@@ -57,15 +48,3 @@ def _add_other_names(fields: dict[str, Any]) -> None:
 
 def _last(name: str) -> str:
     return name.rpartition(".")[2]
-
-
-def _mark(schema: dict[str, Any], name: str, *, unit: str, dynamic: bool) -> None:
-    node = schema
-    for part in name.split("."):
-        section = node["$ref"].rpartition("/")[2]
-        node = schema["$defs"][section]["properties"][part]
-    node |= _marks(unit=unit, dynamic=dynamic)
-
-
-def _marks(*, unit: str, dynamic: bool) -> dict[str, Any]:
-    return {"x-unit": unit, "x-dynamic": dynamic}

@@ -81,8 +81,8 @@ def test_defaults_are_the_published_ones(path: str, default: Any) -> None:
 def test_every_field_reports_what_it_is(path: str, hint: Any) -> None:
     meta = hint.__metadata__[0]
     assert meta.description.endswith("."), path
-    assert isinstance(meta.extra["dynamic"], bool)
-    assert isinstance(meta.extra["unit"], str)
+    assert isinstance(meta.extra_json_schema["x-dynamic"], bool)
+    assert isinstance(meta.extra_json_schema["x-unit"], str)
     rule = rule_text(f"$.{path}")
     assert rule
     if get_args(hint)[0] in (int, float):
