@@ -3,12 +3,11 @@
 docs/reference/map-stream.md has an example, and the protocol.
 """
 
-from mapperd.client.block_table import Cells
 from mapperd.client.changes import ClientChange, LinkChanged, LinkStatus, MapChanged, MapReset
 from mapperd.client.client import MapClient
 from mapperd.client.errors import AskError, EndedError
 from mapperd.client.follower import MapFollower
-from mapperd.client.mirror import MapMirror
+from mapperd.client.mirror import Cells, MapMirror
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import (
     Box,

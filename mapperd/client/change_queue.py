@@ -7,8 +7,8 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
-from mapperd.client.block_table import keys_of, names_of
 from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapReset
+from mapperd.client.mirror import keys_of, names_of
 from mapperd.client.state import Knowledge
 from mapperd.client.validation import size_of
 from mapperd.wire.blocks import path_message

@@ -1,13 +1,16 @@
-"""A copy of the daemon's map, as far as a client is told of it."""
+"""A copy of the daemon's map: its blocks, its cells, and a map that can be saved."""
 
 import hashlib
+import math
 import threading
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, TypeVar
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapperd.client.block_table import BlockTable, Cells, names_of
 from mapperd.mapping.probability import points_of, probabilities_of
 from mapperd.wire.blocks import CELLS, MAX_KEY, UNKNOWN, BlockSet
 from mapperd.wire.messages import BLOCK_EDGE, Interest, MapFacts
@@ -16,7 +19,123 @@ if TYPE_CHECKING:
     from mapperd.config.tree import Config
     from mapperd.mapping.sonar_map import SonarMap
 
-__all__ = ["MapMirror"]
+__all__ = ["BlockTable", "Cells", "MapMirror", "keys_of", "map_of", "names_of"]
+
+FIRST_ROWS = 256
+
+Number = TypeVar("Number", bound=np.generic)
+
+
+class BlockTable:
+    """Each block that has a known cell.
+
+    Args:
+        counts: of observations are held too.
+
+    Attributes:
+        keys: (R, 3) int32, of rows in use and of others.
+        cells: (R, 512) int8.
+        counts: (R, 512) uint8; (R, 0) where none are held.
+        changed_ns: (R,) int64, Unix.
+    """
+
+    def __init__(self, *, counts: bool) -> None:
+        self.keys = np.zeros((0, 3), np.int32)
+        self.cells = np.zeros((0, CELLS), np.int8)
+        self.counts = np.zeros((0, CELLS if counts else 0), np.uint8)
+        self.changed_ns = np.zeros(0, np.int64)
+        self._row_of: dict[bytes, int] = {}
+        self._unused: list[int] = []
+
+    def __len__(self) -> int:
+        """Blocks."""
+        return len(self._row_of)
+
+    def put(self, blocks: BlockSet, stamp_ns: int) -> None:
+        """Take blocks, each key once; drop those without a known cell."""
+        known = (blocks.cells != UNKNOWN).any(axis=1)
+        names = names_of(blocks.keys)
+        for at in np.nonzero(~known)[0]:
+            self._drop(names[at])
+        kept = np.nonzero(known)[0]
+        rows = np.fromiter((self._taken(names[at]) for at in kept), np.intp, len(kept))
+        self.keys[rows] = blocks.keys[kept]
+        self.cells[rows] = blocks.cells[kept]
+        self.changed_ns[rows] = stamp_ns - blocks.ages_ms[kept].astype(np.int64) * 1_000_000
+        if blocks.counts is not None:
+            self.counts[rows] = blocks.counts[kept]
+
+    def rows(self, names: Iterable[bytes] | None = None) -> NDArray[np.intp]:
+        """Rows of those blocks that are there; None is all."""
+        if names is None:
+            return np.fromiter(self._row_of.values(), np.intp, len(self._row_of))
+        return np.array([self._row_of[name] for name in names if name in self._row_of], np.intp)
+
+    def row_of_each(self, names: list[bytes]) -> NDArray[np.intp]:
+        """The row of each block, -1 where it is not there."""
+        return np.fromiter((self._row_of.get(name, -1) for name in names), np.intp, len(names))
+
+    def _taken(self, name: bytes) -> int:
+        row = self._row_of.get(name)
+        if row is None:
+            if not self._unused:
+                self._grow()
+            row = self._row_of[name] = self._unused.pop()
+        return row
+
+    def _drop(self, name: bytes) -> None:
+        row = self._row_of.pop(name, None)
+        if row is not None:
+            self._unused.append(row)
+
+    def _grow(self) -> None:
+        held = len(self.keys)
+        rows = max(FIRST_ROWS, 2 * held)
+        self.keys = _longer(self.keys, rows)
+        self.cells = _longer(self.cells, rows)
+        self.counts = _longer(self.counts, rows)
+        self.changed_ns = _longer(self.changed_ns, rows)
+        self._unused = list(range(rows - 1, held - 1, -1))
+
+
+def _longer(array: NDArray[Number], rows: int) -> NDArray[Number]:
+    longer = np.zeros((rows, *array.shape[1:]), array.dtype)
+    longer[: len(array)] = array
+    return longer
+
+
+def names_of(keys: NDArray[np.int32]) -> list[bytes]:
+    """Each key (N, 3) as one hashable value."""
+    named: list[bytes] = np.ascontiguousarray(keys, "<i4").view("V12").ravel().tolist()
+    return named
+
+
+def keys_of(names: Iterable[bytes]) -> NDArray[np.int32]:
+    """What `names_of` named, (N, 3) int32."""
+    return np.frombuffer(b"".join(names), "<i4").reshape(-1, 3).astype(np.int32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """Some cells of a mirror, in no particular order.
+
+    Attributes:
+        centres_m: (N, 3) float64, map frame.
+        log_odds: (N,) float32, quantised.
+        probability: (N,) float32, of being occupied.
+        count: (N,) uint16: that often observed at least; 0 where counts are not told.
+        changed_ns: (N,) int64, Unix: when their block changed last.
+    """
+
+    centres_m: NDArray[np.float64]
+    log_odds: NDArray[np.float32]
+    probability: NDArray[np.float32]
+    count: NDArray[np.uint16]
+    changed_ns: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.log_odds)
+
 
 Kind = Literal["occupied", "free", "known"]
 
@@ -158,9 +277,6 @@ class MapMirror:
             config: the daemon's settings, as far as they are known; grid, thresholds and clamps
                 are the mirror's.
         """
-        # Only here: a client that just looks needs neither the settings nor the core.
-        from mapperd.client.to_map import map_of  # noqa: PLC0415
-
         with self.lock:
             facts, cell_m, cells = self.facts, self.cell_m, self.cells("known")
         return map_of(cells, cell_m, facts, config)
@@ -212,3 +328,54 @@ class MapMirror:
         high = facts.occupied_log_odds + facts.log_odds_step
         values = np.array([low, middle, high], np.float32)
         return np.asarray(values[np.clip(cells, -1, 1).astype(np.intp) + 1])
+
+
+MAX_LOG_ODDS = 127.0
+"""Of any map."""
+
+
+def map_of(
+    cells: Cells, cell_m: float, facts: MapFacts, config: "Config | None" = None
+) -> "SonarMap":
+    """Every cell as a voxel with its quantised log-odds, observed once.
+
+    Args:
+        cells: that are known.
+        cell_m: edge of a cell, which may be several voxels of the daemon's.
+        facts: of the daemon's map.
+        config: the daemon's settings, as far as they are known; grid, thresholds and clamps are
+            those of the cells.
+    """
+    # Only here: a client that does not want this needs neither the settings nor the core.
+    from mapperd.config.tree import Config  # noqa: PLC0415
+    from mapperd.mapping.sonar_map import SonarMap  # noqa: PLC0415
+
+    config = config or Config()
+    # A whole number of steps may lie beyond what the map that was rounded to them can hold.
+    most = min(float(np.abs(cells.log_odds).max(initial=0.0)), MAX_LOG_ODDS)
+    replace = msgspec.structs.replace
+    sonar_map = SonarMap(
+        replace(
+            config,
+            octree=replace(config.octree, voxel_resolution=cell_m),
+            mapping=replace(
+                config.mapping,
+                occupied_threshold=_probability(facts.occupied_log_odds),
+                free_threshold=_probability(facts.free_log_odds),
+            ),
+            iwlo=replace(
+                config.iwlo,
+                L_min=min(config.iwlo.L_min, -most),
+                L_max=max(config.iwlo.L_max, most),
+            ),
+        )
+    )
+    sonar_map.core.set_log_odds(cells.centres_m, cells.log_odds.astype(np.float64))
+    return sonar_map
+
+
+def _probability(log_odds: float) -> float:
+    """Strictly between 0 and 1, as a threshold must be."""
+    odds = math.exp(-abs(log_odds))
+    p = odds / (1 + odds) if log_odds < 0 else 1 / (1 + odds)
+    return min(max(p, math.ulp(0.0)), math.nextafter(1.0, 0.0))

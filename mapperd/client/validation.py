@@ -9,7 +9,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from mapperd.client.block_table import names_of
+from mapperd.client.mirror import names_of
 from mapperd.wire.blocks import UNKNOWN, BlockSet
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import (

@@ -25,7 +25,7 @@ from mapperd.server.listeners import (
     open_unix_listener,
     server_tls,
 )
-from mapperd.server.source_protocol import Source
+from mapperd.server.map_source import Source
 from mapperd.server.state_feed import Feed
 from mapperd.server.stream_server import StreamServer
 from mapperd.telemetry.telemetry import Telemetry

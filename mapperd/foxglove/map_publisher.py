@@ -8,9 +8,8 @@ import numpy as np
 from foxglove.messages import PointCloud
 from numpy.typing import NDArray
 
-from mapperd.client.block_table import Cells, keys_of, names_of
 from mapperd.client.changes import MapChanged
-from mapperd.client.mirror import MapMirror
+from mapperd.client.mirror import Cells, MapMirror, keys_of, names_of
 from mapperd.foxglove.channels import ChannelMessage
 from mapperd.foxglove.geometry import cloud, pose
 from mapperd.wire.blocks import CELLS

@@ -7,10 +7,9 @@ from typing import Any
 
 from mapperd.api import DaemonApi
 from mapperd.server.listeners import Section
+from mapperd.server.pacer import tcp_state
 from mapperd.server.requests import answer
-from mapperd.server.resume import Parting
-from mapperd.server.session import Session
-from mapperd.server.tcp import tcp_state
+from mapperd.server.session import Parting, Session
 from mapperd.wire.auth import Limits, TokenBucket
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import MAX_FROM_SERVER

@@ -1,4 +1,4 @@
-"""The map as the map stream serves it to its clients.
+"""The map as the map stream serves it to clients.
 
 All of it is of one thread, which is not that of the pings; the map itself is read under its own
 locks, each for some milliseconds at most.
@@ -18,12 +18,13 @@ from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.encoder import BlockEncoder
 from mapperd.server.map_index import ChangedRows, StoredBricks, View, vector_of
+from mapperd.server.priority_queue import Part
 from mapperd.server.subscription import Subscription
 from mapperd.store.metadata import Identity, fresh
 from mapperd.store.tile_store import TileStore
 from mapperd.wire.messages import Interest, MapFacts, Resume, Vector
 
-__all__ = ["Kept", "MapSource", "why_not"]
+__all__ = ["Kept", "MapSource", "MapView", "Source", "why_not"]
 
 
 def why_not(  # noqa: PLR0911 one reason each
@@ -332,3 +333,71 @@ _Changed = tuple[int, int, NDArray[np.int32], NDArray[np.uint64], NDArray[np.boo
 
 def _log_odds(probability: float) -> float:
     return math.log(probability / (1 - probability))
+
+
+class MapView(Protocol):
+    """What one client has been told of the map."""
+
+    resumed: bool
+    """What the client held was right."""
+
+    reason: str
+    """Why not."""
+
+    @property
+    def number(self) -> int:
+        """Number of the last message."""
+
+    @property
+    def left(self) -> int:
+        """Blocks that are still to be told."""
+
+    @property
+    def near_left(self) -> int:
+        """Of those the ones near the vehicle that belong to this pass, as of the last message."""
+
+    def next(self, position_m: Vector | None, most_bytes: int, part: Part = "any") -> bytes | None:
+        """The next message as it goes over the wire; None where all is told.
+
+        Args:
+            position_m: of the vehicle, what is nearest to it comes first.
+            most_bytes: about; one block is always told.
+            part: of the map, that it may be about.
+        """
+
+    def change(self, interest: Interest) -> None:
+        """Something else is of interest from now on."""
+
+    def settle(self, number: int) -> None:
+        """Note that the client has used the messages up to this one."""
+
+    def go_on(self, interest: Interest, number: int) -> bool:
+        """The client is back, and has messages up to this one; later ones are told again.
+
+        Returns:
+            whether it may keep what it holds.
+        """
+
+    def close(self) -> None:
+        """The client is gone."""
+
+
+class Source(Protocol):
+    """The map."""
+
+    @property
+    def session(self) -> str:
+        """Which the revisions are of."""
+
+    @property
+    def revision(self) -> int:
+        """As of the last look."""
+
+    def facts(self) -> MapFacts:
+        """What is the same for all of it."""
+
+    def look(self, now_ns: int, position_m: Vector | None = None) -> None:
+        """Find what changed since the last look, nearest to the vehicle first."""
+
+    def subscribe(self, interest: Interest, resume: Resume | None = None) -> MapView:
+        """Begin to tell a client."""

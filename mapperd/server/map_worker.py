@@ -9,11 +9,9 @@ from typing import NoReturn
 from mapperd.api import DaemonApi
 from mapperd.events import Severity
 from mapperd.server.connection import Around, Connection
-from mapperd.server.priority_queue import Part
-from mapperd.server.resume import Parting, ResumeCache
-from mapperd.server.schedule import Rooms
-from mapperd.server.session import Beginning, Wish
-from mapperd.server.source_protocol import MapView, Source
+from mapperd.server.map_source import MapView, Source
+from mapperd.server.priority_queue import Part, Rooms
+from mapperd.server.session import Beginning, Parting, ResumeCache, Wish
 from mapperd.server.state_feed import Feed
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import Interest, Reset, Resume, Vector

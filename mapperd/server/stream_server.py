@@ -19,11 +19,11 @@ from mapperd.api import DaemonApi
 from mapperd.events import Severity
 from mapperd.server.connection import Around, Connection
 from mapperd.server.listeners import Listener, Section, peer_of
+from mapperd.server.map_source import Source
 from mapperd.server.map_worker import MapRounds
+from mapperd.server.pacer import tune
 from mapperd.server.session import Common, Newcomer, Session
-from mapperd.server.source_protocol import Source
 from mapperd.server.state_feed import Feed
-from mapperd.server.tcp import tune
 from mapperd.wire.auth import FailureLimiter, Limits, TokenBucket
 from mapperd.wire.framing import StreamError
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import zstandard
 
-from mapperd.client.block_table import Cells
+from mapperd.client.mirror import Cells
 from mapperd.foxglove.geometry import Frames, transforms
 from mapperd.foxglove.map_publisher import map_cloud, map_rows
 from mapperd.foxglove.messages import FanShape, StateMessages

@@ -7,7 +7,7 @@ import pytest
 
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.map_worker import MapRounds, _Order
-from mapperd.server.schedule import Rooms
+from mapperd.server.priority_queue import Rooms
 from mapperd.wire.messages import Interest
 from tests.mapperd.server.sent_state import SECOND_NS, scatter, source_of
 from tests.mapperd.store.dive import CONFIG

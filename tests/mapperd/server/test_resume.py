@@ -11,7 +11,7 @@ import pytest
 from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.map_source import MapSource
-from mapperd.server.resume import PARKED_S, Ends, Parting, ResumeCache
+from mapperd.server.session import PARKED_S, Ends, Parting, ResumeCache
 from mapperd.server.subscription import MAX_MESSAGES, MOST_BLOCKS, InFlight
 from mapperd.wire.messages import Ack, Interest, Resume
 from tests.mapperd.server.sent_state import (

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapperd.server.pacer import MAX_IN_FLIGHT, Pacer
-from mapperd.server.schedule import (
+from mapperd.server.priority_queue import (
     ASIDE_S,
     DUTY,
     EACH,

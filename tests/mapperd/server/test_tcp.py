@@ -14,7 +14,7 @@ from unittest.mock import Mock
 import pytest
 
 from mapperd.server.connection import Connection
-from mapperd.server.tcp import CALM, TCP_CC_INFO, TcpState, tcp_state, tune
+from mapperd.server.pacer import CALM, TCP_CC_INFO, TcpState, tcp_state, tune
 from mapperd.wire.auth import Limits
 from tests.mapperd.server.watched import Bed, Watcher, bed_of, run
 from tests.support.control_server import TOKEN

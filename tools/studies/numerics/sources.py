@@ -18,7 +18,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "`mapping.Voxels`, `map_queries`, the client's mirror, LAS": _in(
         "mapperd/",
-        "client/block_table.py client/mirror.py compat/sonar_to_3d.py "
+        "client/mirror.py compat/sonar_to_3d.py "
         "export/calibration.py export/clouds.py export/las.py mapping/queries.py "
         "mapping/sonar_map.py",
     ),

@@ -15,7 +15,7 @@ from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.server.map_source import MapSource
 from mapperd.server.map_worker import next_frames
 from mapperd.server.pacer import Pacer
-from mapperd.server.schedule import Turns
+from mapperd.server.priority_queue import Turns
 from mapperd.wire.blocks import UNKNOWN, decode_blocks
 from mapperd.wire.framing import client_inbox
 from mapperd.wire.messages import BLOCK_EDGE, Blocks, Interest, MapFacts
