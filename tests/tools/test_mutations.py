@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from mutations.catalogue import CATALOGUE, REPOSITORY, Mutation, load, mutated
-from mutations.judge import judge_cpp, judge_pytest
+from mutations.judge import PATIENCE_S, End, is_endless, judge_cpp, judge_pytest
 from mutations.results import Result, Results, table
 from mutations.stamp import stamp, texts_of
 
@@ -95,6 +95,12 @@ def test_a_cpp_program_counts_as_failed_only_by_its_own_checks(
     code: int, out: str, how: str
 ) -> None:
     assert judge_cpp(code, out).how == how
+
+
+def test_a_time_limit_counts_only_if_the_unbroken_test_is_far_below_it() -> None:
+    assert is_endless(End("hang"), End("passed", seconds=0.1 * PATIENCE_S))
+    assert not is_endless(End("hang"), End("passed", seconds=0.5 * PATIENCE_S))
+    assert not is_endless(End("failed"), End("passed", seconds=1.0))
 
 
 def test_the_newest_result_counts(tmp_path: Path) -> None:

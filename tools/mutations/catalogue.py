@@ -26,7 +26,7 @@ class Mutation:
         killed_by: tests of which one must fail, tried in order: `tests/....py::test` for pytest,
             `program: part of a case's name` for the C++ tests.
         survives: why no test can fail, where the change has no effect; else empty.
-        may: ways to end that count as failing, besides checks that do: "hang", "crash".
+        may: ways to end that count as failing, besides a check or the time limit: "crash".
     """
 
     name: str

@@ -9,7 +9,16 @@ from mutations.broken_copy import MODULES, Copy
 from mutations.catalogue import Mutation
 from mutations.forked import run_forked
 
-__all__ = ["End", "judge_cpp", "judge_pytest", "program_of", "run_test", "targets_of"]
+__all__ = [
+    "PATIENCE_S",
+    "End",
+    "is_endless",
+    "judge_cpp",
+    "judge_pytest",
+    "program_of",
+    "run_test",
+    "targets_of",
+]
 
 PATIENCE_S = 120.0
 # Output of a test that a mutation has broken otherwise than meant.
@@ -24,12 +33,17 @@ class End:
         how: "passed", "failed", "hang", "crash" or "broken".
         words: its own.
         imported: whether it imported the mutated file.
+        seconds: its duration, where it is measured.
     """
 
     how: str
     words: str = ""
     imported: bool = False
+    seconds: float = 0.0
 
+
+MAX_SHARE = 0.25
+"""Of the time limit: a slower test is no evidence of an endless loop."""
 
 HANG = End("hang", f"no end within {PATIENCE_S:.0f} s")
 
@@ -70,6 +84,14 @@ def run_test(copy: Copy, test: str, mutation: Mutation | None) -> End:
     except subprocess.TimeoutExpired:
         return HANG
     return judge_cpp(ended.returncode, ended.stdout)
+
+
+def is_endless(end: End, whole: End) -> bool:
+    """Whether a mutation makes a test reach the time limit, rather than a slow test or a busy host.
+
+    The test must pass without the mutation (`whole`) in a fraction of the time limit.
+    """
+    return end.how == "hang" and whole.seconds < MAX_SHARE * PATIENCE_S
 
 
 def judge_pytest(code: int, out: str) -> End:

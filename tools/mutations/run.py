@@ -16,13 +16,14 @@ import resource
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 from studies.report import PAGES, write_section
 from tqdm import tqdm
 
 from mutations.broken_copy import Copy, NotBuiltError
 from mutations.catalogue import REPOSITORY, Mutation, load
-from mutations.judge import End, program_of, run_test, targets_of
+from mutations.judge import End, is_endless, program_of, run_test, targets_of
 from mutations.results import Result, Results, is_well, table
 from mutations.stamp import stamp
 
@@ -59,7 +60,7 @@ class Check:
         whole = self._whole_end(test)
         if whole.how != "passed":
             return "broken", test, f"unbroken, {test} ends so: {whole.how} {whole.words}"
-        outcome, words = self._outcome(mutation, end)
+        outcome, words = self._outcome(mutation, end, whole)
         return outcome, test, words
 
     def _first_to_notice(self, mutation: Mutation) -> tuple[str, End]:
@@ -73,18 +74,20 @@ class Check:
                 break
         return test, end
 
-    def _outcome(self, mutation: Mutation, end: End) -> tuple[str, str]:
+    def _outcome(self, mutation: Mutation, end: End, whole: End) -> tuple[str, str]:
         if end.how == "failed" and not mutation.is_cpp and not end.imported:
             return "broken", f"{mutation.file} was not imported: {end.words}"
-        failed = end.how in ("failed", *mutation.may)
+        failed = end.how in ("failed", *mutation.may) or is_endless(end, whole)
         return ("killed" if failed else "broken"), f"{end.how}: {end.words}"
 
     def _whole_end(self, test: str) -> End:
-        """How a test ends without any mutation; asked once."""
+        """How a test ends without any mutation; measured once."""
         if test not in self._whole:
             if not program_of(test):
                 self._copy.build(targets_of(test))
-            self._whole[test] = run_test(self._copy, test, None)
+            began_s = time.monotonic()
+            end = run_test(self._copy, test, None)
+            self._whole[test] = replace(end, seconds=time.monotonic() - began_s)
         return self._whole[test]
 
 
