@@ -58,9 +58,9 @@ def place_of(address: str) -> Place:
 def _usual_paths() -> tuple[Path, ...]:
     # Only here: the settings' types take longer to import than all of this package.
     from mapperd.config.tree import Config  # noqa: PLC0415
-    from mapperd.wire.socket_paths import map_socket_places  # noqa: PLC0415
+    from mapperd.wire.socket_paths import socket_places  # noqa: PLC0415
 
-    return tuple(map_socket_places(Config(), os.environ))
+    return tuple(socket_places(Config(), os.environ))
 
 
 READ_BYTES = 1 << 16

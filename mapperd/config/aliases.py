@@ -82,6 +82,18 @@ REPLACED = MappingProxyType({"mapping.integrator": ("projective", "evidence_grid
 """Value of an earlier version and the one that replaces it, by setting."""
 
 
+MERGED = (
+    (("address", "token_file", "tls_certificate", "tls_key"), "address", ("control", "stream")),
+    (("socket", "mode"), "socket", ("control", "stream")),
+    (("max_clients",), "max_clients", ("stream", "control")),
+)
+"""Settings of the former sections `control` and `stream` that `server` replaces.
+
+By group: the fields that belong together, the field that decides which section has them, and the
+sections in order of precedence.
+"""
+
+
 def change_renamed(changes: Mapping[str, Any]) -> dict[str, Any]:
     """Plain values by the settings' own names.
 
@@ -134,8 +146,7 @@ def tree_updated(tree: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ..
         the tree without ignored settings and with replaced values, and what was changed: one
         phrase a setting, for people.
     """
-    updated = dict(tree)
-    phrases = []
+    updated, phrases = _servers_merged(tree)
     for name in (*REMOVED, *IGNORED, *REPLACED):
         section, field = name.split(".")
         fields = updated.get(section)
@@ -149,6 +160,35 @@ def tree_updated(tree: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ..
             updated[section] = fields | {field: REPLACED[name][1]}
             phrases.append("{}: {} is now {}".format(name, *REPLACED[name]))
     return updated, tuple(phrases)
+
+
+def _servers_merged(tree: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Move what `control` and `stream` had for their own sockets to `server`."""
+    names = ("server", "control", "stream")
+    sections = {name: {} if tree.get(name) is None else tree[name] for name in names}
+    if not all(isinstance(fields, dict) for fields in sections.values()):
+        return dict(tree), []  # the check of the types reports it
+    server, *rest_of = (dict(fields) for fields in sections.values())
+    rest = dict(zip(("control", "stream"), rest_of, strict=True))
+    phrases = []
+    for fields, decisive, order in MERGED:
+        source = next((name for name in order if sections[name].get(decisive)), order[0])
+        for section in order:
+            for field in fields:
+                if field not in rest[section]:
+                    continue
+                value = rest[section].pop(field)
+                if section == source and field not in server:
+                    server[field] = value
+                    phrases.append(f"{section}.{field} is now server.{field}")
+                else:
+                    phrases.append(
+                        f"{section}.{field} is ignored: server.{field} applies to the map and to "
+                        "requests"
+                    )
+    moved = {"server": server, **rest}
+    kept = {name: value for name, value in tree.items() if name not in moved}
+    return kept | {name: fields for name, fields in moved.items() if fields}, phrases
 
 
 def _value(name: str, value: object) -> object:

@@ -13,12 +13,12 @@ from mapperd.config.field import rule
 
 __all__ = [
     "BacklogConfig",
-    "ControlConfig",
     "ExportConfig",
     "FramesConfig",
     "MqttConfig",
     "OutOfCoreConfig",
     "RecordingConfig",
+    "ServerConfig",
     "ServiceConfig",
     "StreamConfig",
     "TopicsConfig",
@@ -78,8 +78,8 @@ class BacklogConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 1.0
 
 
-class ControlConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """The sockets that `mapperctl` talks to."""
+class ServerConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """The socket and the TCP address that serve the live map and take requests."""
 
     socket: Annotated[
         str,
@@ -90,52 +90,20 @@ class ControlConfig(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = ""
     mode: Annotated[
-        str, rule("Permissions of the socket.", "octal digits", pattern="^0?[0-7]{3}$")
-    ] = "660"
-    address: Annotated[
-        str,
-        rule("TCP address to listen at, `127.0.0.1:7470`; needs a token.", "host:port or nothing"),
-    ] = ""
-    token_file: Annotated[
-        str,
-        rule(
-            "Holds the token of TCP; without one systemd's credential `control-token`.",
-            "a path or nothing",
-        ),
-    ] = ""
-    tls_certificate: Annotated[
-        str, rule("Chain in PEM; with it TCP is TLS.", "a path or nothing")
-    ] = ""
-    tls_key: Annotated[str, rule("Its private key in PEM.", "a path or nothing")] = ""
-    max_clients: Annotated[int, rule("At once, of all sockets.", "clients", ge=1, le=1000)] = 16
-
-
-class StreamConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """The live map for those who watch it: docs/reference/map-stream.md."""
-
-    socket: Annotated[
-        str,
-        rule(
-            "Unix socket; without one `mapperd-map.sock` beside the control socket.",
-            "an absolute path or nothing",
-            pattern="^(/[^\\x00]*)?$",
-        ),
-    ] = ""
-    mode: Annotated[
-        str, rule("Permissions of the socket.", "octal digits", pattern="^0?[0-7]{3}$")
+        str, rule("Permissions of the Unix socket.", "octal digits", pattern="^0?[0-7]{3}$")
     ] = "660"
     address: Annotated[
         str,
         rule(
-            "TCP address to listen at, `127.0.0.1:7471`; others than the loopback's need a token.",
+            "TCP address to listen on, `127.0.0.1:7471`; others than the loopback's need a token.",
             "host:port or nothing",
         ),
     ] = ""
     token_file: Annotated[
         str,
         rule(
-            "Holds the token of TCP; without one systemd's credential `stream-token`. Without "
-            "either, clients of TCP may look and change nothing.",
+            "Holds the token of TCP; without one systemd's credential `server-token`. Without "
+            "either, clients of TCP may read everything and change nothing.",
             "a path or nothing",
         ),
     ] = ""
@@ -143,7 +111,14 @@ class StreamConfig(Struct, frozen=True, forbid_unknown_fields=True):
         str, rule("Chain in PEM; with it TCP is TLS.", "a path or nothing")
     ] = ""
     tls_key: Annotated[str, rule("Its private key in PEM.", "a path or nothing")] = ""
-    max_clients: Annotated[int, rule("At once, of all sockets.", "clients", ge=1, le=1000)] = 100
+    max_clients: Annotated[
+        int, rule("Clients that follow the map at once.", "clients", ge=1, le=1000)
+    ] = 100
+
+
+class StreamConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """How the live map is sent: docs/reference/map-stream.md."""
+
     rate: Annotated[
         float, rule("Looks for changes of the map a second.", "Hz", live=True, gt=0, le=20)
     ] = 5.0

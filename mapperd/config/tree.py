@@ -14,12 +14,12 @@ from msgspec import Struct
 from mapperd.config.amcl import AmclConfig
 from mapperd.config.daemon import (
     BacklogConfig,
-    ControlConfig,
     ExportConfig,
     FramesConfig,
     MqttConfig,
     OutOfCoreConfig,
     RecordingConfig,
+    ServerConfig,
     ServiceConfig,
     StreamConfig,
     TopicsConfig,
@@ -40,7 +40,6 @@ __all__ = [
     "AmclConfig",
     "BacklogConfig",
     "Config",
-    "ControlConfig",
     "CrosstalkConfig",
     "DeviceConfig",
     "ExportConfig",
@@ -60,6 +59,7 @@ __all__ = [
     "RecordingConfig",
     "RobotDetectionConfig",
     "ScanExtractionConfig",
+    "ServerConfig",
     "ServiceConfig",
     "SlamQualityConfig",
     "SonarConfig",
@@ -372,7 +372,7 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     recording: RecordingConfig = RecordingConfig()
     service: ServiceConfig = ServiceConfig()
     behind: BacklogConfig = BacklogConfig()
-    control: ControlConfig = ControlConfig()
+    server: ServerConfig = ServerConfig()
     stream: StreamConfig = StreamConfig()
     mqtt: MqttConfig = MqttConfig()
     export: ExportConfig = ExportConfig()

@@ -73,7 +73,7 @@ def map_live(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
 
     Raises:
         ConfigError: a library that a link needs is not installed, or the settings are wrong.
-        LiveError: the control socket cannot be listened at.
+        LiveError: an address cannot be listened on.
         OculusError: the sonar cannot be looked for, or not be configured as the settings require.
         StoreError: the map's file cannot be used.
     """

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from mapperd.api import DaemonApi
-from mapperd.config.daemon import ControlConfig, StreamConfig
+from mapperd.config.daemon import ServerConfig
 from mapperd.config.tree import Config
 from mapperd.daemon.daemon import Daemon
 from mapperd.daemon.debug_pictures import draw_pictures
@@ -18,7 +18,6 @@ from mapperd.errors import ConfigError
 from mapperd.events import EventLog, Severity
 from mapperd.server.listeners import (
     Listener,
-    Section,
     address_of,
     inherited_listener,
     open_tcp_listener,
@@ -29,9 +28,8 @@ from mapperd.server.map_source import Source
 from mapperd.server.state_feed import Feed
 from mapperd.server.stream_server import StreamServer
 from mapperd.telemetry.telemetry import Telemetry
-from mapperd.wire.auth import CREDENTIAL as CONTROL_CREDENTIAL
-from mapperd.wire.auth import read_token, token_file
-from mapperd.wire.socket_paths import map_socket_path, socket_path
+from mapperd.wire.auth import CREDENTIALS, read_token, token_file
+from mapperd.wire.socket_paths import socket_path
 from oculus_driver.ping import Ping
 
 __all__ = [
@@ -83,11 +81,6 @@ async def serving(
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-CREDENTIALS: Mapping[Section, str] = MappingProxyType(
-    {"control": CONTROL_CREDENTIAL, "stream": "stream-token"}
-)
-"""Names of systemd's credentials with tokens, by section of the settings."""
-
 FOLLOWS = ("stream.rate",)
 """Live settings of the server, read when needed."""
 
@@ -109,95 +102,78 @@ def stream_server(
         source: the map.
         environ: the process's variables: folders and credentials of systemd, or the user's.
         now_ns: Unix time that is never set back.
-        inherited: Unix sockets that the service manager opened, `control` and `map`, instead of
-            our own.
+        inherited: Unix sockets that the service manager opened, by name; they replace our own.
 
     Raises:
-        ConfigError: an address, a token, a certificate is wrong or missing.
-        LiveError: something cannot be listened at.
+        ConfigError: an address, a token or a certificate is wrong or missing.
+        LiveError: an address cannot be listened on.
     """
     settings, events = operations.settings, operations.events
-    with ExitStack() as undo:
-        doors = open_listeners(
-            "control", settings.current, events, environ, inherited.get("control")
-        )
-        for door in doors:
-            undo.callback(door.close)
-        doors += open_listeners("stream", settings.current, events, environ, inherited.get("map"))
-        undo.pop_all()
+    listeners = open_listeners(settings.current, events, environ, inherited)
     feed = Feed(operations, lambda: live.mapping.snapshot, settings.current.stream.path_points)
     live.mapping.pipeline.executor.on_ping = feed.put
     settings.follow(FOLLOWS, lambda _: None)
-    return StreamServer(operations, doors, feed, source, now_ns=now_ns)
+    return StreamServer(operations, listeners, feed, source, now_ns=now_ns)
 
 
 def open_listeners(
-    section: Section,
     config: Config,
     events: EventLog,
     environ: Mapping[str, str],
-    inherited: socket.socket | None = None,
+    inherited: Mapping[str, socket.socket] = MappingProxyType({}),
 ) -> list[Listener]:
-    """Open the Unix socket of a section of the settings, and its TCP socket if it has an address.
+    """Open the Unix socket, and the TCP socket if `server.address` is set.
 
     Args:
-        section: of the settings.
         config: the settings.
         events: for warnings.
         environ: as of `stream_server`.
-        inherited: a Unix socket that the service manager opened, instead of our own.
+        inherited: as of `stream_server`.
 
     Raises:
         ConfigError, LiveError: as `stream_server`.
     """
-    settings = config.control if section == "control" else config.stream
-    place = socket_path if section == "control" else map_socket_path
+    settings = config.server
     mode = int(settings.mode, 8)
     with ExitStack() as undo:
-        if inherited is None:
-            listeners = [open_unix_listener(place(config, environ), mode, section)]
+        if inherited:
+            listeners = [inherited_listener(given) for given in inherited.values()]
         else:
-            listeners = [inherited_listener(inherited, section)]
-        undo.callback(listeners[0].close)
-        if inherited is None and mode & 0o007:
+            listeners = [open_unix_listener(socket_path(config, environ), mode)]
+        for listener in listeners:
+            undo.callback(listener.close)
+        if not inherited and mode & 0o007:
             text = (
-                f"{section}.mode {settings.mode}: every user of this computer may steer the "
-                "mapper; 660 lets its group alone"
+                f"server.mode {settings.mode}: every user of this computer may control the "
+                "mapper; 660 restricts it to the socket's group"
             )
-            events.add(Severity.WARNING, f"{section}_for_all", text)
+            events.add(Severity.WARNING, "server_for_all", text)
         if settings.address:
-            listeners.append(_tcp_listener(section, settings, environ, events))
+            listeners.append(_tcp_listener(settings, environ, events))
         undo.pop_all()
     return listeners
 
 
-def _tcp_listener(
-    section: Section,
-    settings: ControlConfig | StreamConfig,
-    environ: Mapping[str, str],
-    events: EventLog,
-) -> Listener:
-    host, _ = address_of(settings.address, section)
+def _tcp_listener(settings: ServerConfig, environ: Mapping[str, str], events: EventLog) -> Listener:
+    host, _ = address_of(settings.address)
     if settings.tls_key and not settings.tls_certificate:
-        place = f"$.{section}.tls_certificate"
-        raise ConfigError(f"{section}.tls_key has no certificate", place)
+        raise ConfigError("server.tls_key has no certificate", "$.server.tls_certificate")
     tls = None
     if settings.tls_certificate:
-        tls = server_tls(settings.tls_certificate, settings.tls_key, section)
-    place = f"$.{section}.token_file"
-    path = token_file(settings.token_file, environ, CREDENTIALS[section])
-    token = None if path is None else read_token(path, place)
-    if token is None and (section == "control" or not host.is_loopback):
-        also = "" if section == "control" else "; allowed without one: addresses of the loopback"
+        tls = server_tls(settings.tls_certificate, settings.tls_key)
+    path = token_file(settings.token_file, environ)
+    token = None if path is None else read_token(path)
+    if token is None and not host.is_loopback:
         raise ConfigError(
-            f"{section}.address {settings.address} needs a token: set {section}.token_file, or "
-            f"give systemd the credential {CREDENTIALS[section]}{also}",
-            place,
+            f"server.address {settings.address} needs a token: set server.token_file, or give "
+            f"systemd the credential {CREDENTIALS[0]}; only addresses of the loopback may go "
+            "without",
+            "$.server.token_file",
         )
     if tls is None and not host.is_loopback:
         text = (
-            f"{section} at {settings.address}: everybody on that network can read along, and take "
-            f"over a connection; {section}.tls_certificate prevents it"
+            f"server.address {settings.address}: everyone on that network can read along and take "
+            "over a connection; server.tls_certificate prevents it"
         )
-        events.add(Severity.WARNING, f"{section}_in_clear", text)
-    return open_tcp_listener(settings.address, token, tls, section)
+        events.add(Severity.WARNING, "server_in_clear", text)
+    return open_tcp_listener(settings.address, token, tls)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from mapperd.api import DaemonApi
-from mapperd.server.listeners import Section
 from mapperd.server.pacer import tcp_state
 from mapperd.server.requests import answer
 from mapperd.server.session import Parting, Session
@@ -63,19 +62,17 @@ class Connection(asyncio.BufferedProtocol):
     Args:
         session: of the client.
         origin: client, for events and settings.
-        section: of the settings, of the listener that it connected to.
         around: what it shares with others.
 
     Attributes:
-        session, origin, section: as given.
+        session, origin: as given.
         is_over: nothing is said any more.
         is_for_good: and that is no fault of the link.
     """
 
-    def __init__(self, session: Session, origin: str, section: Section, around: Around) -> None:
+    def __init__(self, session: Session, origin: str, around: Around) -> None:
         self.session = session
         self.origin = origin
-        self.section = section
         self.is_over = self.is_for_good = False
         self._around = around
         self._transport: asyncio.Transport | None = None

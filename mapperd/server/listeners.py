@@ -1,4 +1,4 @@
-"""The sockets that the daemon listens at, opened so that nobody is in who should not be."""
+"""Sockets that the daemon listens on, with permissions, token and TLS."""
 
 import contextlib
 import errno
@@ -13,13 +13,11 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from mapperd.errors import ConfigError, LiveError
 
 __all__ = [
     "Listener",
-    "Section",
     "address_of",
     "inherited_listener",
     "open_tcp_listener",
@@ -31,14 +29,11 @@ __all__ = [
 BACKLOG = 64
 
 KEEPALIVE = ((socket.TCP_KEEPIDLE, 30), (socket.TCP_KEEPINTVL, 10), (socket.TCP_KEEPCNT, 3))
-"""Who listens and is gone without a word is noticed after a minute."""
+"""Detects a client that vanished without closing within a minute."""
 
 ADDRESS = re.compile(
     r"(?:(?P<v4>localhost|[0-9.]+)|\[(?P<v6>[0-9A-Fa-f:.]+)\]):(?P<port>[0-9]{1,5})"
 )
-
-
-Section = Literal["control", "stream"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,13 +41,12 @@ class Listener:
     """A socket that listens.
 
     Attributes:
-        name: for people.
-        socket: does not block.
-        token: who comes has to prove that it knows it; None where file permissions decide, or
-            where everybody on this computer may come in.
-        tls: encrypts; None does not.
-        close: lets go of it.
-        section: of the settings; limits the clients of its listeners together.
+        name: address, for people.
+        socket: non-blocking.
+        token: clients prove that they know it; None where file permissions decide, or where
+            everybody on this computer may read.
+        tls: encryption; None for plain connections.
+        close: closes the socket and removes its file.
     """
 
     name: str
@@ -60,17 +54,16 @@ class Listener:
     token: bytes | None
     tls: ssl.SSLContext | None
     close: Callable[[], None]
-    section: Section = "control"
 
 
-def open_unix_listener(path: Path, mode: int, section: Section = "control") -> Listener:
-    """Listen at a Unix socket; one that a dead process left is replaced.
+def open_unix_listener(path: Path, mode: int) -> Listener:
+    """Listen on a Unix socket; the socket of a dead process is replaced.
 
-    It comes into its place with its permissions, and only who holds the lock beside it puts it
-    there: at no moment may others connect, and no living daemon loses its socket.
+    The socket gets its permissions before it is renamed into place, under a lock beside it: other
+    users can never connect, and a living daemon never loses its socket.
 
     Raises:
-        LiveError: another process listens there, something else is there, or it cannot be made.
+        LiveError: another process listens there, another file is there, or it cannot be created.
     """
     listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     partial = path.with_name(f".{path.name}.{os.getpid()}")
@@ -86,7 +79,7 @@ def open_unix_listener(path: Path, mode: int, section: Section = "control") -> L
             _bind(listening, partial, mode)
             partial.rename(path)
         except OSError as error:
-            raise LiveError(f"{path}: cannot be listened at: {_why(error)}") from error
+            raise LiveError(f"{path}: cannot be listened on: {_why(error)}") from error
         listening.settimeout(0)
         mine = path.stat().st_ino
         undo.pop_all()
@@ -98,45 +91,37 @@ def open_unix_listener(path: Path, mode: int, section: Section = "control") -> L
                 path.unlink()
         os.close(lock)
 
-    return Listener(f"unix {path}", listening, None, None, close, section)
+    return Listener(f"unix {path}", listening, None, None, close)
 
 
-def inherited_listener(listening: socket.socket, section: Section = "control") -> Listener:
-    """A Unix socket that the service manager opened: its permissions are the manager's.
-
-    Args:
-        listening: the socket.
-        section: of the settings, for messages.
+def inherited_listener(listening: socket.socket) -> Listener:
+    """Use a Unix socket that the service manager opened, with the manager's permissions.
 
     Raises:
-        ConfigError: it is not a listening Unix socket; anybody could come in by another.
+        ConfigError: it is not a listening Unix socket; other sockets have no access control.
     """
     is_unix = listening.family == socket.AF_UNIX and listening.type == socket.SOCK_STREAM
     if not is_unix or not listening.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
         listening.close()
-        text = f"the inherited {section} socket is not a listening Unix socket"
-        raise ConfigError(text, f"$.{section}")
+        raise ConfigError("the inherited socket is not a listening Unix socket", "$.server")
     listening.settimeout(0)
     name = f"unix {os.fsdecode(listening.getsockname())}"
-    return Listener(name, listening, None, None, listening.close, section)
+    return Listener(name, listening, None, None, listening.close)
 
 
-def open_tcp_listener(
-    address: str, token: bytes | None, tls: ssl.SSLContext | None, section: Section = "control"
-) -> Listener:
-    """Listen at a TCP address.
+def open_tcp_listener(address: str, token: bytes | None, tls: ssl.SSLContext | None) -> Listener:
+    """Listen on a TCP address.
 
     Args:
-        address: `127.0.0.1:7470`, `[::1]:7470`; port 0 takes any.
-        token: has to be known; None lets everybody in.
-        tls: encrypts.
-        section: of the settings, for messages.
+        address: `127.0.0.1:7471`, `[::1]:7471`; port 0 takes any free port.
+        token: clients must know it; None admits everyone, for reading.
+        tls: encryption; None for plain connections.
 
     Raises:
-        ConfigError: it is no address.
-        LiveError: it cannot be listened at.
+        ConfigError: the address is invalid.
+        LiveError: the address cannot be listened on.
     """
-    host, port = address_of(address, section)
+    host, port = address_of(address)
     is_v6 = isinstance(host, ipaddress.IPv6Address)
     family = socket.AF_INET6 if is_v6 else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
@@ -148,50 +133,43 @@ def open_tcp_listener(
         listening.listen(BACKLOG)
     except OSError as error:
         listening.close()
-        raise LiveError(f"{address}: cannot be listened at: {_why(error)}") from error
+        raise LiveError(f"{address}: cannot be listened on: {_why(error)}") from error
     listening.settimeout(0)
     shown = f"[{host}]" if is_v6 else f"{host}"
     name = f"{'tls' if tls else 'tcp'} {shown}:{listening.getsockname()[1]}"
-    return Listener(name, listening, token, tls, listening.close, section)
+    return Listener(name, listening, token, tls, listening.close)
 
 
-def address_of(
-    text: str, section: str = "control"
-) -> tuple[ipaddress.IPv4Address | ipaddress.IPv6Address, int]:
-    """IP address and port of a text.
-
-    Args:
-        text: as `open_tcp_listener` takes it.
-        section: of the settings, for messages.
+def address_of(text: str) -> tuple[ipaddress.IPv4Address | ipaddress.IPv6Address, int]:
+    """Parse an IP address and port, as `open_tcp_listener` takes them.
 
     Raises:
-        ConfigError: it is none.
+        ConfigError: the text is not an address with a port.
     """
     found = ADDRESS.fullmatch(text)
     try:
         if found is None or int(found["port"]) >= 1 << 16:
             raise ConfigError(
-                f"{text[:100]!a}: no address; such as 127.0.0.1:7470 or [::1]:7470",
-                f"$.{section}.address",
+                f"{text[:100]!a}: not an address; expected 127.0.0.1:7471 or [::1]:7471",
+                "$.server.address",
             )
         if found["v6"]:
             return ipaddress.IPv6Address(found["v6"]), int(found["port"])
         v4 = "127.0.0.1" if found["v4"] == "localhost" else found["v4"]
         return ipaddress.IPv4Address(v4), int(found["port"])
     except ValueError as error:
-        raise ConfigError(f"{text[:100]!a}: {error}", f"$.{section}.address") from error
+        raise ConfigError(f"{text[:100]!a}: {error}", "$.server.address") from error
 
 
-def server_tls(certificate: str, key: str, section: str = "control") -> ssl.SSLContext:
-    """Encryption with a certificate and its key.
+def server_tls(certificate: str, key: str) -> ssl.SSLContext:
+    """Return the TLS context of a certificate and its key.
 
     Args:
         certificate: chain in PEM.
-        key: its private key; "" is in the same file.
-        section: of the settings, for messages.
+        key: its private key; "" if the same file holds it.
 
     Raises:
-        ConfigError: they cannot be read, or do not belong together.
+        ConfigError: the files cannot be read, or do not belong together.
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
@@ -199,14 +177,14 @@ def server_tls(certificate: str, key: str, section: str = "control") -> ssl.SSLC
         context.load_cert_chain(certificate, key or None, password=lambda: "")
     except (OSError, ValueError) as error:  # SSLError is an OSError
         raise ConfigError(
-            f"{certificate}, {key or 'no key'}: no certificate with its key: {error}",
-            f"$.{section}.tls_certificate",
+            f"{certificate}, {key or 'no key'}: not a certificate with its key: {error}",
+            "$.server.tls_certificate",
         ) from error
     return context
 
 
 def peer_of(connection: socket.socket, address: object) -> tuple[str, str]:
-    """Who connected: its network address, empty for a Unix socket; and what people call it."""
+    """Return a client's network address, "" for a Unix socket, and its name for people."""
     if connection.family == socket.AF_UNIX:
         size = struct.calcsize("3i")
         credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
@@ -220,7 +198,7 @@ def peer_of(connection: socket.socket, address: object) -> tuple[str, str]:
 
 
 def _lock(path: Path) -> int:
-    """Be the only one who puts a socket there, until the handle is closed or the process ends."""
+    """Lock the path of a socket until the handle is closed or the process ends."""
     flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
     handle = os.open(path.with_name(f".{path.name}.lock"), flags, 0o600)
     try:
@@ -232,13 +210,13 @@ def _lock(path: Path) -> int:
 
 
 def _require_free(path: Path) -> None:
-    """Nothing is there, or a socket that nobody listens at any more."""
+    """Raise OSError unless the path is free or holds the socket of a dead process."""
     try:
         kind = path.lstat().st_mode
     except FileNotFoundError:
         return
     if not stat.S_ISSOCK(kind):
-        raise FileExistsError(errno.EEXIST, "something is there that is not a socket")
+        raise FileExistsError(errno.EEXIST, "something other than a socket is there")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(1.0)
         try:

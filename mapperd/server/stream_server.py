@@ -18,7 +18,7 @@ from typing import Any, Self
 from mapperd.api import DaemonApi
 from mapperd.events import Severity
 from mapperd.server.connection import Around, Connection
-from mapperd.server.listeners import Listener, Section, peer_of
+from mapperd.server.listeners import Listener, peer_of
 from mapperd.server.map_source import Source
 from mapperd.server.map_worker import MapRounds
 from mapperd.server.pacer import tune
@@ -50,7 +50,7 @@ class StreamServer:
         doors: that it listens at; closed with the server.
         feed: what the daemon knows.
         source: the map.
-        limits: what clients may take; `clients` are those of each section of the settings.
+        limits: what clients may take; `clients` are those that follow the map.
         clock: seconds, monotonic.
         now_ns: Unix time that is never set back.
     """
@@ -70,13 +70,9 @@ class StreamServer:
         self._operations = operations
         self._doors = tuple(doors)
         self._feed = feed
-        self._limits = limits or Limits(clients=config.stream.max_clients, newcomers=NEWCOMERS)
+        self._limits = limits or Limits(clients=config.server.max_clients, newcomers=NEWCOMERS)
         self._clock = clock
         self._counters: Counter[str] = Counter()
-        self._max_clients: dict[Section, int] = {
-            "control": limits.clients if limits else config.control.max_clients,
-            "stream": limits.clients if limits else config.stream.max_clients,
-        }
         self._clients: dict[Connection, None] = {}
         self._newcomers: dict[Listener, dict[Connection, asyncio.Task[None]]] = {}
         self._common = Common(
@@ -186,8 +182,7 @@ class StreamServer:
         may_change = door.token is not None or connection.family == socket.AF_UNIX
         newcomer = Newcomer(peer, challenge, door.token)
         session = Session(self._common, newcomer, may_change=may_change)
-        purpose = "control" if door.section == "control" else "map stream"
-        client = Connection(session, f"{purpose}, {who}", door.section, self._around)
+        client = Connection(session, f"control, {who}", self._around)
         newcomers = self._newcomers[door]
         while len(newcomers) >= self._limits.newcomers:
             oldest = next(iter(newcomers))
@@ -221,9 +216,10 @@ class StreamServer:
         wish = client.session.wish
         if wish is not None and wish.resume is not None:
             self._take_over(wish.resume.ticket, client)
-        # Counted by section: viewers of the map must not keep out those who control.
-        clients = sum(other.section == client.section for other in self._clients)
-        if clients >= self._max_clients[client.section]:
+        # Followers of the map must not keep out operators, who only send requests.
+        follows = bool(client.session.wants)
+        clients = sum(bool(other.session.wants) == follows for other in self._clients)
+        if clients >= (self._limits.clients if follows else self._limits.operators):
             text = f"{clients} clients are connected; allowed: that many"
             raise StreamError(text, "too_many_clients")
         self._drop_newcomer(client)

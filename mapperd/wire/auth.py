@@ -11,7 +11,7 @@ from pathlib import Path
 from mapperd.errors import ConfigError
 
 __all__ = [
-    "CREDENTIAL",
+    "CREDENTIALS",
     "FailureLimiter",
     "Limits",
     "TokenBucket",
@@ -27,7 +27,8 @@ class Limits:
     """Bounds of what clients can do, wittingly or not.
 
     Attributes:
-        clients: of all sockets together, that said hello.
+        clients: that follow the map, of all sockets together.
+        operators: that only send requests, of all sockets together.
         newcomers: of one socket, that did not yet; one more and the oldest of them is cut.
         connects_per_s, connects_at_once: of one socket; more have to wait.
         asks_per_s, asks_at_once: of one client; more have to wait.
@@ -35,6 +36,7 @@ class Limits:
     """
 
     clients: int = 16
+    operators: int = 16
     newcomers: int = 8
     connects_per_s: float = 50.0
     connects_at_once: int = 50
@@ -79,8 +81,8 @@ class TokenBucket:
         self._left = min(self._at_once, self._left + passed_s * self._per_s)
 
 
-CREDENTIAL = "control-token"
-"""Name of systemd's credential."""
+CREDENTIALS = ("server-token", "control-token", "stream-token")
+"""Names of systemd's credential: the present one, then those of earlier versions."""
 
 MIN_LETTERS, MAX_BYTES = 16, 1024
 PURPOSE = b"mapperd-control-1 "
@@ -88,18 +90,16 @@ IPV6_SITE = 64
 """Bits: who has one address there has all of these."""
 
 
-def token_file(
-    setting: str, environ: Mapping[str, str], credential: str = CREDENTIAL
-) -> Path | None:
-    """Where the token is: as the settings say, else among systemd's credentials, else nowhere."""
+def token_file(setting: str, environ: Mapping[str, str]) -> Path | None:
+    """Return the token's file: `server.token_file`, else a credential of systemd, else None."""
     if setting:
         return Path(setting)
-    credentials = environ.get("CREDENTIALS_DIRECTORY", "")
-    path = Path(credentials, credential)
-    return path if credentials and path.exists() else None
+    folder = environ.get("CREDENTIALS_DIRECTORY", "")
+    paths = [Path(folder, name) for name in CREDENTIALS] if folder else []
+    return next(filter(Path.exists, paths), None)
 
 
-def read_token(path: Path, place: str = "$.control.token_file") -> bytes:
+def read_token(path: Path, place: str = "$.server.token_file") -> bytes:
     """Read a token: one word of at least 16 printable letters.
 
     Args:

@@ -1,4 +1,4 @@
-"""Where the Unix socket is: for the daemon that makes it, and for those who look for it."""
+"""The path of the daemon's Unix socket, for the daemon and for its clients."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,35 +6,24 @@ from pathlib import Path
 from mapperd.config.paths import state_folder
 from mapperd.config.tree import Config
 
-__all__ = [
-    "MAP_SOCKET",
-    "SOCKET",
-    "SYSTEM",
-    "map_socket_path",
-    "map_socket_places",
-    "socket_path",
-    "socket_places",
-]
+__all__ = ["SOCKET", "SYSTEM", "socket_path", "socket_places"]
 
 SOCKET = "mapperd.sock"
 
-MAP_SOCKET = "mapperd-map.sock"
-"""Of the map stream, in the same folder."""
-
 SYSTEM = Path("/run/mapperd")
-"""What systemd makes of `RuntimeDirectory=mapperd`."""
+"""The folder that systemd makes for `RuntimeDirectory=mapperd`."""
 
 
 def socket_path(config: Config, environ: Mapping[str, str]) -> Path:
-    """Where a daemon listens: `control.socket`, else in systemd's runtime folder, or the user's.
+    """Return the path that a daemon listens on.
 
     Args:
-        config: the settings.
+        config: the settings; `server.socket` comes first.
         environ: the process's variables: $RUNTIME_DIRECTORY is systemd's, $XDG_RUNTIME_DIR the
             user's; with neither, the socket is in the folder of the maps.
     """
-    if config.control.socket:
-        return Path(config.control.socket)
+    if config.server.socket:
+        return Path(config.server.socket)
     given = environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
     for folder in (given, environ.get("XDG_RUNTIME_DIR", "")):
         if Path(folder).is_absolute():
@@ -43,25 +32,9 @@ def socket_path(config: Config, environ: Mapping[str, str]) -> Path:
 
 
 def socket_places(config: Config, environ: Mapping[str, str], system: Path = SYSTEM) -> list[Path]:
-    """Where to look for a daemon, in this order: the user's own, then the machine's."""
-    if config.control.socket:
-        return [Path(config.control.socket)]
+    """Return where a client looks for a daemon, in order: the user's socket, then the machine's."""
+    if config.server.socket:
+        return [Path(config.server.socket)]
     bare = {name: value for name, value in environ.items() if name != "RUNTIME_DIRECTORY"}
     own = socket_path(config, bare)
     return list(dict.fromkeys((own, system / SOCKET, state_folder(config, bare) / SOCKET)))
-
-
-def map_socket_path(config: Config, environ: Mapping[str, str]) -> Path:
-    """Where a daemon serves the map stream: `stream.socket`, else beside the control socket."""
-    if config.stream.socket:
-        return Path(config.stream.socket)
-    return socket_path(config, environ).with_name(MAP_SOCKET)
-
-
-def map_socket_places(
-    config: Config, environ: Mapping[str, str], system: Path = SYSTEM
-) -> list[Path]:
-    """Where to look for a daemon's map stream, in this order."""
-    if config.stream.socket:
-        return [Path(config.stream.socket)]
-    return [path.with_name(MAP_SOCKET) for path in socket_places(config, environ, system)]

@@ -121,10 +121,10 @@ class Served:
             streams = await asyncio.open_connection(at[0], at[1])
         return Line(*streams)
 
-    async def line(self, kind: str = "unix", token: bytes = TOKEN) -> "Line":
+    async def line(self, kind: str = "unix", token: bytes = TOKEN, **more: Any) -> "Line":
         """Connect and authenticate."""
         line = await self.raw(kind)
-        welcome = await line.hello(token)
+        welcome = await line.hello(token, **more)
         assert welcome["t"] == "welcome", welcome
         return line
 
@@ -255,9 +255,7 @@ async def served(
     if "tcp" in kinds:
         doors["tcp"] = open_tcp_listener("127.0.0.1:0", TOKEN, None)
     if "open" in kinds:
-        doors["open"] = open_tcp_listener("127.0.0.1:0", None, None, "stream")
-    if "map" in kinds:
-        doors["map"] = open_unix_listener(folder / "map.sock", 0o660, "stream")
+        doors["open"] = open_tcp_listener("127.0.0.1:0", None, None)
     if tls is not None:
         doors["tls"] = open_tcp_listener("127.0.0.1:0", TOKEN, tls[0])
     feed = Feed(daemon, lambda: None, 1000)

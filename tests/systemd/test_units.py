@@ -69,7 +69,7 @@ def test_the_daemon_is_supervised_by_its_messages() -> None:
     assert unit["RestartPreventExitStatus"] == [str(int(Exit.BAD_CONFIG))]
     for name in ("StateDirectory", "LogsDirectory", "RuntimeDirectory", "ConfigurationDirectory"):
         assert unit[name] == ["mapperd"]
-    wanted = {"mqtt-password", "control-token", "stream-token"}
+    wanted = {"mqtt-password", "server-token", "control-token", "stream-token"}
     assert {value.partition(":")[0] for value in unit["LoadCredential"]} == wanted
 
 

@@ -132,7 +132,7 @@ def _over_tcp(args: argparse.Namespace, config: Config) -> Target:
     try:
         host, port = address_of(args.address)
         path = args.token_file or (
-            Path(config.control.token_file) if config.control.token_file else None
+            Path(config.server.token_file) if config.server.token_file else None
         )
         token = b"" if path is None else read_token(path)
     except ConfigError as error:

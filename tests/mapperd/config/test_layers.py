@@ -1,10 +1,12 @@
 import os
+import re
 from pathlib import Path
 
 import pytest
 
 from mapperd.config.aliases import IGNORED
 from mapperd.config.catalog import parameters
+from mapperd.config.daemon import ServerConfig
 from mapperd.config.layers import DEFAULT, load_files, load_settings, settings_files
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
@@ -143,3 +145,42 @@ def test_folder_that_may_not_be_read_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "conf.d").mkdir(mode=0)
     with pytest.raises(ConfigError, match="cannot be read"):
         settings_files([], {}, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "server", "ignored"),
+    [
+        (  # one address: with its token, whichever section had it
+            "stream: {address: '0.0.0.0:2', token_file: /b, rate: 2}\ncontrol: {mode: '600'}",
+            ServerConfig(address="0.0.0.0:2", token_file="/b", mode="600"),  # noqa: S106 a path
+            [],
+        ),
+        (  # two: an address never gets the token or the certificate of the other
+            """
+            control: {address: '[::1]:1', token_file: /a}
+            stream: {address: '0.0.0.0:2', token_file: /b, tls_certificate: /c, max_clients: 9}
+            """,
+            ServerConfig(address="[::1]:1", token_file="/a", max_clients=9),  # noqa: S106 a path
+            ["stream.address", "stream.token_file", "stream.tls_certificate"],
+        ),
+        (  # the present name counts
+            "server: {socket: /new}\ncontrol: {socket: /old}",
+            ServerConfig(socket="/new"),
+            ["control.socket"],
+        ),
+        ("control: {}\nstream:", ServerConfig(), []),
+    ],
+)
+def test_sections_of_sockets_are_merged(
+    tmp_path: Path, text: str, server: ServerConfig, ignored: list[str]
+) -> None:
+    layered = load_files([write(tmp_path / "mapperd.yaml", text)])
+    assert layered.config.server == server
+    found = re.findall(r"([a-z.]+_?[a-z]*) is ignored: server", layered.notice)
+    assert found == ignored
+
+
+@pytest.mark.parametrize("text", ["control: 0", "control: {other: 1}", "server: 3\ncontrol: {}"])
+def test_errors_in_merged_sections_are_reported(tmp_path: Path, text: str) -> None:
+    with pytest.raises(ConfigError, match=r"control|server"):
+        load_files([write(tmp_path / "mapperd.yaml", text)])

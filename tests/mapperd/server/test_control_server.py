@@ -226,15 +226,15 @@ def test_as_many_as_allowed_are_let_in(short: Path) -> None:
         for line in (*lines, refused):
             line.close()
 
-    go(work, short, limits=Limits(clients=3))
+    go(work, short, limits=Limits(operators=3))
 
 
-def test_viewers_do_not_keep_out_those_who_control(short: Path) -> None:
+def test_viewers_do_not_keep_out_operators(short: Path) -> None:
     async def work(one: Served) -> None:
-        viewers = [await one.line("map"), await one.line("open")]
-        for kind in ("map", "open"):
+        viewers = [await one.line(kind, wants=["map"]) for kind in ("unix", "open")]
+        for kind in ("unix", "tcp", "open"):
             refused = await one.raw(kind)
-            assert (await refused.hello())["reason"] == "too_many_clients"
+            assert (await refused.hello(wants=["pose"]))["reason"] == "too_many_clients"
             refused.close()
         async with await one.line("unix") as good, await one.line("tcp") as other:
             assert "result" in await good.ask("reset")
@@ -242,7 +242,7 @@ def test_viewers_do_not_keep_out_those_who_control(short: Path) -> None:
         for line in viewers:
             line.close()
 
-    go(work, short, limits=Limits(clients=2), kinds=("unix", "tcp", "open", "map"))
+    go(work, short, limits=Limits(clients=2), kinds=("unix", "tcp", "open"))
 
 
 FIELDS: dict[str, dict[str, Any]] = {

@@ -20,7 +20,6 @@ from mapperd.server.map_source import MapSource
 from mapperd.wire.blocks import UNKNOWN
 from mapperd.wire.messages import Fan, Image, MapFacts, Pose, Returns
 from mapperd.wire.messages import Path as Trace
-from mapperd.wire.socket_paths import map_socket_places
 from tests.mapperd.daemon.test_daemon import bench_of
 from tests.mapperd.server.watched import Key, Watcher
 from tests.support.control_server import TOKEN
@@ -34,54 +33,50 @@ MakeBytes = Callable[..., bytes]
 def doors_of(text: str, environ: dict[str, str]) -> tuple[list[str], list[str]]:
     """Names of the doors, and codes of events."""
     events = EventLog(lambda: 1)
-    doors = open_listeners("stream", config_from_text(text), events, environ)
+    doors = open_listeners(config_from_text(text), events, environ)
     names = [door.name for door in doors]
     for door in doors:
         door.close()
     return names, [event.code for event in events.since(0)[0]]
 
 
-def test_there_is_a_unix_socket_beside_that_of_control(short: Path) -> None:
-    environ = {"XDG_RUNTIME_DIR": str(short)}
-    assert doors_of("{}", environ) == ([f"unix {short}/mapperd-map.sock"], [])
-    config = config_from_text(f"control: {{socket: '{short}/x/c.sock'}}")
-    assert map_socket_places(config, {}) == [short / "x" / "mapperd-map.sock"]
-    text = f"stream: {{socket: '{short}/own.sock', mode: '666'}}"
-    assert doors_of(text, environ) == ([f"unix {short}/own.sock"], ["stream_for_all"])
+def test_a_socket_for_every_user_is_reported(short: Path) -> None:
+    text = f"server: {{socket: '{short}/own.sock', mode: '666'}}"
+    assert doors_of(text, {}) == ([f"unix {short}/own.sock"], ["server_for_all"])
 
 
 def test_tcp_without_a_token_is_of_the_loopback_alone(short: Path) -> None:
     environ = {"XDG_RUNTIME_DIR": str(short)}
-    names, codes = doors_of("stream: {address: '127.0.0.1:0'}", environ)
+    names, codes = doors_of("server: {address: '127.0.0.1:0'}", environ)
     assert names[1].startswith("tcp 127.0.0.1:")
     assert codes == []
-    with pytest.raises(ConfigError, match=r"stream\.token_file") as caught:
-        doors_of("stream: {address: '0.0.0.0:0'}", environ)
-    assert caught.value.path == "$.stream.token_file"
-    assert not (short / "mapperd-map.sock").exists()
-    token = short / "stream-token"
+    with pytest.raises(ConfigError, match=r"server\.token_file") as caught:
+        doors_of("server: {address: '0.0.0.0:0'}", environ)
+    assert caught.value.path == "$.server.token_file"
+    assert not (short / "mapperd.sock").exists()
+    token = short / "server-token"
     token.write_bytes(TOKEN)
     token.chmod(0o600)
     for given in ({"CREDENTIALS_DIRECTORY": str(short)}, {}):
         setting = "" if given else f", token_file: '{token}'"
-        text = f"stream: {{address: '0.0.0.0:0'{setting}}}"
+        text = f"server: {{address: '0.0.0.0:0'{setting}}}"
         names, codes = doors_of(text, environ | given)
         assert names[1].startswith("tcp 0.0.0.0:")
-        assert codes == ["stream_in_clear"]
+        assert codes == ["server_in_clear"]
 
 
 @pytest.mark.parametrize(
     ("stream", "path"),
     [
-        ("address: nowhere", "$.stream.address"),
-        ("address: '127.0.0.1:0', token_file: /nowhere", "$.stream.token_file"),
-        ("address: '127.0.0.1:0', tls_key: /nowhere", "$.stream.tls_certificate"),
-        ("address: '127.0.0.1:0', tls_certificate: /nowhere", "$.stream.tls_certificate"),
+        ("address: nowhere", "$.server.address"),
+        ("address: '127.0.0.1:0', token_file: /nowhere", "$.server.token_file"),
+        ("address: '127.0.0.1:0', tls_key: /nowhere", "$.server.tls_certificate"),
+        ("address: '127.0.0.1:0', tls_certificate: /nowhere", "$.server.tls_certificate"),
     ],
 )
 def test_wrong_settings_name_their_place(short: Path, stream: str, path: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        doors_of(f"stream: {{{stream}}}", {"XDG_RUNTIME_DIR": str(short)})
+        doors_of(f"server: {{{stream}}}", {"XDG_RUNTIME_DIR": str(short)})
     assert caught.value.path == path
 
 
@@ -89,16 +84,18 @@ def test_a_socket_of_the_service_manager_is_used(short: Path) -> None:
     with socket.socket(socket.AF_UNIX) as mine:
         mine.bind(str(short / "given"))
         mine.listen()
-        doors = open_listeners("stream", config_from_text("{}"), EventLog(lambda: 1), {}, mine)
+        doors = open_listeners(config_from_text("{}"), EventLog(lambda: 1), {}, {"control": mine})
         assert [door.name for door in doors] == [f"unix {short}/given"]
         doors[0].close()
-    with socket.socket(socket.AF_INET) as wrong, pytest.raises(ConfigError, match="stream socket"):
-        open_listeners("stream", config_from_text("{}"), EventLog(lambda: 1), {}, wrong)
+    with (
+        socket.socket(socket.AF_INET) as wrong,
+        pytest.raises(ConfigError, match="listening Unix socket"),
+    ):
+        open_listeners(config_from_text("{}"), EventLog(lambda: 1), {}, {"x": wrong})
 
 
-@pytest.mark.parametrize("name", ["mapperd-map.sock", "mapperd.sock"])
 def test_a_daemon_shows_its_map_its_pose_and_what_the_sonar_sees(
-    short: Path, ping_bytes: MakeBytes, name: str
+    short: Path, ping_bytes: MakeBytes
 ) -> None:
     pings = [ping_bytes(n, start_time=100 + 0.02 * n) for n in range(1, 60)]
     wants = ["map", "pose", "path", "fan", "returns", "image", "status"]
@@ -111,7 +108,7 @@ def test_a_daemon_shows_its_map_its_pose_and_what_the_sonar_sees(
                 clock = host_clock()
                 server = stream_server(bench.daemon, bench.live, source, environ, now_ns=clock)
                 await stack.enter_async_context(server)
-                watcher = Watcher(*await asyncio.open_unix_connection(short / name))
+                watcher = Watcher(*await asyncio.open_unix_connection(short / "mapperd.sock"))
                 stack.callback(watcher.writer.transport.abort)
                 await watcher.until(lambda: watcher.greeting is not None)
                 await watcher.hello(wants=wants)

@@ -152,7 +152,7 @@ def test_a_connection_reports_its_pacer_all_of_it(name: bytes) -> None:
     transport.get_write_buffer_size.return_value = 1_000
 
     async def work() -> None:
-        connection = Connection(session, "a test", "stream", around)
+        connection = Connection(session, "a test", around)
         connection.connection_made(transport)
         connection.measure()
         connection.connection_lost(None)

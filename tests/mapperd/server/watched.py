@@ -177,12 +177,12 @@ class Bed:
         self.source: Any = source or PlainSource()
         self.feed = Feed(self.daemon, lambda: None, 1000)
         self.doors = {
-            "unix": open_unix_listener(folder / "map.sock", 0o600, "stream"),
-            "token": open_tcp_listener("127.0.0.1:0", TOKEN, None, "stream"),
-            "open": open_tcp_listener("127.0.0.1:0", None, None, "stream"),
+            "unix": open_unix_listener(folder / "map.sock", 0o600),
+            "token": open_tcp_listener("127.0.0.1:0", TOKEN, None),
+            "open": open_tcp_listener("127.0.0.1:0", None, None),
         }
         if tls is not None:
-            self.doors["tls"] = open_tcp_listener("127.0.0.1:0", TOKEN, tls, "stream")
+            self.doors["tls"] = open_tcp_listener("127.0.0.1:0", TOKEN, tls)
         self.shift_s = 0.0
         self.watchers: list[Watcher] = []
         self.server = StreamServer(

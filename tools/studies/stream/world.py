@@ -39,7 +39,7 @@ odometry:
 octree: {{ voxel_resolution: {resolution} }}
 recording: {{ enabled: false }}
 outofcore: {{ use: {use_store} }}
-stream: {{ address: "{host}:{stream}", token_file: {token}, max_clients: 200 }}
+server: {{ address: "{host}:{stream}", token_file: {token}, max_clients: 200 }}
 """
 
 

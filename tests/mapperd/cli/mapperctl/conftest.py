@@ -38,7 +38,7 @@ class Running:
 
     async def _run(self) -> None:
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
-        async with served(self._folder, limits=Limits(clients=4), tls=self._tls) as one:
+        async with served(self._folder, limits=Limits(operators=4), tls=self._tls) as one:
             self.one: Served = one
             self._ready.set()
             await self._end.wait()

@@ -220,7 +220,7 @@ def test_socket_of_the_settings_is_found(
     running: Running, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = tmp_path / "own.yaml"
-    config.write_text(f"control: {{socket: {running.socket}}}", encoding="utf-8")
+    config.write_text(f"server: {{socket: {running.socket}}}", encoding="utf-8")
     assert main(["status", "--config", str(config)]) == 0
     assert main(["params", "--running", "--config", str(config), THRESHOLD]) == 0
     assert capsys.readouterr().out.endswith(f"{THRESHOLD} = 35.0\n")

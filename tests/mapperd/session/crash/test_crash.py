@@ -56,7 +56,7 @@ def settings_of(world: World, folder: Path) -> str:
         f"odometry: {{sources: [{{link: 'udp://127.0.0.1:{world.odometry_port}'}}]}}\n"
         f"outofcore: {{use: true, map_path: {folder}/dive.map, tile_size: 6.4, cache_size: 2}}\n"
         f"recording: {{folder: {folder}/recordings, free_floor: 0, max_file: 1, budget: 0}}\n"
-        f"control: {{socket: {folder}/control}}\n"
+        f"server: {{socket: {folder}/control}}\n"
         "visualization: {tile_save_interval: 0.1}\n"
     )
 
