@@ -8,24 +8,9 @@ from mapperd.client.client import MapClient
 from mapperd.client.errors import AskError, EndedError
 from mapperd.client.follower import MapFollower
 from mapperd.client.mirror import Cells, MapMirror
+from mapperd.wire import messages
 from mapperd.wire.framing import StreamError
-from mapperd.wire.messages import (
-    Box,
-    Event,
-    Fan,
-    Image,
-    Interest,
-    Localization,
-    MapFacts,
-    Path,
-    Pose,
-    Returns,
-    Robots,
-    Settings,
-    Status,
-    Want,
-    Welcome,
-)
+from mapperd.wire.messages import Interest, MapFacts, Want
 
 __all__ = [
     "AskError",
@@ -56,3 +41,16 @@ __all__ = [
     "Want",
     "Welcome",
 ]
+
+Event = messages.EventMessage
+Fan = messages.FanMessage
+Image = messages.ImageMessage
+Localization = messages.LocalizationMessage
+Box = messages.MapBox
+Path = messages.PathMessage
+Pose = messages.PoseMessage
+Returns = messages.ReturnsMessage
+Robots = messages.RobotsMessage
+Settings = messages.SettingsMessage
+Status = messages.StatusMessage
+Welcome = messages.WelcomeMessage

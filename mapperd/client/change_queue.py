@@ -12,7 +12,7 @@ from mapperd.client.mirror import keys_of, names_of
 from mapperd.client.state import Knowledge
 from mapperd.client.validation import size_of
 from mapperd.wire.blocks import path_message
-from mapperd.wire.messages import Event, Path, Settings
+from mapperd.wire.messages import EventMessage, PathMessage, SettingsMessage
 
 __all__ = ["Pending"]
 
@@ -39,7 +39,7 @@ class Pending:
         self._news = news
         self._lock = threading.Lock()
         self._waiting: OrderedDict[type, ClientChange] = OrderedDict()
-        self._events: deque[tuple[Event, int]] = deque()
+        self._events: deque[tuple[EventMessage, int]] = deque()
         self._events_lost = self._event_bytes = 0
         self._keys: dict[bytes, None] = {}
         self._is_all = False
@@ -57,9 +57,9 @@ class Pending:
             if not self._waiting:
                 return None
             kind, change = self._waiting.popitem(last=False)
-            if kind is Event:
+            if kind is EventMessage:
                 return self._taken_event()
-            if isinstance(change, Path):
+            if isinstance(change, PathMessage):
                 return path_message(change.first, self._knowledge.path[change.first :])
             if not isinstance(change, MapChanged):
                 return change
@@ -78,9 +78,9 @@ class Pending:
             self._is_all = True
             self._add(MapChanged(NO_KEYS, 0, 0))
         if len(knowledge.path):
-            self._add(Path(first=0, points=b""))
+            self._add(PathMessage(first=0, points=b""))
         if knowledge.settings:
-            self._add(Settings(facts=knowledge.settings))
+            self._add(SettingsMessage(facts=knowledge.settings))
         for change in knowledge.newest.values():
             self._add(change)
 
@@ -94,12 +94,12 @@ class Pending:
             waiting.pop(MapReset, None)
         elif isinstance(change, MapChanged):
             self._add_keys(change)
-        elif isinstance(change, Event):
+        elif isinstance(change, EventMessage):
             self._add_event(change)
-        elif isinstance(change, Path) and isinstance(before, Path):
-            change = Path(first=min(before.first, change.first), points=b"")
-        elif isinstance(change, Settings) and isinstance(before, Settings):
-            change = Settings(facts={**before.facts, **change.facts})
+        elif isinstance(change, PathMessage) and isinstance(before, PathMessage):
+            change = PathMessage(first=min(before.first, change.first), points=b"")
+        elif isinstance(change, SettingsMessage) and isinstance(before, SettingsMessage):
+            change = SettingsMessage(facts={**before.facts, **change.facts})
         waiting[kind] = change
         if kind is LinkChanged:
             waiting.move_to_end(kind)
@@ -112,23 +112,23 @@ class Pending:
             self._add(MapReset(mirror.facts))
             self._is_all = True
 
-    def _add_event(self, event: Event) -> None:
+    def _add_event(self, event: EventMessage) -> None:
         events, size = self._events, size_of(event)
         events.append((event, size))
         self._event_bytes += size
         while len(events) > MAX_EVENTS or (len(events) > 1 and self._event_bytes > MAX_EVENT_BYTES):
             self._events_lost += 1 + self._first_event().lost
 
-    def _first_event(self) -> Event:
+    def _first_event(self) -> EventMessage:
         event, size = self._events.popleft()
         self._event_bytes -= size
         return event
 
-    def _taken_event(self) -> Event:
+    def _taken_event(self) -> EventMessage:
         event = self._first_event()
         if self._events_lost:
             event = msgspec.structs.replace(event, lost=event.lost + self._events_lost)
             self._events_lost = 0
         if self._events:
-            self._waiting[Event] = self._events[0][0]
+            self._waiting[EventMessage] = self._events[0][0]
         return event

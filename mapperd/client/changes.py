@@ -7,17 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.wire.messages import (
-    Event,
-    Fan,
-    Image,
-    Localization,
+    EventMessage,
+    FanMessage,
+    ImageMessage,
+    LocalizationMessage,
     MapFacts,
-    Path,
-    Pose,
-    Returns,
-    Robots,
-    Settings,
-    Status,
+    PathMessage,
+    PoseMessage,
+    ReturnsMessage,
+    RobotsMessage,
+    SettingsMessage,
+    StatusMessage,
 )
 
 __all__ = ["ClientChange", "LinkChanged", "LinkStatus", "MapChanged", "MapReset"]
@@ -81,14 +81,14 @@ ClientChange = (
     LinkChanged
     | MapReset
     | MapChanged
-    | Pose
-    | Path
-    | Fan
-    | Returns
-    | Image
-    | Robots
-    | Localization
-    | Status
-    | Event
-    | Settings
+    | PoseMessage
+    | PathMessage
+    | FanMessage
+    | ReturnsMessage
+    | ImageMessage
+    | RobotsMessage
+    | LocalizationMessage
+    | StatusMessage
+    | EventMessage
+    | SettingsMessage
 )

@@ -16,7 +16,7 @@ from mapperd.client.errors import AskError, EndedError
 from mapperd.client.protocol import Dialogue, Wishes
 from mapperd.client.state import MAX_BLOCKS, Knowledge, Known
 from mapperd.wire.framing import StreamError
-from mapperd.wire.messages import Answer, Interest, Want
+from mapperd.wire.messages import AnswerMessage, Interest, Want
 
 __all__ = ["DEFAULT_WANTS", "Asking", "MapClient"]
 
@@ -47,7 +47,7 @@ class Asking:
         """Nobody waits for it any more."""
         self._waiting.pop(number, None)
 
-    def answered(self, answer: Answer) -> None:
+    def answered(self, answer: AnswerMessage) -> None:
         """Give an answer to who waits for it; one that nobody waits for is passed over."""
         waiting = self._waiting.pop(answer.id, None) if answer.id is not None else None
         if waiting is None or waiting.done():

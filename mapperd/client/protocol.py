@@ -15,19 +15,19 @@ from mapperd.wire.messages import (
     PROTOCOL,
     VERSION,
     WANTS,
-    Ack,
-    Answer,
-    Ask,
-    Bye,
-    Change,
+    AckMessage,
+    AnswerMessage,
+    AskMessage,
+    ByeMessage,
+    ChangeMessage,
     FromClient,
     FromServer,
-    Greeting,
-    Hello,
+    GreetingMessage,
+    HelloMessage,
     Interest,
     Resume,
     Want,
-    Welcome,
+    WelcomeMessage,
 )
 
 __all__ = ["Dialogue", "Wishes"]
@@ -60,9 +60,9 @@ class Wishes:
         except StreamError as error:
             raise ValueError(str(error)) from error
 
-    def hello(self, proof: str, resume: Resume | None, events_since: int | None) -> Hello:
+    def hello(self, proof: str, resume: Resume | None, events_since: int | None) -> HelloMessage:
         """The first message."""
-        return Hello(
+        return HelloMessage(
             version=VERSION,
             proof=proof,
             name=self.name,
@@ -94,7 +94,7 @@ class Dialogue:
         wishes: Wishes,
         knowledge: Knowledge,
         token: bytes | None,
-        answered: Callable[[Answer], None],
+        answered: Callable[[AnswerMessage], None],
     ) -> None:
         self.wishes = wishes
         self._knowledge = knowledge
@@ -132,7 +132,7 @@ class Dialogue:
         """Return what is to be sent now, once."""
         if acknowledge and self.is_welcome and self._inbox.received > self._acknowledged:
             self._acknowledged = self._inbox.received
-            self._send(Ack(bytes=self._acknowledged))
+            self._send(AckMessage(bytes=self._acknowledged))
         data = bytes(self._outgoing)
         self._outgoing.clear()
         return data
@@ -147,7 +147,7 @@ class Dialogue:
             request = msgspec.msgpack.encode({**fields, "do": do, "id": number})
         except (TypeError, OverflowError, RecursionError) as error:
             raise AskError("bad_request", f"the request cannot be encoded: {error}") from error
-        frame = framed(Ask(ask=msgspec.Raw(request)))
+        frame = framed(AskMessage(ask=msgspec.Raw(request)))
         if len(frame) > MAX_FROM_CLIENT:
             raise AskError("too_long", f"a request of {len(frame)} bytes")
         self._outgoing += frame
@@ -162,7 +162,7 @@ class Dialogue:
         self._knowledge.wants_map |= "map" in wishes.wants
         self._knowledge.is_complete &= not is_other
         self._send(
-            Change(
+            ChangeMessage(
                 wants=list(wishes.wants) if wishes.wants != before.wants else None,
                 interest=wishes.interest if is_other else None,
                 bytes_per_s=(
@@ -175,22 +175,22 @@ class Dialogue:
         self._outgoing += framed(message)
 
     def _take(self, message: FromServer) -> None:
-        if isinstance(message, Bye):
+        if isinstance(message, ByeMessage):
             if message.reason == "bad_message":
                 self._knowledge.forget_ticket()  # an earlier daemon knows no tickets
             raise EndedError(message.message or message.reason, message.reason)
-        if isinstance(message, Greeting):
+        if isinstance(message, GreetingMessage):
             self._take_greeting(message)
-        elif isinstance(message, Welcome):
+        elif isinstance(message, WelcomeMessage):
             self._take_welcome(message)
         elif not self.is_welcome:
             raise StreamError("news before a welcome", "bad_order")
-        elif isinstance(message, Answer):
+        elif isinstance(message, AnswerMessage):
             self._answered(message)
         else:
             self._knowledge.take(message)
 
-    def _take_greeting(self, greeting: Greeting) -> None:
+    def _take_greeting(self, greeting: GreetingMessage) -> None:
         if self.is_greeted:
             raise StreamError("a second greeting", "bad_order")
         self.is_greeted = True
@@ -208,7 +208,7 @@ class Dialogue:
             self._resume = self._knowledge.resume()
         self._send(self.wishes.hello(proof, self._resume, self._knowledge.last_event))
 
-    def _take_welcome(self, welcome: Welcome) -> None:
+    def _take_welcome(self, welcome: WelcomeMessage) -> None:
         if not self.is_greeted or self.is_welcome:
             raise StreamError("a welcome out of turn", "bad_order")
         if welcome.version != VERSION:

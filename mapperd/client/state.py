@@ -15,23 +15,23 @@ from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import (
     MAX_PATH,
     MAX_SETTINGS,
-    Blocks,
-    Event,
-    Fan,
+    BlocksMessage,
+    EventMessage,
+    FanMessage,
     FromServer,
-    Image,
+    ImageMessage,
     Interest,
-    Localization,
+    LocalizationMessage,
     MapFacts,
-    Path,
-    Pose,
-    Reset,
+    PathMessage,
+    PoseMessage,
+    ResetMessage,
     Resume,
-    Returns,
-    Robots,
-    Settings,
-    Status,
-    Welcome,
+    ReturnsMessage,
+    RobotsMessage,
+    SettingsMessage,
+    StatusMessage,
+    WelcomeMessage,
 )
 
 __all__ = ["MAX_BLOCKS", "Knowledge", "Known"]
@@ -42,10 +42,27 @@ MAX_BLOCKS = 1 << 20
 MAX_SETTINGS_BYTES = 1 << 20
 """Of all their facts; a daemon has 50 000."""
 
-NEWEST = (Pose, Fan, Returns, Image, Robots, Localization, Status)
+NEWEST = (
+    PoseMessage,
+    FanMessage,
+    ReturnsMessage,
+    ImageMessage,
+    RobotsMessage,
+    LocalizationMessage,
+    StatusMessage,
+)
 """Of these only the newest counts."""
 
-Newest = TypeVar("Newest", Pose, Fan, Returns, Image, Robots, Localization, Status)
+Newest = TypeVar(
+    "Newest",
+    PoseMessage,
+    FanMessage,
+    ReturnsMessage,
+    ImageMessage,
+    RobotsMessage,
+    LocalizationMessage,
+    StatusMessage,
+)
 
 
 class Knowledge:
@@ -77,7 +94,7 @@ class Knowledge:
     ) -> None:
         self.interest = interest
         self.wants_map = False
-        self.welcome: Welcome | None = None
+        self.welcome: WelcomeMessage | None = None
         self.is_complete = False
         self.mirror: MapMirror | None = None
         self.path: NDArray[np.float64] = _frozen(np.zeros((0, 3)))
@@ -136,7 +153,7 @@ class Knowledge:
         self.forget_ticket()
         self._is_doubted = True
 
-    def begin(self, welcome: Welcome, resume: Resume | None) -> None:
+    def begin(self, welcome: WelcomeMessage, resume: Resume | None) -> None:
         """A connection has come about.
 
         Args:
@@ -158,7 +175,7 @@ class Knowledge:
         self.welcome = welcome
         self._ticket, self.used = welcome.ticket, 0
         if is_other or not welcome.resumed:
-            self._take_path(Path(first=0, points=b""))
+            self._take_path(PathMessage(first=0, points=b""))
 
     def take(self, news: FromServer) -> None:
         """Take what is told after the welcome.
@@ -167,17 +184,17 @@ class Knowledge:
             StreamError: it cannot be.
         """
         check_message(news)
-        if isinstance(news, Blocks):
+        if isinstance(news, BlocksMessage):
             self._take_blocks(news)
-        elif isinstance(news, Reset):
+        elif isinstance(news, ResetMessage):
             check_facts(news.map)
             self.is_complete = False
             self._begin_map(news.map, news.interest or self.interest)
-        elif isinstance(news, Path):
+        elif isinstance(news, PathMessage):
             self._take_path(news)
-        elif isinstance(news, Settings):
+        elif isinstance(news, SettingsMessage):
             self._take_settings(news)
-        elif isinstance(news, Event):
+        elif isinstance(news, EventMessage):
             number = news.event.get("number")
             self.last_event = number if isinstance(number, int) and 0 <= number < 1 << 63 else None
             self._publish(news)
@@ -185,7 +202,7 @@ class Knowledge:
             self.newest[type(news)] = news
             self._publish(news)
         else:
-            raise StreamError(f"a {type(news).__name__.lower()} out of turn", "bad_order")
+            raise StreamError(f"a {news.__struct_config__.tag} out of turn", "bad_order")
 
     def _begin_map(self, facts: MapFacts, interest: Interest) -> None:
         self._newest = 0
@@ -196,7 +213,7 @@ class Knowledge:
             self.mirror.begin(facts, interest)
         self._publish(MapReset(facts))
 
-    def _take_blocks(self, news: Blocks) -> None:
+    def _take_blocks(self, news: BlocksMessage) -> None:
         mirror = self.mirror
         if mirror is None or not self.wants_map:
             raise StreamError("a map that nobody asked for", "not_asked")
@@ -214,7 +231,7 @@ class Knowledge:
         # Without the mirror's lock: readers may hold it and wait for what is told.
         self._publish(MapChanged(keys, news.stamp_ns, news.left))
 
-    def _put(self, mirror: MapMirror, news: Blocks) -> NDArray[np.int32]:
+    def _put(self, mirror: MapMirror, news: BlocksMessage) -> NDArray[np.int32]:
         blocks = decode_blocks(news.body, counts=mirror.interest.detail == "counts")
         check_blocks(blocks, mirror.interest, mirror.cell_m)
         mirror.put(blocks, news.stamp_ns)
@@ -223,7 +240,7 @@ class Knowledge:
             raise EndedError(what, "too_many_blocks")
         return blocks.keys
 
-    def _take_path(self, news: Path) -> None:
+    def _take_path(self, news: PathMessage) -> None:
         points = places_of(news)
         if news.first > len(self.path):
             raise StreamError("a path with a gap", "bad_value")
@@ -235,7 +252,7 @@ class Knowledge:
         if not is_as_before:
             self._publish(news)
 
-    def _take_settings(self, news: Settings) -> None:
+    def _take_settings(self, news: SettingsMessage) -> None:
         settings = {**self.settings, **news.facts}
         if len(settings) > MAX_SETTINGS:
             raise StreamError(f"more than {MAX_SETTINGS} settings", "bad_value")
@@ -263,7 +280,7 @@ class Known:
     _knowledge: Knowledge
 
     @property
-    def welcome(self) -> Welcome | None:
+    def welcome(self) -> WelcomeMessage | None:
         """Of the last connection."""
         return self._knowledge.welcome
 
@@ -283,36 +300,36 @@ class Known:
         return self._knowledge.settings
 
     @property
-    def pose(self) -> Pose | None:
+    def pose(self) -> PoseMessage | None:
         """Where the vehicle is."""
-        return self._knowledge.newest_of(Pose)
+        return self._knowledge.newest_of(PoseMessage)
 
     @property
-    def fan(self) -> Fan | None:
+    def fan(self) -> FanMessage | None:
         """What the sonar looks at."""
-        return self._knowledge.newest_of(Fan)
+        return self._knowledge.newest_of(FanMessage)
 
     @property
-    def returns(self) -> Returns | None:
+    def returns(self) -> ReturnsMessage | None:
         """What the last ping met."""
-        return self._knowledge.newest_of(Returns)
+        return self._knowledge.newest_of(ReturnsMessage)
 
     @property
-    def image(self) -> Image | None:
+    def image(self) -> ImageMessage | None:
         """Of the last ping."""
-        return self._knowledge.newest_of(Image)
+        return self._knowledge.newest_of(ImageMessage)
 
     @property
-    def robots(self) -> Robots | None:
+    def robots(self) -> RobotsMessage | None:
         """Others that were seen."""
-        return self._knowledge.newest_of(Robots)
+        return self._knowledge.newest_of(RobotsMessage)
 
     @property
-    def localization(self) -> Localization | None:
+    def localization(self) -> LocalizationMessage | None:
         """How it goes."""
-        return self._knowledge.newest_of(Localization)
+        return self._knowledge.newest_of(LocalizationMessage)
 
     @property
-    def status(self) -> Status | None:
+    def status(self) -> StatusMessage | None:
         """Of the daemon and of this link; once a second."""
-        return self._knowledge.newest_of(Status)
+        return self._knowledge.newest_of(StatusMessage)

@@ -15,17 +15,17 @@ from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import (
     BLOCK_EDGE,
     MAX_FROM_SERVER,
-    Box,
-    Fan,
+    FanMessage,
     FromServer,
-    Image,
+    ImageMessage,
     Interest,
-    Localization,
+    LocalizationMessage,
+    MapBox,
     MapFacts,
-    Path,
-    Pose,
-    Returns,
-    Robots,
+    PathMessage,
+    PoseMessage,
+    ReturnsMessage,
+    RobotsMessage,
 )
 
 __all__ = [
@@ -51,21 +51,21 @@ def check_message(message: FromServer) -> None:
     Raises:
         StreamError: `bad_value`.
     """
-    if isinstance(message, Pose):
+    if isinstance(message, PoseMessage):
         _check_pose(message.position_m, message.orientation_xyzw)
         _check_pose(message.sonar_position_m, message.sonar_orientation_xyzw)
         _finite("a velocity", message.velocity_mps or ())
         _finite("a covariance", message.covariance or ())
-    elif isinstance(message, Fan):
+    elif isinstance(message, FanMessage):
         _check_fan(message)
-    elif isinstance(message, Returns):
+    elif isinstance(message, ReturnsMessage):
         _check_returns(message)
-    elif isinstance(message, Image):
+    elif isinstance(message, ImageMessage):
         _check_image(message)
-    elif isinstance(message, Robots):
+    elif isinstance(message, RobotsMessage):
         for _, *position_m in message.seen:
             _finite("the place of a robot", position_m)
-    elif isinstance(message, Localization):
+    elif isinstance(message, LocalizationMessage):
         floats_of(message.particles, 4)
         floats_of(message.scan, 3)
 
@@ -113,7 +113,7 @@ def floats_of(data: bytes, columns: int) -> NDArray[np.float32]:
     return rows
 
 
-def places_of(path: Path) -> NDArray[np.float64]:
+def places_of(path: PathMessage) -> NDArray[np.float64]:
     """The points of a piece of the path, (N, 3) metres, map frame.
 
     Raises:
@@ -126,7 +126,7 @@ def places_of(path: Path) -> NDArray[np.float64]:
     return points + rest if len(rest) else points
 
 
-def image_of(message: Image) -> NDArray[np.uint8]:
+def image_of(message: ImageMessage) -> NDArray[np.uint8]:
     """The samples of an image, (rows, beams) uint8, row 0 nearest.
 
     Raises:
@@ -157,21 +157,21 @@ def _check_pose(position_m: Iterable[float], orientation_xyzw: tuple[float, ...]
         raise StreamError("an orientation that is no rotation", "bad_value")
 
 
-def _check_returns(returns: Returns) -> None:
+def _check_returns(returns: ReturnsMessage) -> None:
     if len(floats_of(returns.points, 3)) != len(returns.intensities):
         raise StreamError("returns without intensities", "bad_value")
     if returns.sonar_position_m is not None and returns.sonar_orientation_xyzw is not None:
         _check_pose(returns.sonar_position_m, returns.sonar_orientation_xyzw)
 
 
-def _check_image(image: Image) -> None:
+def _check_image(image: ImageMessage) -> None:
     image_of(image)
     if len(floats_of(image.bearings_rad, 1)) != image.beams:
         raise StreamError("an image with other bearings than beams", "bad_value")
     _finite("the rows of an image", (image.range_resolution_m,))
 
 
-def _check_fan(fan: Fan) -> None:
+def _check_fan(fan: FanMessage) -> None:
     first, last = fan.bearings_rad
     near, far = fan.min_range_m, fan.max_range_m
     _finite("a fan", (first, last, near, far, fan.vertical_aperture_rad))
@@ -179,7 +179,7 @@ def _check_fan(fan: Fan) -> None:
         raise StreamError("a fan that is none", "bad_value")
 
 
-def _check_inside(keys: NDArray[np.int32], box: Box, cell_m: float) -> None:
+def _check_inside(keys: NDArray[np.int32], box: MapBox, cell_m: float) -> None:
     """Blocks that touch the box, or are beside one that does."""
     edge_m = BLOCK_EDGE * cell_m
     low = np.floor(np.asarray(box.low_m) / edge_m) - 1

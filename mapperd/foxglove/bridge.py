@@ -19,15 +19,15 @@ from mapperd.foxglove.map_publisher import MapPublisher, Pace
 from mapperd.foxglove.messages import Follows, StateMessages, values_of
 from mapperd.foxglove.scene import PathDrawing
 from mapperd.wire.messages import (
-    Event,
-    Fan,
-    Image,
-    Localization,
-    Pose,
-    Returns,
-    Robots,
-    Settings,
-    Status,
+    EventMessage,
+    FanMessage,
+    ImageMessage,
+    LocalizationMessage,
+    PoseMessage,
+    ReturnsMessage,
+    RobotsMessage,
+    SettingsMessage,
+    StatusMessage,
 )
 
 __all__ = ["Relay"]
@@ -46,19 +46,19 @@ LEVELS: Mapping[str, LogLevel] = {
 }
 
 TOPICS: Mapping[type, tuple[str, ...]] = {
-    Pose: ("/tf", "/pose", "/odometry"),
-    Fan: ("/fan",),
-    Returns: ("/returns",),
-    Image: ("/sonar/polar", "/sonar/fan"),
-    Robots: ("/robots",),
-    Localization: (
+    PoseMessage: ("/tf", "/pose", "/odometry"),
+    FanMessage: ("/fan",),
+    ReturnsMessage: ("/returns",),
+    ImageMessage: ("/sonar/polar", "/sonar/fan"),
+    RobotsMessage: ("/robots",),
+    LocalizationMessage: (
         "/localization/particles",
         "/localization/pose",
         "/localization/covariance",
         "/localization/scan",
         "/localization/report",
     ),
-    Status: ("/status",),
+    StatusMessage: ("/status",),
     LinkChanged: ("/status",),
 }
 """Topics that publish the newest state, by type of change."""
@@ -106,9 +106,9 @@ class Relay:
                 self._map.note(change)
             case MapReset():
                 self._map.reset()
-            case Event():
+            case EventMessage():
                 self._log_event(change)
-            case Settings():
+            case SettingsMessage():
                 self._values(change.facts)
             case LinkChanged(link):
                 self._link(link)
@@ -188,7 +188,7 @@ class Relay:
             level = LogLevel.Info if link.state == "connected" else LogLevel.Warning
             self.log(level, "connection", text)
 
-    def _log_event(self, message: Event) -> None:
+    def _log_event(self, message: EventMessage) -> None:
         event = message.event
         stamp_ns = round(float(event.get("t_s", 0.0)) * NS) or self.stamp_ns
         if message.lost:

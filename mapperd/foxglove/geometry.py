@@ -23,8 +23,7 @@ from foxglove.messages import (
 from numpy.typing import ArrayLike, NDArray
 
 from mapperd.geometry.frames import quaternion_product, quaternion_to_matrix
-from mapperd.wire.messages import Localization
-from mapperd.wire.messages import Pose as VehiclePose
+from mapperd.wire.messages import LocalizationMessage, PoseMessage
 
 __all__ = [
     "IDENTITY",
@@ -127,7 +126,7 @@ class Frames:
         self.sonar = _frame_name(settings, "frames.sonar", "sonar_link")
 
 
-def transforms(vehicle: VehiclePose, frames: Frames) -> FrameTransforms:
+def transforms(vehicle: PoseMessage, frames: Frames) -> FrameTransforms:
     """Transforms from map to base and from base to sonar."""
     map_q_base = _wxyz(vehicle.orientation_xyzw)
     base_q_map = map_q_base * (1, -1, -1, -1)
@@ -153,7 +152,7 @@ def transforms(vehicle: VehiclePose, frames: Frames) -> FrameTransforms:
     )
 
 
-def pose_in_frame(vehicle: VehiclePose, frames: Frames) -> PoseInFrame:
+def pose_in_frame(vehicle: PoseMessage, frames: Frames) -> PoseInFrame:
     """Pose of the base in the map frame."""
     return PoseInFrame(
         timestamp=stamp(vehicle.stamp_ns),
@@ -162,7 +161,7 @@ def pose_in_frame(vehicle: VehiclePose, frames: Frames) -> PoseInFrame:
     )
 
 
-def odometry(vehicle: VehiclePose, frames: Frames) -> Odometry:
+def odometry(vehicle: PoseMessage, frames: Frames) -> Odometry:
     """Odometry of the base: pose in the map frame, velocity in the base frame if known."""
     velocity = None
     if vehicle.velocity_mps is not None:
@@ -178,7 +177,9 @@ def odometry(vehicle: VehiclePose, frames: Frames) -> Odometry:
     )
 
 
-def particle_poses(state: Localization, frame: str, z_m: float, stamp_ns: int) -> PosesInFrame:
+def particle_poses(
+    state: LocalizationMessage, frame: str, z_m: float, stamp_ns: int
+) -> PosesInFrame:
     """Particles of the planar filter, drawn at the vehicle's height."""
     rows: list[list[float]] = np.frombuffer(state.particles, "<f4").reshape(-1, 4).tolist()
     return PosesInFrame(

@@ -13,7 +13,7 @@ from mapperd.client.mirror import Cells, MapMirror, keys_of, names_of
 from mapperd.foxglove.channels import ChannelMessage
 from mapperd.foxglove.geometry import cloud, pose
 from mapperd.wire.blocks import CELLS
-from mapperd.wire.messages import BLOCK_EDGE, Localization, Returns
+from mapperd.wire.messages import BLOCK_EDGE, LocalizationMessage, ReturnsMessage
 
 __all__ = [
     "LIVE",
@@ -130,7 +130,7 @@ def changes_cloud(
     return cloud(np.concatenate([here, gone]), frame, stamp_ns)
 
 
-def returns_cloud(returns: Returns, map_frame: str, sonar_frame: str) -> PointCloud:
+def returns_cloud(returns: ReturnsMessage, map_frame: str, sonar_frame: str) -> PointCloud:
     """Point cloud of one ping's returns, in the map frame if the sonar's pose is known."""
     rows = _points(returns.points, 3, _RETURN)
     rows["intensity"] = np.frombuffer(returns.intensities, np.uint8)
@@ -140,7 +140,7 @@ def returns_cloud(returns: Returns, map_frame: str, sonar_frame: str) -> PointCl
     return cloud(rows, map_frame, returns.stamp_ns, pose(where, how))
 
 
-def scan_cloud(localization: Localization, frame: str, stamp_ns: int) -> PointCloud:
+def scan_cloud(localization: LocalizationMessage, frame: str, stamp_ns: int) -> PointCloud:
     """Point cloud of the newest scan that localization weighted."""
     return cloud(_points(localization.scan, 3, _POINT), frame, stamp_ns)
 

@@ -23,14 +23,14 @@ from mapperd.foxglove.geometry import (
 from mapperd.foxglove.map_publisher import returns_cloud, scan_cloud
 from mapperd.foxglove.scene import covariance_scene, fan_scene, robots_scene
 from mapperd.wire.messages import (
-    Fan,
-    Image,
-    Localization,
-    Pose,
-    Returns,
-    Robots,
-    Status,
-    Welcome,
+    FanMessage,
+    ImageMessage,
+    LocalizationMessage,
+    PoseMessage,
+    ReturnsMessage,
+    RobotsMessage,
+    StatusMessage,
+    WelcomeMessage,
 )
 
 __all__ = ["FanShape", "Follows", "StateMessages", "polar_image", "values_of"]
@@ -57,7 +57,7 @@ class FanShape:
         self._shape: tuple[int, int, bytes] | None = None
         self._source = np.zeros((0, 0), np.intp)
 
-    def fan_image(self, image: Image, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def fan_image(self, image: ImageMessage, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return the image seen from above: sonar at the bottom centre, port left, black outside.
 
         Args:
@@ -71,7 +71,7 @@ class FanShape:
         return np.append(pixels.ravel(), np.uint8(0))[self._source]
 
 
-def _source(image: Image) -> NDArray[np.intp]:
+def _source(image: ImageMessage) -> NDArray[np.intp]:
     """Index of the polar value of each pixel; one past the last is outside."""
     rows, beams = image.rows, image.beams
     bearings = np.frombuffer(image.bearings_rad, "<f4").astype(np.float64)
@@ -105,23 +105,23 @@ class Follows(Protocol):
     @property
     def link(self) -> LinkStatus: ...  # noqa: D102
     @property
-    def welcome(self) -> Welcome | None: ...  # noqa: D102
+    def welcome(self) -> WelcomeMessage | None: ...  # noqa: D102
     @property
-    def pose(self) -> Pose | None: ...  # noqa: D102
+    def pose(self) -> PoseMessage | None: ...  # noqa: D102
     @property
     def path(self) -> NDArray[np.float64]: ...  # noqa: D102
     @property
-    def fan(self) -> Fan | None: ...  # noqa: D102
+    def fan(self) -> FanMessage | None: ...  # noqa: D102
     @property
-    def returns(self) -> Returns | None: ...  # noqa: D102
+    def returns(self) -> ReturnsMessage | None: ...  # noqa: D102
     @property
-    def image(self) -> Image | None: ...  # noqa: D102
+    def image(self) -> ImageMessage | None: ...  # noqa: D102
     @property
-    def robots(self) -> Robots | None: ...  # noqa: D102
+    def robots(self) -> RobotsMessage | None: ...  # noqa: D102
     @property
-    def localization(self) -> Localization | None: ...  # noqa: D102
+    def localization(self) -> LocalizationMessage | None: ...  # noqa: D102
     @property
-    def status(self) -> Status | None: ...  # noqa: D102
+    def status(self) -> StatusMessage | None: ...  # noqa: D102
     @property
     def settings(self) -> Mapping[str, Any]: ...  # noqa: D102
 
@@ -174,7 +174,7 @@ class StateMessages:
         facts = mirror.facts if mirror else welcome.map if welcome else None
         return Frames(facts.frame if facts else "map", self._client.settings)
 
-    def _of_pose(self, make: Callable[[Pose, Frames], Any]) -> Any:  # noqa: ANN401 as above
+    def _of_pose(self, make: Callable[[PoseMessage, Frames], Any]) -> Any:  # noqa: ANN401 as above
         pose = self._client.pose
         return None if pose is None else make(pose, self.frames())
 

@@ -19,7 +19,7 @@ from foxglove.messages import (
 from numpy.typing import ArrayLike, NDArray
 
 from mapperd.foxglove.geometry import points, pose, stamp, vector
-from mapperd.wire.messages import Fan, Robots
+from mapperd.wire.messages import FanMessage, RobotsMessage
 
 __all__ = ["PathDrawing", "covariance_scene", "fan_scene", "robots_scene"]
 
@@ -36,7 +36,7 @@ COVARIANCE = Color(r=0.9, g=0.3, b=1.0, a=0.9)
 WHITE = Color(r=1.0, g=1.0, b=1.0, a=1.0)
 
 
-def fan_scene(fan: Fan, frame: str, stamp_ns: int) -> SceneUpdate:
+def fan_scene(fan: FanMessage, frame: str, stamp_ns: int) -> SceneUpdate:
     """Outline of the sonar's field of view; moves with the sonar's frame."""
     half = fan.vertical_aperture_rad / 2
     faces = [_face(fan, elevation) for elevation in (-half, half)]
@@ -47,7 +47,7 @@ def fan_scene(fan: Fan, frame: str, stamp_ns: int) -> SceneUpdate:
     return SceneUpdate(entities=[_entity("fan", frame, stamp_ns, lines=lines, frame_locked=True)])
 
 
-def robots_scene(robots: Robots, frame: str, stamp_ns: int) -> SceneUpdate:
+def robots_scene(robots: RobotsMessage, frame: str, stamp_ns: int) -> SceneUpdate:
     """A sphere for each robot, labelled with the age of its sighting; replaces earlier ones."""
     entities = [
         _entity(
@@ -147,7 +147,7 @@ def _same(one: NDArray[np.float64], other: NDArray[np.float64]) -> int:
     return int(differ.argmax()) if differ.any() else length
 
 
-def _face(fan: Fan, elevation_rad: float) -> NDArray[np.float64]:
+def _face(fan: FanMessage, elevation_rad: float) -> NDArray[np.float64]:
     """(2 ARC_POINTS, 3) sonar frame: along the near arc to starboard, back along the far one."""
     bearing = np.linspace(*fan.bearings_rad, ARC_POINTS)
     arc = np.stack(

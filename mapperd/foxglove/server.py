@@ -15,7 +15,7 @@ from mapperd.foxglove.channels import CHANNELS, Channels
 from mapperd.foxglove.map_publisher import LIVE
 from mapperd.foxglove.messages import Follows
 from mapperd.foxglove.parameters import LiveParameters, Steers
-from mapperd.wire.messages import WANTS, Settings, Want
+from mapperd.wire.messages import WANTS, SettingsMessage, Want
 
 __all__ = ["FIRST_WANTS", "Client", "serve"]
 
@@ -102,7 +102,7 @@ class _Service:
         try:
             async for change in self._client.changes():
                 self._relay.take(change)
-                if isinstance(change, Settings):
+                if isinstance(change, SettingsMessage):
                     server.publish_parameter_values(self.parameters.note(change.facts))
                 elif isinstance(change, LinkChanged):
                     self._publish_link(server, change.link)

@@ -10,7 +10,7 @@ from mapperd import _core
 from mapperd.server.map_index import StoredBricks, View, batches, bricks_of
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
 from mapperd.wire.framing import framed
-from mapperd.wire.messages import Blocks
+from mapperd.wire.messages import BlocksMessage
 
 __all__ = ["BlockEncoder", "Body", "Times"]
 
@@ -37,7 +37,7 @@ class Body:
     Attributes:
         revision: of the map then.
         number: counts the bodies.
-        data: as `Blocks` has it.
+        data: as `BlocksMessage` has it.
     """
 
     revision: int
@@ -85,8 +85,8 @@ class BlockEncoder:
         self._stamp_ns = 0
         self._guess: dict[tuple[int, str], float] = {}
         self._bodies: dict[tuple[object, ...], Body] = {}
-        self._messages: dict[tuple[object, ...], Blocks] = {}
-        self._framed: dict[int, tuple[Blocks, bytes]] = {}
+        self._messages: dict[tuple[object, ...], BlocksMessage] = {}
+        self._framed: dict[int, tuple[BlocksMessage, bytes]] = {}
 
     def begin(self, now_ns: int) -> None:
         """Discard what was encoded before: the map was looked at again."""
@@ -128,12 +128,12 @@ class BlockEncoder:
             _keep(self._bodies, key, known)
         return known
 
-    def message(self, body: Body, left: int, complete: int | None) -> Blocks:
+    def message(self, body: Body, left: int, complete: int | None) -> BlocksMessage:
         """The same object for all who are told the same."""
         key = (body.number, left, complete)
         known = self._messages.get(key)
         if known is None:
-            known = Blocks(
+            known = BlocksMessage(
                 revision=body.revision,
                 stamp_ns=self._stamp_ns,
                 left=left,
@@ -143,7 +143,7 @@ class BlockEncoder:
             _keep(self._messages, key, known)
         return known
 
-    def framed(self, message: Blocks) -> bytes:
+    def framed(self, message: BlocksMessage) -> bytes:
         """A message as it goes over the wire, made once for each object."""
         known = self._framed.get(id(message))
         if known is None or known[0] is not message:

@@ -14,7 +14,7 @@ from mapperd.server.priority_queue import Part, Rooms
 from mapperd.server.session import Beginning, Parting, ResumeCache, Wish
 from mapperd.server.state_feed import Feed
 from mapperd.wire.framing import framed
-from mapperd.wire.messages import Interest, Reset, Resume, Vector
+from mapperd.wire.messages import Interest, ResetMessage, Resume, Vector
 
 __all__ = ["Frame", "MapRounds", "next_frames"]
 
@@ -294,7 +294,7 @@ class MapRounds:
         if wish is not None and wish.interest is not None and view is not None:
             # What it held when it wanted the map before may be wrong by now.
             facts, revision = beginning.facts, beginning.revision
-            again = Reset(map=facts, revision=revision, interest=wish.interest)
+            again = ResetMessage(map=facts, revision=revision, interest=wish.interest)
             client.write(session.mapped_again(framed(again), view, now_s))
         client.turn()
         self.wake()

@@ -12,7 +12,7 @@ from mapperd.server.state_feed import Feed, Newest
 from mapperd.server.state_messages import IMAGE_SIZES
 from mapperd.wire.blocks import path_message
 from mapperd.wire.framing import framed
-from mapperd.wire.messages import WANTS, Resume, Settings
+from mapperd.wire.messages import WANTS, Resume, SettingsMessage
 
 __all__ = ["ClientOutbox"]
 
@@ -193,7 +193,7 @@ class ClientOutbox:
         if log.last <= self._settings_sent or not self._may("settings", PIECE, now_s):
             return b""
         self._settings_sent, facts = log.since(self._settings_sent, PIECE)
-        return framed(Settings(facts=facts))
+        return framed(SettingsMessage(facts=facts))
 
     def _path_piece(self, now_s: float) -> bytes:
         path, (sent_version, sent) = self._feed.path, self._path

@@ -11,28 +11,28 @@ from mapperd.config.changes import chosen, facts_of
 from mapperd.config.live import ConfigStore, Refused
 from mapperd.events import EventLog, Severity
 from mapperd.wire.requests import (
-    Events,
+    EventsRequest,
     Fault,
-    Get,
-    GlobalLocalization,
-    InitialPose,
-    Localization,
-    NoMotionUpdate,
-    Params,
-    Reload,
+    GetRequest,
+    GlobalLocalizationRequest,
+    InitialPoseRequest,
+    LocalizationRequest,
+    NoMotionUpdateRequest,
+    ParamsRequest,
+    ReloadRequest,
     Request,
-    Reset,
-    Save,
-    Set,
-    SetMap,
-    Snapshot,
-    Status,
+    ResetRequest,
+    SaveRequest,
+    SetMapRequest,
+    SetRequest,
+    SnapshotRequest,
+    StatusRequest,
     decode_request,
 )
 
 __all__ = ["EVENTS_AT_ONCE", "answer"]
 
-LOOKS = (Status, Params, Get, Localization, Events)
+LOOKS = (StatusRequest, ParamsRequest, GetRequest, LocalizationRequest, EventsRequest)
 """Requests that change nothing."""
 
 EVENTS_AT_ONCE = 200
@@ -62,36 +62,38 @@ async def answer(
     except OperationError as error:
         return number, Fault(error.reason, str(error))
     except Exception as error:  # noqa: BLE001 a fault of ours must not end the daemon
-        what = f"{type(request).__name__.lower()}: {type(error).__name__}: {error}"
+        what = f"{request.__struct_config__.tag}: {type(error).__name__}: {error}"
         api.events.add(Severity.ERROR, "stream_failed", what)
         return number, Fault("failed", what)
 
 
 async def _carried_out(request: Request, api: DaemonApi, origin: str) -> dict[str, Any] | Fault:
     match request:
-        case Params() | Get() | Set():
+        case ParamsRequest() | GetRequest() | SetRequest():
             return await _with_settings(request, api.settings, origin)
-        case Status():
+        case StatusRequest():
             return api.status()
-        case Events(since=since):
+        case EventsRequest(since=since):
             return _events(api.events, since)
-        case Save() | Reset() | Reload() | Snapshot():
+        case SaveRequest() | ResetRequest() | ReloadRequest() | SnapshotRequest():
             return await _with_session(request, api, origin)
         case _:
             return await _localized(request, api, origin)
 
 
 async def _with_session(
-    request: Save | Reset | Reload | Snapshot, api: DaemonApi, origin: str
+    request: SaveRequest | ResetRequest | ReloadRequest | SnapshotRequest,
+    api: DaemonApi,
+    origin: str,
 ) -> dict[str, Any]:
     match request:
-        case Save(name=name):
+        case SaveRequest(name=name):
             return await api.save(name, origin)
-        case Reset():
+        case ResetRequest():
             return await api.reset(origin)
-        case Reload():
+        case ReloadRequest():
             return await api.reload(origin)
-        case Snapshot():
+        case SnapshotRequest():
             return await api.snapshot(origin)
 
 
@@ -105,32 +107,36 @@ def _events(log: EventLog, since: int) -> dict[str, Any]:
 
 
 async def _localized(
-    request: Localization | InitialPose | GlobalLocalization | NoMotionUpdate | SetMap,
+    request: LocalizationRequest
+    | InitialPoseRequest
+    | GlobalLocalizationRequest
+    | NoMotionUpdateRequest
+    | SetMapRequest,
     api: DaemonApi,
     origin: str,
 ) -> dict[str, Any]:
     match request:
-        case Localization(particles=particles):
+        case LocalizationRequest(particles=particles):
             return api.localization(particles)
-        case InitialPose(pose=pose):
+        case InitialPoseRequest(pose=pose):
             return await api.initial_pose(pose, origin)
-        case GlobalLocalization():
+        case GlobalLocalizationRequest():
             return await api.global_localization(origin)
-        case NoMotionUpdate():
+        case NoMotionUpdateRequest():
             return await api.request_nomotion_update(origin)
-        case SetMap(name=name, pose=pose):
+        case SetMapRequest(name=name, pose=pose):
             return await api.set_map(name, pose, origin)
 
 
 async def _with_settings(
-    request: Params | Get | Set, settings: ConfigStore, origin: str
+    request: ParamsRequest | GetRequest | SetRequest, settings: ConfigStore, origin: str
 ) -> dict[str, Any] | Fault:
-    if isinstance(request, Set):
+    if isinstance(request, SetRequest):
         return await _set(settings, request.changes, origin)
     for name in request.names:
         if not chosen([name]):
             return Fault("unknown_setting", f"{name[:100]!a}: there is no such setting")
-    if isinstance(request, Params):
+    if isinstance(request, ParamsRequest):
         return facts_of(settings.current, settings.origin_of, request.names)
     config = settings.current
     return {parameter.name: value_of(config, parameter.name) for parameter in chosen(request.names)}

@@ -26,18 +26,18 @@ from mapperd.wire.auth import FailureLimiter, TokenBucket, is_proof
 from mapperd.wire.framing import StreamError, framed, server_inbox
 from mapperd.wire.messages import (
     VERSION,
-    Ack,
-    Answer,
-    Ask,
-    Bye,
-    Change,
+    AckMessage,
+    AnswerMessage,
+    AskMessage,
+    ByeMessage,
+    ChangeMessage,
     FromClient,
-    Greeting,
-    Hello,
+    GreetingMessage,
+    HelloMessage,
     Interest,
     MapFacts,
     Resume,
-    Welcome,
+    WelcomeMessage,
 )
 from mapperd.wire.requests import Fault, plain_map
 
@@ -234,7 +234,7 @@ class Wish:
 
 @dataclass(frozen=True, slots=True)
 class Beginning:
-    """The map when a client begins to be told of it, as `Welcome` says it."""
+    """The map when a client begins to be told of it, as `WelcomeMessage` says it."""
 
     facts: MapFacts
     revision: int
@@ -344,11 +344,11 @@ class Session:
 
     def greeting(self, now_s: float) -> bytes:
         """The first bytes."""
-        return self._sent(framed(Greeting(challenge=self._newcomer.challenge)), now_s)
+        return self._sent(framed(GreetingMessage(challenge=self._newcomer.challenge)), now_s)
 
     def bye(self, reason: str, message: str) -> bytes:
         """The last bytes."""
-        return framed(Bye(reason=reason, message=message))
+        return framed(ByeMessage(reason=reason, message=message))
 
     def take(self, data: bytes, now_s: float) -> None:
         """Bytes that the client sent.
@@ -401,9 +401,9 @@ class Session:
     def answer(self, number: int | None, result: dict[str, Any] | Fault) -> None:
         """Add the answer to a request, by its id: the result, or why there is none."""
         if isinstance(result, Fault):
-            message = Answer(id=number, error=plain_map(result))
+            message = AnswerMessage(id=number, error=plain_map(result))
         else:
-            message = Answer(id=number, result=plain_map(result))
+            message = AnswerMessage(id=number, result=plain_map(result))
         self._words.append(framed(message))
 
     @property
@@ -458,24 +458,24 @@ class Session:
         return data
 
     def _heard(self, message: FromClient, now_s: float) -> None:
-        if isinstance(message, Hello):
+        if isinstance(message, HelloMessage):
             self._hello(message, now_s)
             return
         if self.state == "greeted":
             raise StreamError("the first message is hello", "no_hello")
         match message:
-            case Ack(bytes=acked):
+            case AckMessage(bytes=acked):
                 if not self.pacer.note_ack(acked, now_s):
                     raise StreamError("an acknowledgement of what was not sent", "bad_ack")
-            case Change():
+            case ChangeMessage():
                 self._change(message)
                 self._heed(now_s)
-            case Ask(ask=ask):
+            case AskMessage(ask=ask):
                 self.asks.append(msgspec.Raw(bytes(ask)))
                 if len(self.asks) > ASKS or len(self._words) > ANSWERS:
                     raise StreamError("too many requests at once", "too_many_asks")
 
-    def _hello(self, hello: Hello, now_s: float) -> None:
+    def _hello(self, hello: HelloMessage, now_s: float) -> None:
         if self.state != "greeted":
             raise StreamError("hello may be sent once", "hello_twice")
         if hello.version != VERSION:
@@ -498,7 +498,7 @@ class Session:
         resumed = same if view is None else view.resumed
         if resume is not None and resumed:
             self.portions.go_on(resume, same=same)
-        welcome = Welcome(
+        welcome = WelcomeMessage(
             version=VERSION,
             server=__version__,
             vehicle=self._common.vehicle,
@@ -513,7 +513,7 @@ class Session:
         self._words.appendleft(framed(welcome))
         self.state = "served"
 
-    def _change(self, change: Change) -> None:
+    def _change(self, change: ChangeMessage) -> None:
         had = "map" in self.wants
         if change.bytes_per_s is not None:
             self._limit(change.bytes_per_s)

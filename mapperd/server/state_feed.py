@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from mapperd.api import DaemonApi
 from mapperd.config.changes import changes_between, facts_of
 from mapperd.config.tree import Config
-from mapperd.events import Event as Happening
-from mapperd.geometry.frames import Pose as Place
+from mapperd.events import Event
+from mapperd.geometry.frames import Pose
 from mapperd.localization.report import localization_report
 from mapperd.localization.status import LocalizationFacts
 from mapperd.odometry.fusion import FusedPose
@@ -30,7 +30,7 @@ from mapperd.server.state_messages import (
     returns_message,
 )
 from mapperd.wire.framing import framed
-from mapperd.wire.messages import Event, Localization, Robots, Vector
+from mapperd.wire.messages import EventMessage, LocalizationMessage, RobotsMessage, Vector
 from mapperd.wire.requests import plain, plain_map
 
 if TYPE_CHECKING:
@@ -173,7 +173,7 @@ class Feed:
             return
         if "robots" in wanted and facts.robots != self._last.get("robots"):
             self._last["robots"] = facts.robots
-            self._make("robots", Robots(seen=[_seen(robot) for robot in facts.robots]))
+            self._make("robots", RobotsMessage(seen=[_seen(robot) for robot in facts.robots]))
         if facts.localization is not None:
             self._add_localization(facts.localization, wanted, now_s)
 
@@ -215,13 +215,13 @@ class Feed:
             images[coarse] = Newest(self._drawings, framed(message))
         self._images = images
 
-    def event(self, happening: Happening, lost: int) -> bytes:
+    def event(self, event: Event, lost: int) -> bytes:
         """One event, and how many before it are not told."""
         if lost:
-            return framed(Event(event=_plain_event(happening), lost=lost))
-        frame = self._events.get(happening.number)
+            return framed(EventMessage(event=_plain_event(event), lost=lost))
+        frame = self._events.get(event.number)
         if frame is None:
-            frame = self._events[happening.number] = framed(Event(event=_plain_event(happening)))
+            frame = self._events[event.number] = framed(EventMessage(event=_plain_event(event)))
             while len(self._events) > EVENTS:
                 self._events.pop(next(iter(self._events)))
         return frame
@@ -241,7 +241,7 @@ class Feed:
 
     def _add_pose(
         self,
-        base: Place,
+        base: Pose,
         stamp_ns: int,
         source: str,
         velocity_mps: NDArray[np.float64] | None,
@@ -308,8 +308,8 @@ class Feed:
         return True
 
 
-def _plain_event(happening: Happening) -> dict[str, Any]:
-    return plain_map(happening.plain())
+def _plain_event(event: Event) -> dict[str, Any]:
+    return plain_map(event.plain())
 
 
 def _seen(robot: dict[str, Any]) -> tuple[int, float, float, float]:
@@ -317,10 +317,10 @@ def _seen(robot: dict[str, Any]) -> tuple[int, float, float, float]:
     return round(robot["t_s"] * 1e9), x, y, z
 
 
-def _localization(facts: LocalizationFacts, config: Config) -> Localization:
+def _localization(facts: LocalizationFacts, config: Config) -> LocalizationMessage:
     report = msgspec.to_builtins(localization_report(facts, config, 0), enc_hook=plain)
     points = facts.scan_points_m
-    return Localization(
+    return LocalizationMessage(
         report=report,
         particles=_rows(facts.particles),
         scan=b"" if points is None else _rows(points),

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from mapperd.config.tree import Config
 from mapperd.errors import MapError
-from mapperd.geometry.frames import Pose as Place
-from mapperd.geometry.frames import pose_from_rpy, quaternion_product, quaternion_to_matrix
+from mapperd.geometry.frames import Pose, pose_from_rpy, quaternion_product, quaternion_to_matrix
 from mapperd.imaging.ping_image import PingImage, beams_in_view, display_units, ping_image_of
 from mapperd.localization.status import LocalizationFacts
 from mapperd.pipeline.step import PingResult
-from mapperd.wire.messages import Fan, Image, Pose, Returns
+from mapperd.wire.messages import FanMessage, ImageMessage, PoseMessage, ReturnsMessage
 from oculus_driver.ping import Ping
 
 __all__ = [
@@ -46,24 +45,24 @@ class Mounting:
         place, turn = config.mounting.position, config.mounting.orientation
         self._base = pose_from_rpy((place.x, place.y, place.z), (turn.roll, turn.pitch, turn.yaw))
 
-    def of_sonar(self, base: Place) -> Place:
+    def of_sonar(self, base: Pose) -> Pose:
         """The sonar where the base is; both in the map's frame."""
         offset = quaternion_to_matrix(base.map_q_base) @ self._base.position_m
         turn = quaternion_product(base.map_q_base, self._base.map_q_base)
-        return Place(base.position_m + offset, turn / np.linalg.norm(turn))
+        return Pose(base.position_m + offset, turn / np.linalg.norm(turn))
 
 
 def pose_message(
-    base: Place,
-    sonar: Place,
+    base: Pose,
+    sonar: Pose,
     *,
     stamp_ns: int,
     source: str,
     velocity_mps: Floats | None = None,
     covariance: Floats | None = None,
-) -> Pose:
-    """As `Pose` says; what is not finite is not told."""
-    return Pose(
+) -> PoseMessage:
+    """As `PoseMessage` says; what is not finite is not told."""
+    return PoseMessage(
         stamp_ns=max(stamp_ns, 0),
         position_m=_three(base.position_m),
         orientation_xyzw=_xyzw(base.map_q_base),
@@ -84,14 +83,14 @@ def localized_covariance(facts: LocalizationFacts) -> Floats | None:
     return covariance
 
 
-def fan_message(ping: Ping, config: Config) -> Fan | None:
+def fan_message(ping: Ping, config: Config) -> FanMessage | None:
     """What a ping looks at; None where its bearings are no fan."""
     try:
         view = beams_in_view(ping.bearings_rad, config.sonar)
     except MapError:
         return None
     first, last = ping.bearings_rad[view][[0, -1]].tolist()
-    return Fan(
+    return FanMessage(
         bearings_rad=(_rounded(first, FINE_RAD), _rounded(last, FINE_RAD)),
         vertical_aperture_rad=math.radians(config.sonar.vertical_aperture),
         min_range_m=min(config.filtering.min_range, ping.max_range_m),
@@ -125,7 +124,9 @@ IMAGE_SIZES = ((512, 256), (256, 128), (128, 64))
 _COMPRESSOR = zstandard.ZstdCompressor(level=1)
 
 
-def returns_message(treated: PingResult, sonar: Place | None, config: Config) -> Returns | None:
+def returns_message(
+    treated: PingResult, sonar: Pose | None, config: Config
+) -> ReturnsMessage | None:
     """The first return of each beam; None where the ping is no image of a fan.
 
     Args:
@@ -141,7 +142,7 @@ def returns_message(treated: PingResult, sonar: Place | None, config: Config) ->
             return None
     points, intensities = first_returns(echo, config)
     turn = None if sonar is None else sonar.map_q_base.tolist()
-    return Returns(
+    return ReturnsMessage(
         stamp_ns=max(treated.posed.complete_ns or 0, 0),
         ping_id=ping.ping_id,
         sonar_position_m=None if sonar is None else tuple(sonar.position_m.tolist()),
@@ -173,7 +174,7 @@ def first_returns(echo: PingImage, config: Config) -> tuple[NDArray[np.float32],
     return points, np.clip(np.rint(echo.intensity[row, beam]), 0, 255).astype(np.uint8)
 
 
-def image_message(ping: Ping, stamp_ns: int, most: tuple[int, int]) -> Image:
+def image_message(ping: Ping, stamp_ns: int, most: tuple[int, int]) -> ImageMessage:
     """The image with at most so many rows and beams: each pixel the highest of its samples."""
     rows, beams = ping.image.shape
     by_row, by_beam = -(-rows // most[0]), -(-beams // most[1])
@@ -182,7 +183,7 @@ def image_message(ping: Ping, stamp_ns: int, most: tuple[int, int]) -> Image:
     pixels = np.clip(np.rint(display_units(highest, ping.full_scale)), 0, 255).astype(np.uint8)
     number = np.diff(np.append(beam, beams))
     bearings = np.add.reduceat(ping.bearings_rad, beam) / number
-    return Image(
+    return ImageMessage(
         stamp_ns=max(stamp_ns, 0),
         ping_id=ping.ping_id,
         rows=len(row),

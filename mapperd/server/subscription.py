@@ -11,7 +11,14 @@ from mapperd.server.encoder import BlockEncoder, Body
 from mapperd.server.map_index import View, vector_of, within
 from mapperd.server.priority_queue import NearestFirst, Part
 from mapperd.wire.framing import framed
-from mapperd.wire.messages import MAX_BLOCKS, Blocks, Interest, MapFacts, Reset, Vector
+from mapperd.wire.messages import (
+    MAX_BLOCKS,
+    BlocksMessage,
+    Interest,
+    MapFacts,
+    ResetMessage,
+    Vector,
+)
 
 __all__ = ["InFlight", "Source", "Subscription"]
 
@@ -219,16 +226,16 @@ class Subscription:
             part: of the map, that it may be about.
 
         Returns:
-            a `Blocks` or a `Reset`; None when there is nothing.
+            a `BlocksMessage` or a `ResetMessage`; None when there is nothing.
         """
         message = self.next_message(position_m, most_bytes, part)
-        if isinstance(message, Blocks):
+        if isinstance(message, BlocksMessage):
             return self._source.encoder.framed(message)
         return None if message is None else framed(message)
 
     def next_message(
         self, position_m: ArrayLike | None, most_bytes: int, part: Part = "any"
-    ) -> Blocks | Reset | None:
+    ) -> BlocksMessage | ResetMessage | None:
         """The same as a message."""
         if self._reset:
             return self._reset_now()
@@ -239,12 +246,14 @@ class Subscription:
             self._source.trouble = str(error)
             return None
 
-    def _reset_now(self) -> Reset:
+    def _reset_now(self) -> ResetMessage:
         self._reset = False
         self._in_flight.note_reset()
-        return Reset(map=self._source.facts(), revision=self._view.looked, interest=self.interest)
+        return ResetMessage(
+            map=self._source.facts(), revision=self._view.looked, interest=self.interest
+        )
 
-    def _next(self, most_bytes: int, part: Part) -> Blocks | None:
+    def _next(self, most_bytes: int, part: Part) -> BlocksMessage | None:
         encoder, detail = self._source.encoder, self.interest.detail
         most = min(encoder.blocks_in(most_bytes, self._view.level, detail), MAX_BLOCKS)
         while True:
@@ -270,7 +279,7 @@ class Subscription:
                 return numbers, wanted
             self._queue.remove(numbers[pointless])
 
-    def _quiet(self) -> Blocks | None:
+    def _quiet(self) -> BlocksMessage | None:
         """Say now and then that nothing is lacking, although the map changed."""
         settled, now_ns = self._view.settled, self._source.now_ns
         if settled is None or settled == self._complete or self._view.left:
@@ -284,7 +293,7 @@ class Subscription:
         body = encoder.body(self._view, self.interest.detail, nothing, nothing != 0, self._body)
         return self._message(body, nothing)
 
-    def _message(self, body: Body, numbers: Numbers) -> Blocks:
+    def _message(self, body: Body, numbers: Numbers) -> BlocksMessage:
         self._in_flight.note(numbers)
         self._body = body.number
         is_all = not len(self._queue) and not self._view.left and self._is_drawn

@@ -7,7 +7,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapperd.viewer.shapes import Nodes, ellipse, fan_lines, strip, vehicle_parts
-from mapperd.wire.messages import Fan, Localization, Path, Pose, Returns, Robots
+from mapperd.wire.messages import (
+    FanMessage,
+    LocalizationMessage,
+    PathMessage,
+    PoseMessage,
+    ReturnsMessage,
+    RobotsMessage,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -70,7 +77,7 @@ class Actors:
         self._robots: set[str] = set()
         self._nodes = Nodes()
 
-    def pose(self, pose: Pose) -> None:
+    def pose(self, pose: PoseMessage) -> None:
         """Move the vehicle."""
         x, y, z, w = pose.orientation_xyzw
         self._vehicle.wxyz, self._vehicle.position = (w, x, y, z), pose.position_m
@@ -92,20 +99,20 @@ class Actors:
             z_m: height of planar shapes.
         """
         match message:
-            case Path():
+            case PathMessage():
                 self.path(path, message.first)
-            case Fan():
+            case FanMessage():
                 self.fan(message)
-            case Returns():
+            case ReturnsMessage():
                 self.returns(message)
-            case Robots():
+            case RobotsMessage():
                 self.robots(message)
-            case Localization():
+            case LocalizationMessage():
                 self.localization(message, z_m)
             case _:
                 pass
 
-    def fan(self, fan: Fan) -> None:
+    def fan(self, fan: FanMessage) -> None:
         """Draw the field of view."""
         self._nodes.put("/sonar/fan", self._lines(FAN, 1.5), points=fan_lines(fan))
 
@@ -136,7 +143,7 @@ class Actors:
         self._path_sent = len(points)
         return sent
 
-    def returns(self, returns: Returns) -> None:
+    def returns(self, returns: ReturnsMessage) -> None:
         """Draw the returns of the newest ping."""
         points = np.frombuffer(returns.points, "<f4").reshape(-1, 3)
         if len(points) == 0 or returns.sonar_position_m is None:
@@ -151,7 +158,7 @@ class Actors:
             position=returns.sonar_position_m,
         )
 
-    def robots(self, robots: Robots) -> None:
+    def robots(self, robots: RobotsMessage) -> None:
         """Draw the newest sightings of robots."""
         newest = sorted(robots.seen)[-MAX_ROBOTS:]
         last_ns = newest[-1][0] if newest else 0
@@ -175,7 +182,7 @@ class Actors:
             self._nodes.remove(name)
         self._robots = shown
 
-    def localization(self, state: Localization, z_m: float) -> None:
+    def localization(self, state: LocalizationMessage, z_m: float) -> None:
         """Draw particles, the newest scan and the two-sigma ellipse at a height."""
         particles = np.frombuffer(state.particles, "<f4").reshape(-1, 4)[:MAX_PARTICLES]
         flat = np.column_stack([particles[:, :2], np.full(len(particles), z_m, np.float32)])

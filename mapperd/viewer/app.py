@@ -19,7 +19,7 @@ from mapperd.viewer.panel import Panel
 from mapperd.viewer.save import Recorder, SaveControls
 from mapperd.viewer.settings import SettingsPanel
 from mapperd.viewer.tools import Tools, pick
-from mapperd.wire.messages import Pose, Settings, Status, Want
+from mapperd.wire.messages import PoseMessage, SettingsMessage, StatusMessage, Want
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -100,7 +100,7 @@ class View:
         )
         tab = self._panel.tabs.add_tab("Settings")
         self._settings = SettingsPanel(server, tab, self._apply)
-        self._pose: Pose | None = None
+        self._pose: PoseMessage | None = None
         self._posed_s = 0.0
         self._low_m, self._high_m = np.full(3, np.inf), np.full(3, -np.inf)
         self._placed: set[int] = set()
@@ -129,12 +129,12 @@ class View:
                 self._map_reset()
             case MapChanged():
                 self._map_changed(change)
-            case Pose():
+            case PoseMessage():
                 self._take_pose(change)
-            case Status():
+            case StatusMessage():
                 self.health.heartbeat(change.stamp_ns, time.time_ns())
                 self.health.take_status(change.status, change.link, time.monotonic())
-            case Settings():
+            case SettingsMessage():
                 self._settings.take(change.facts)
             case _:
                 self._actors.take(change, self._client.path, float(self._vehicle_m[2]))
@@ -176,7 +176,7 @@ class View:
         self.health.left = change.left
         self._blocks += len(change.keys)
 
-    def _take_pose(self, pose: Pose) -> None:
+    def _take_pose(self, pose: PoseMessage) -> None:
         self._pose = pose
         self.health.pose_ns = pose.stamp_ns
         now_s = time.monotonic()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapperd.wire.messages import Fan
+from mapperd.wire.messages import FanMessage
 
 __all__ = ["Nodes", "Part", "cube", "ellipse", "fan_lines", "strip", "vehicle_parts"]
 
@@ -75,7 +75,7 @@ def vehicle_parts(length_m: float) -> tuple[Part, ...]:
     )
 
 
-def fan_lines(fan: Fan) -> Floats:
+def fan_lines(fan: FanMessage) -> Floats:
     """Outline of a sonar's field of view: line segments (N, 2, 3), metres, sonar frame."""
     low, high = sorted(fan.bearings_rad)
     up = fan.vertical_aperture_rad / 2

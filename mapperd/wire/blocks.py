@@ -32,7 +32,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from mapperd.wire.framing import StreamError
-from mapperd.wire.messages import BLOCK_EDGE, MAX_BLOCKS, Path
+from mapperd.wire.messages import BLOCK_EDGE, MAX_BLOCKS, PathMessage
 
 __all__ = [
     "CELLS",
@@ -178,12 +178,12 @@ SEEN_M = 1e-3
 """Rounding is told from here on; within 32 km of the map's zero it is less, and costs no bytes."""
 
 
-def path_message(first: int, points_m: NDArray[np.float64], version: int = 0) -> Path:
+def path_message(first: int, points_m: NDArray[np.float64], version: int = 0) -> PathMessage:
     """A piece of the path, (N, 3) metres, map frame, whose first point has that number."""
     points = points_m.astype("<f4")
     rest = points_m - points
     has_rest = bool((np.abs(rest) >= SEEN_M).any())
-    return Path(
+    return PathMessage(
         first=first,
         points=points.tobytes(),
         version=version,

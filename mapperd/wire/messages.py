@@ -20,38 +20,38 @@ __all__ = [
     "PROTOCOL",
     "VERSION",
     "WANTS",
-    "Ack",
-    "Answer",
-    "Ask",
-    "Blocks",
-    "Box",
-    "Bye",
-    "Change",
+    "AckMessage",
+    "AnswerMessage",
+    "AskMessage",
+    "BlocksMessage",
+    "ByeMessage",
+    "ChangeMessage",
     "Count",
-    "Event",
-    "Fan",
+    "EventMessage",
+    "FanMessage",
     "FromClient",
     "FromServer",
-    "Greeting",
-    "Hello",
-    "Image",
+    "GreetingMessage",
+    "HelloMessage",
+    "ImageMessage",
     "Interest",
-    "Localization",
+    "LocalizationMessage",
+    "MapBox",
     "MapFacts",
-    "Message",
     "Name",
-    "Path",
-    "Pose",
+    "PathMessage",
+    "PoseMessage",
     "Quaternion",
-    "Reset",
+    "ResetMessage",
     "Resume",
-    "Returns",
-    "Robots",
-    "Settings",
-    "Status",
+    "ReturnsMessage",
+    "RobotsMessage",
+    "SettingsMessage",
+    "StatusMessage",
     "Vector",
     "Want",
-    "Welcome",
+    "WelcomeMessage",
+    "WireMessage",
 ]
 
 PROTOCOL, VERSION = "map stream", 1
@@ -95,11 +95,15 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 
-class Message(Struct, frozen=True, kw_only=True, tag_field="t", tag=str.lower, omit_defaults=True):
+def _tag(name: str) -> str:
+    return name.removesuffix("Message").lower()
+
+
+class WireMessage(Struct, frozen=True, kw_only=True, tag_field="t", tag=_tag, omit_defaults=True):
     """Unknown keys are passed over, so that a later version may say more."""
 
 
-class Box(Struct, frozen=True, forbid_unknown_fields=True):
+class MapBox(Struct, frozen=True, forbid_unknown_fields=True):
     """A box with its edges along the map's axes."""
 
     low_m: Vector
@@ -120,7 +124,7 @@ class Interest(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tr
     level: Annotated[int, Meta(ge=0, le=MAX_LEVEL)] = 0
     detail: Literal["classes", "log_odds", "counts"] = "log_odds"
     radius_m: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
-    box: Box | None = None
+    box: MapBox | None = None
 
 
 class Resume(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -135,7 +139,7 @@ class Resume(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
         path: points of the path that it holds.
         path_version: of them.
         ticket: of the welcome of the connection before this one; "" where it had none.
-        bytes: of that connection that were read and used, as `Ack` counts them.
+        bytes: of that connection that were read and used, as `AckMessage` counts them.
     """
 
     map: Name
@@ -144,7 +148,7 @@ class Resume(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
     level: int = 0
     detail: str = "log_odds"
     radius_m: float = 0.0
-    box: Box | None = None
+    box: MapBox | None = None
     newest: Count | None = None
     path: Count = 0
     path_version: Count = 0
@@ -152,7 +156,7 @@ class Resume(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
     bytes: Count = 0
 
 
-class Hello(Message, frozen=True, kw_only=True):
+class HelloMessage(WireMessage, frozen=True, kw_only=True):
     """The first message of a client.
 
     Attributes:
@@ -178,7 +182,7 @@ class Hello(Message, frozen=True, kw_only=True):
     beside: Annotated[str, Meta(max_length=64)] = ""
 
 
-class Change(Message, frozen=True, kw_only=True):
+class ChangeMessage(WireMessage, frozen=True, kw_only=True):
     """Something else is wanted from now on; what is None stays."""
 
     wants: Annotated[list[Want], Meta(max_length=32)] | None = None
@@ -186,19 +190,19 @@ class Change(Message, frozen=True, kw_only=True):
     bytes_per_s: Annotated[int, Meta(ge=0, le=1 << 40)] | None = None
 
 
-class Ack(Message, frozen=True, kw_only=True):
+class AckMessage(WireMessage, frozen=True, kw_only=True):
     """So many bytes of this connection have been read and used, the lengths of messages too."""
 
     bytes: Count
 
 
-class Ask(Message, frozen=True, kw_only=True):
+class AskMessage(WireMessage, frozen=True, kw_only=True):
     """A request of docs/reference/control.md: `{"do": "set", "id": 7, "changes": {...}}`."""
 
     ask: msgspec.Raw
 
 
-class Greeting(Message, frozen=True, kw_only=True, omit_defaults=False):
+class GreetingMessage(WireMessage, frozen=True, kw_only=True, omit_defaults=False):
     """The first message of the daemon; it says everything, to those who know nothing yet.
 
     Attributes:
@@ -233,7 +237,7 @@ class MapFacts(Struct, frozen=True):
     origin_deg: tuple[float, float] | None = None
 
 
-class Welcome(Message, frozen=True, kw_only=True):
+class WelcomeMessage(WireMessage, frozen=True, kw_only=True):
     """The answer to a hello that is good.
 
     Attributes:
@@ -261,7 +265,7 @@ class Welcome(Message, frozen=True, kw_only=True):
     ticket: Annotated[str, Meta(max_length=64)] = ""
 
 
-class Blocks(Message, frozen=True, kw_only=True):
+class BlocksMessage(WireMessage, frozen=True, kw_only=True):
     """Blocks of the map as they are now: `mapperd.wire.blocks`.
 
     Attributes:
@@ -279,7 +283,7 @@ class Blocks(Message, frozen=True, kw_only=True):
     body: bytes = b""
 
 
-class Reset(Message, frozen=True, kw_only=True):
+class ResetMessage(WireMessage, frozen=True, kw_only=True):
     """All blocks are forgotten: the map is another one, or is told in another way from now on.
 
     Attributes:
@@ -294,7 +298,7 @@ class Reset(Message, frozen=True, kw_only=True):
     interest: Interest | None = None
 
 
-class Pose(Message, frozen=True, kw_only=True):
+class PoseMessage(WireMessage, frozen=True, kw_only=True):
     """Where the vehicle is: its base and its sonar in the map's frame.
 
     Attributes:
@@ -318,7 +322,7 @@ class Pose(Message, frozen=True, kw_only=True):
     source: str = "odometry"
 
 
-class Path(Message, frozen=True, kw_only=True):
+class PathMessage(WireMessage, frozen=True, kw_only=True):
     """A piece of the way that the vehicle has come.
 
     Attributes:
@@ -334,7 +338,7 @@ class Path(Message, frozen=True, kw_only=True):
     rest: bytes = b""
 
 
-class Fan(Message, frozen=True, kw_only=True):
+class FanMessage(WireMessage, frozen=True, kw_only=True):
     """The water that the sonar looks at, in its own frame (x forward, y port, z up).
 
     Attributes:
@@ -349,7 +353,7 @@ class Fan(Message, frozen=True, kw_only=True):
     max_range_m: float
 
 
-class Returns(Message, frozen=True, kw_only=True):
+class ReturnsMessage(WireMessage, frozen=True, kw_only=True):
     """What one ping met: the first return of each beam that has one.
 
     Attributes:
@@ -370,11 +374,11 @@ class Returns(Message, frozen=True, kw_only=True):
     intensities: bytes = b""
 
 
-class Image(Message, frozen=True, kw_only=True):
+class ImageMessage(WireMessage, frozen=True, kw_only=True):
     """The image of a ping, no finer than a person sees.
 
     Attributes:
-        stamp_ns, ping_id: as those of `Returns`.
+        stamp_ns, ping_id: as those of `ReturnsMessage`.
         rows, beams: of the image; row 0 is nearest, column 0 the most negative bearing.
         range_resolution_m: thickness of a row.
         bearings_rad: float32 (beams,), positive to starboard.
@@ -390,13 +394,13 @@ class Image(Message, frozen=True, kw_only=True):
     body: bytes
 
 
-class Robots(Message, frozen=True, kw_only=True):
+class RobotsMessage(WireMessage, frozen=True, kw_only=True):
     """Other robots that were seen lately: (time in ns, x, y, z) in the map's frame."""
 
     seen: list[tuple[int, float, float, float]]
 
 
-class Localization(Message, frozen=True, kw_only=True):
+class LocalizationMessage(WireMessage, frozen=True, kw_only=True):
     """As the answer to `localization` of docs/reference/control.md says it.
 
     Attributes:
@@ -410,7 +414,7 @@ class Localization(Message, frozen=True, kw_only=True):
     scan: bytes = b""
 
 
-class Status(Message, frozen=True, kw_only=True):
+class StatusMessage(WireMessage, frozen=True, kw_only=True):
     """How it goes, once a second, whether it is wanted or not; without `status` it is empty.
 
     Attributes:
@@ -425,14 +429,14 @@ class Status(Message, frozen=True, kw_only=True):
     link: dict[str, Any] = field(default_factory=dict)
 
 
-class Event(Message, frozen=True, kw_only=True):
+class EventMessage(WireMessage, frozen=True, kw_only=True):
     """Something happened; `lost` are those before it that nobody remembers."""
 
     event: dict[str, Any]
     lost: Count = 0
 
 
-class Settings(Message, frozen=True, kw_only=True):
+class SettingsMessage(WireMessage, frozen=True, kw_only=True):
     """Settings and all about them: the first time all, then those that changed.
 
     Attributes:
@@ -442,7 +446,7 @@ class Settings(Message, frozen=True, kw_only=True):
     facts: dict[str, Any]
 
 
-class Answer(Message, frozen=True, kw_only=True):
+class AnswerMessage(WireMessage, frozen=True, kw_only=True):
     """What became of a request, as docs/reference/control.md says."""
 
     id: int | None = None
@@ -450,29 +454,29 @@ class Answer(Message, frozen=True, kw_only=True):
     error: dict[str, Any] | None = None
 
 
-class Bye(Message, frozen=True, kw_only=True):
+class ByeMessage(WireMessage, frozen=True, kw_only=True):
     """The last message, and why it is."""
 
     reason: str
     message: str = ""
 
 
-FromClient = Hello | Change | Ack | Ask
+FromClient = HelloMessage | ChangeMessage | AckMessage | AskMessage
 FromServer = (
-    Greeting
-    | Welcome
-    | Blocks
-    | Reset
-    | Pose
-    | Path
-    | Fan
-    | Returns
-    | Image
-    | Robots
-    | Localization
-    | Status
-    | Event
-    | Settings
-    | Answer
-    | Bye
+    GreetingMessage
+    | WelcomeMessage
+    | BlocksMessage
+    | ResetMessage
+    | PoseMessage
+    | PathMessage
+    | FanMessage
+    | ReturnsMessage
+    | ImageMessage
+    | RobotsMessage
+    | LocalizationMessage
+    | StatusMessage
+    | EventMessage
+    | SettingsMessage
+    | AnswerMessage
+    | ByeMessage
 )

@@ -9,22 +9,22 @@ from msgspec import Meta, Struct, field
 from mapperd.api import PoseRequest
 
 __all__ = [
-    "Events",
+    "EventsRequest",
     "Fault",
-    "Get",
-    "GlobalLocalization",
-    "InitialPose",
-    "Localization",
-    "NoMotionUpdate",
-    "Params",
-    "Reload",
+    "GetRequest",
+    "GlobalLocalizationRequest",
+    "InitialPoseRequest",
+    "LocalizationRequest",
+    "NoMotionUpdateRequest",
+    "ParamsRequest",
+    "ReloadRequest",
     "Request",
-    "Reset",
-    "Save",
-    "Set",
-    "SetMap",
-    "Snapshot",
-    "Status",
+    "ResetRequest",
+    "SaveRequest",
+    "SetMapRequest",
+    "SetRequest",
+    "SnapshotRequest",
+    "StatusRequest",
     "decode_request",
     "plain",
     "plain_map",
@@ -34,79 +34,83 @@ Id = Annotated[int, Meta(ge=0, le=2**53 - 1)]
 Names = Annotated[list[str], Meta(max_length=1000)]
 
 
+def _tag(name: str) -> str:
+    return name.removesuffix("Request").lower()
+
+
 class _Request(
-    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="do", tag=str.lower
+    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="do", tag=_tag
 ):
     id: Id
 
 
-class Status(_Request, frozen=True, kw_only=True):
+class StatusRequest(_Request, frozen=True, kw_only=True):
     """How it goes."""
 
 
-class Params(_Request, frozen=True, kw_only=True):
+class ParamsRequest(_Request, frozen=True, kw_only=True):
     """All about settings or sections; none is all."""
 
     names: Names = field(default_factory=list)
 
 
-class Get(_Request, frozen=True, kw_only=True):
+class GetRequest(_Request, frozen=True, kw_only=True):
     """Values of settings or sections."""
 
     names: Annotated[list[str], Meta(min_length=1, max_length=1000)]
 
 
-class Set(_Request, frozen=True, kw_only=True):
+class SetRequest(_Request, frozen=True, kw_only=True):
     """Change settings, all or none."""
 
     changes: Annotated[dict[str, Any], Meta(min_length=1, max_length=1000)]
 
 
-class Save(_Request, frozen=True, kw_only=True):
+class SaveRequest(_Request, frozen=True, kw_only=True):
     """Write the map into a file of the folder for maps."""
 
     name: Annotated[str, Meta(max_length=1000)]
 
 
-class Reset(_Request, frozen=True, kw_only=True):
+class ResetRequest(_Request, frozen=True, kw_only=True):
     """Empty the map."""
 
 
-class Reload(_Request, frozen=True, kw_only=True):
+class ReloadRequest(_Request, frozen=True, kw_only=True):
     """Read the settings' files again."""
 
 
-class Snapshot(_Request, frozen=True, kw_only=True):
+class SnapshotRequest(_Request, frozen=True, kw_only=True):
     """Bring the map and the recording to the disk."""
 
 
-class Events(_Request, frozen=True, kw_only=True):
+class EventsRequest(_Request, frozen=True, kw_only=True):
     """What happened after an event's number."""
 
     since: Id = 0
 
 
-class Localization(_Request, frozen=True, kw_only=True):
+class LocalizationRequest(_Request, frozen=True, kw_only=True):
     """Where the vehicle is on the known map, and some of the particles."""
 
     particles: Annotated[int, Meta(ge=0, le=500)] = 0
 
 
-class InitialPose(_Request, frozen=True, kw_only=True, tag="initial_pose"):
+class InitialPoseRequest(_Request, frozen=True, kw_only=True, tag="initial_pose"):
     """Begin localization at a pose."""
 
     pose: PoseRequest
 
 
-class GlobalLocalization(_Request, frozen=True, kw_only=True, tag="global_localization"):
+class GlobalLocalizationRequest(_Request, frozen=True, kw_only=True, tag="global_localization"):
     """Begin localization anywhere on the map."""
 
 
-class NoMotionUpdate(_Request, frozen=True, kw_only=True, tag="request_nomotion_update"):
+class NoMotionUpdateRequest(_Request, frozen=True, kw_only=True, tag="request_nomotion_update"):
     """Have the next scan be an update."""
 
 
-class SetMap(_Request, frozen=True, kw_only=True, tag="set_map"):
+class SetMapRequest(_Request, frozen=True, kw_only=True, tag="set_map"):
     """Localize on another map; with a pose from there on."""
 
     name: Annotated[str, Meta(max_length=1000)]
@@ -114,20 +118,20 @@ class SetMap(_Request, frozen=True, kw_only=True, tag="set_map"):
 
 
 Request = (
-    Status
-    | Params
-    | Get
-    | Set
-    | Save
-    | Reset
-    | Reload
-    | Snapshot
-    | Events
-    | Localization
-    | InitialPose
-    | GlobalLocalization
-    | NoMotionUpdate
-    | SetMap
+    StatusRequest
+    | ParamsRequest
+    | GetRequest
+    | SetRequest
+    | SaveRequest
+    | ResetRequest
+    | ReloadRequest
+    | SnapshotRequest
+    | EventsRequest
+    | LocalizationRequest
+    | InitialPoseRequest
+    | GlobalLocalizationRequest
+    | NoMotionUpdateRequest
+    | SetMapRequest
 )
 
 

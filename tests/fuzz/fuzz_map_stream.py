@@ -19,18 +19,18 @@ from mapperd.wire.messages import (
     MAX_BLOCKS,
     MAX_FROM_CLIENT,
     WANTS,
-    Greeting,
+    GreetingMessage,
     Interest,
     MapFacts,
-    Welcome,
+    WelcomeMessage,
 )
 from tests.fuzz.cases import fuzz
 
 FACTS = MapFacts("map", 0.1, 0.25, 0.6, -1.4)
-WELCOME = Welcome(
+WELCOME = WelcomeMessage(
     version=1, server="", vehicle="", session="", map=FACTS, revision=0, resumed=False, ticket="t"
 )
-BEGIN = framed(Greeting()) + framed(WELCOME)
+BEGIN = framed(GreetingMessage()) + framed(WELCOME)
 BLOCK_LIMIT = 4096
 INTERESTS = (Interest(detail="classes"), Interest(level=3), Interest(detail="counts"))
 

@@ -14,7 +14,7 @@ from mapperd.config.tree import Config
 from mapperd.imaging.ping_image import PingImage
 from mapperd.server.state_messages import IMAGE_SIZES, Track, first_returns, image_message
 from mapperd.wire.blocks import path_message
-from mapperd.wire.messages import Interest, Path
+from mapperd.wire.messages import Interest, PathMessage
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.stream import StreamParser
 from tests.mapperd.conftest import make_ping
@@ -108,7 +108,7 @@ def test_a_path_in_universal_coordinates_is_sent_to_a_millimetre() -> None:
     knowledge = Knowledge(Interest(), lambda _: None)
     for begin in (0, 100, 200):
         piece = path_message(first + begin, points[begin : begin + 100], version)
-        knowledge.take(msgspec.msgpack.decode(msgspec.msgpack.encode(piece), type=Path))
+        knowledge.take(msgspec.msgpack.decode(msgspec.msgpack.encode(piece), type=PathMessage))
     assert np.abs(knowledge.path - way).max() < 1e-6
     # Who knows no more than points reads them where they were before.
     old = np.frombuffer(piece.points, "<f4").reshape(-1, 3)

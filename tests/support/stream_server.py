@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import ssl
 from dataclasses import dataclass, field
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Self
 
 import msgspec
@@ -15,22 +15,22 @@ from mapperd.wire.auth import is_proof
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
 from mapperd.wire.framing import Inbox, framed, server_inbox
 from mapperd.wire.messages import (
-    Ack,
-    Answer,
-    Ask,
-    Blocks,
-    Bye,
-    Change,
+    AckMessage,
+    AnswerMessage,
+    AskMessage,
+    BlocksMessage,
+    ByeMessage,
+    ChangeMessage,
     FromClient,
     FromServer,
-    Greeting,
-    Hello,
+    GreetingMessage,
+    HelloMessage,
     Interest,
     MapFacts,
-    Path,
-    Reset,
-    Status,
-    Welcome,
+    PathMessage,
+    ResetMessage,
+    StatusMessage,
+    WelcomeMessage,
 )
 
 TOKEN = b"correct-horse-battery"
@@ -55,13 +55,13 @@ class Served:
     blocks: dict[tuple[int, int, int], tuple[int, NDArray[np.int8]]] = field(default_factory=dict)
     revision: int = 0
     token: bytes | None = None
-    refusal: Bye | None = None
-    path: Path | None = None
+    refusal: ByeMessage | None = None
+    path: PathMessage | None = None
     versions: tuple[int, ...] = (1,)
     status_s: float = 1.0
     ticket: str = ""
     link: dict[str, object] = field(default_factory=dict)
-    hellos: list[Hello] = field(default_factory=list)
+    hellos: list[HelloMessage] = field(default_factory=list)
     asked: list[dict[str, object]] = field(default_factory=list)
     acked: int = 0
     sent: int = 0
@@ -91,7 +91,7 @@ class Served:
             cells,
         )
 
-    def can_resume(self, hello: Hello) -> bool:
+    def can_resume(self, hello: HelloMessage) -> bool:
         """Return whether the client's resume state is valid."""
         held = hello.resume
         if held is None or held.revision is None:
@@ -123,12 +123,12 @@ class Connection:
     async def serve(self) -> None:
         served = self.served
         challenge = "" if served.token is None else "a challenge"
-        self.say(Greeting(versions=served.versions, challenge=challenge))
+        self.say(GreetingMessage(versions=served.versions, challenge=challenge))
         beating: asyncio.Task[None] | None = None
         try:
             while data := await self.reader.read(65536):
                 for message in self.inbox.feed(data):
-                    if not isinstance(message, Hello):
+                    if not isinstance(message, HelloMessage):
                         self.hear(message)
                     elif self.welcome(message, challenge):
                         beating = asyncio.create_task(self.beat())
@@ -138,11 +138,11 @@ class Connection:
             if beating is not None:
                 beating.cancel()
 
-    def welcome(self, hello: Hello, challenge: str) -> bool:
+    def welcome(self, hello: HelloMessage, challenge: str) -> bool:
         served = self.served
         served.hellos.append(hello)
         if served.token is not None and not is_proof(hello.proof, served.token, challenge):
-            self.say(Bye(reason="wrong_token", message="that is not the token"))
+            self.say(ByeMessage(reason="wrong_token", message="that is not the token"))
             return False
         if served.refusal is not None:
             self.say(served.refusal)
@@ -155,9 +155,9 @@ class Connection:
         self.tell()
         return True
 
-    def welcomed(self, *, resumed: bool, ticket: str = "") -> Welcome:
+    def welcomed(self, *, resumed: bool, ticket: str = "") -> WelcomeMessage:
         served = self.served
-        return Welcome(
+        return WelcomeMessage(
             version=1,
             server="test",
             vehicle="diver",
@@ -170,27 +170,27 @@ class Connection:
         )
 
     def hear(self, message: FromClient) -> None:
-        if isinstance(message, Ack):
+        if isinstance(message, AckMessage):
             self.acked = message.bytes
             self.served.acked = message.bytes
-        elif isinstance(message, Change) and message.interest is not None:
+        elif isinstance(message, ChangeMessage) and message.interest is not None:
             self.interest = message.interest
             self.reported = 0
             self.say(
-                Reset(
+                ResetMessage(
                     map=self.served.facts,
                     revision=self.served.revision,
                     interest=self.interest,
                 )
             )
             self.tell()
-        elif isinstance(message, Ask):
+        elif isinstance(message, AskMessage):
             ask = msgspec.msgpack.decode(message.ask)
             self.served.asked.append(ask)
             if ask["do"] == "fail":
-                self.say(Answer(id=ask["id"], error={"reason": "refused", "message": "no"}))
+                self.say(AnswerMessage(id=ask["id"], error={"reason": "refused", "message": "no"}))
             elif ask["do"] != "wait":
-                self.say(Answer(id=ask["id"], result={"changed": ask.get("changes", {})}))
+                self.say(AnswerMessage(id=ask["id"], result={"changed": ask.get("changes", {})}))
 
     def tell(self) -> None:
         """Send what changed, as a complete revision."""
@@ -200,7 +200,7 @@ class Connection:
         if served.path is not None:
             self.say(served.path)
         self.say(
-            Blocks(
+            BlocksMessage(
                 revision=served.revision,
                 stamp_ns=10**18,
                 complete=served.revision,
@@ -210,7 +210,7 @@ class Connection:
 
     async def beat(self) -> None:
         while not self.quiet:
-            self.say(Status(stamp_ns=10**18, link=self.served.link))
+            self.say(StatusMessage(stamp_ns=10**18, link=self.served.link))
             await asyncio.sleep(self.served.status_s)
 
 
@@ -220,7 +220,7 @@ class Server:
     def __init__(
         self,
         served: Served,
-        path: FilePath | None = None,
+        path: Path | None = None,
         port: int = 0,
         tls: ssl.SSLContext | None = None,
     ) -> None:

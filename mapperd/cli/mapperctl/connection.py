@@ -20,17 +20,17 @@ from mapperd.wire.framing import StreamError, client_inbox, framed
 from mapperd.wire.messages import (
     PROTOCOL,
     VERSION,
-    Ack,
-    Answer,
-    Ask,
-    Bye,
-    Change,
-    Event,
+    AckMessage,
+    AnswerMessage,
+    AskMessage,
+    ByeMessage,
+    ChangeMessage,
+    EventMessage,
     FromClient,
     FromServer,
-    Greeting,
-    Hello,
-    Welcome,
+    GreetingMessage,
+    HelloMessage,
+    WelcomeMessage,
 )
 
 __all__ = ["Connection", "Target"]
@@ -134,11 +134,11 @@ class Connection:
             request = msgspec.msgpack.encode({"id": self._number, "do": do} | more)
         except OverflowError as error:
             raise CtlError("integers have 64 bits", Exit.USAGE) from error
-        self._send(Ask(ask=msgspec.Raw(request)))
+        self._send(AskMessage(ask=msgspec.Raw(request)))
         until_s = time.monotonic() + self._timeout_s
         while True:
             message = self._receive(until_s)
-            if isinstance(message, Answer) and message.id in (self._number, None):
+            if isinstance(message, AnswerMessage) and message.id in (self._number, None):
                 return self._result(message)
 
     def wait(self, seconds: float) -> None:
@@ -161,16 +161,16 @@ class Connection:
             batch = self.ask("events", since=since)
             yield batch
         last = max([since, *(event["number"] for event in batch["events"])])
-        self._send(Change(wants=["events"]))
+        self._send(ChangeMessage(wants=["events"]))
         while True:
             message = self._receive(None)
-            if isinstance(message, Event) and message.event["number"] > last:
+            if isinstance(message, EventMessage) and message.event["number"] > last:
                 yield {"events": [message.event], "missed": message.lost, "more": False}
 
     def _greet(self) -> None:
         until_s = time.monotonic() + CONNECT_S
         greeting = self._receive(until_s)
-        if not isinstance(greeting, Greeting) or greeting.mapperd != PROTOCOL:
+        if not isinstance(greeting, GreetingMessage) or greeting.mapperd != PROTOCOL:
             raise CtlError(f"{self._target}: is not the socket of mapperd", Exit.PROTOCOL)
         if VERSION not in greeting.versions:
             what = f"speaks versions {list(greeting.versions)}, not {VERSION}"
@@ -180,8 +180,8 @@ class Connection:
             if not self._target.token:
                 raise CtlError(f"{self._target}: wants a token: --token-file", Exit.NO_PERMISSION)
             proof = proof_of(self._target.token, greeting.challenge)
-        self._send(Hello(version=VERSION, proof=proof, name="mapperctl"))
-        if not isinstance(self._receive(until_s), Welcome):
+        self._send(HelloMessage(version=VERSION, proof=proof, name="mapperctl"))
+        if not isinstance(self._receive(until_s), WelcomeMessage):
             raise CtlError(f"{self._target}: no welcome", Exit.PROTOCOL)
         self._is_welcome = True
 
@@ -195,7 +195,7 @@ class Connection:
         while not self._received:
             self._read(until_s)
         message = self._received.popleft()
-        if isinstance(message, Bye):
+        if isinstance(message, ByeMessage):
             code = REASONS.get(message.reason, Exit.REFUSED)
             raise CtlError(f"{self._target}: {message.message or message.reason}", code)
         return message
@@ -216,9 +216,9 @@ class Connection:
             raise CtlError(text, Exit.PROTOCOL) from error
         if self._is_welcome and self._inbox.received > self._acknowledged:
             self._acknowledged = self._inbox.received
-            self._send(Ack(bytes=self._acknowledged))
+            self._send(AckMessage(bytes=self._acknowledged))
 
-    def _result(self, answer: Answer) -> dict[str, Any]:
+    def _result(self, answer: AnswerMessage) -> dict[str, Any]:
         error, result = answer.error, answer.result
         if error is not None:
             reason = str(error.get("reason"))

@@ -14,18 +14,18 @@ from mapperd.wire.blocks import path_message
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import (
     WANTS,
-    Event,
+    EventMessage,
     Interest,
-    Path,
-    Robots,
-    Settings,
-    Status,
-    Welcome,
+    PathMessage,
+    RobotsMessage,
+    SettingsMessage,
+    StatusMessage,
+    WelcomeMessage,
 )
 from tests.support.stream_server import FACTS, Served, a_block
 
 LINK = LinkChanged(LinkStatus("connected", "here", "", 0.0))
-WELCOME = Welcome(
+WELCOME = WelcomeMessage(
     version=1, server="", vehicle="", session="s", map=FACTS, revision=0, resumed=False
 )
 
@@ -59,16 +59,16 @@ def test_blocks_are_joined_and_the_newest_of_others_stays() -> None:
     reader = Reader()
     for change in (
         changed(1, 2, left=5),
-        Robots(seen=[]),
+        RobotsMessage(seen=[]),
         changed(2, 3, left=1),
-        Robots(seen=[(1, 2.0, 3.0, 4.0)]),
+        RobotsMessage(seen=[(1, 2.0, 3.0, 4.0)]),
     ):
         reader.pending.add(change)
     first, second = reader.take_all()
     assert isinstance(first, MapChanged)
     assert first.keys.tolist() == [[1, 0, 0], [2, 0, 0], [3, 0, 0]]
     assert first.left == 1
-    assert second == Robots(seen=[(1, 2.0, 3.0, 4.0)])
+    assert second == RobotsMessage(seen=[(1, 2.0, 3.0, 4.0)])
 
 
 def test_reset_drops_the_blocks_before_it() -> None:
@@ -100,12 +100,12 @@ def test_too_many_blocks_are_the_whole_map_reported_again(monkeypatch: pytest.Mo
 def test_pieces_of_the_path_are_joined() -> None:
     reader = Reader()
     points = np.arange(12, dtype="<f4").reshape(4, 3)
-    reader.knowledge.take(Path(first=0, points=points[:3].tobytes()))
+    reader.knowledge.take(PathMessage(first=0, points=points[:3].tobytes()))
     reader.take_all()
-    reader.knowledge.take(Path(first=3, points=points[3:].tobytes()))
-    reader.knowledge.take(Path(first=2, points=points[:1].tobytes()))
+    reader.knowledge.take(PathMessage(first=3, points=points[3:].tobytes()))
+    reader.knowledge.take(PathMessage(first=2, points=points[:1].tobytes()))
     (path,) = reader.take_all()
-    assert path == Path(first=2, points=points[:1].tobytes())
+    assert path == PathMessage(first=2, points=points[:1].tobytes())
     assert reader.knowledge.path.tolist() == [*points[:2].tolist(), points[0].tolist()]
 
 
@@ -115,7 +115,7 @@ def test_pieces_of_a_path_far_away_are_joined_with_all_their_digits() -> None:
     reader.knowledge.take(path_message(0, far_m[:1]))
     reader.knowledge.take(path_message(1, far_m[1:]))
     (path,) = reader.take_all()
-    assert isinstance(path, Path)
+    assert isinstance(path, PathMessage)
     np.testing.assert_allclose(places_of(path), far_m, rtol=0, atol=1e-6)
 
 
@@ -123,8 +123,8 @@ def test_events_that_were_too_many_are_counted(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(module, "MAX_EVENTS", 3)
     reader = Reader()
     for number in range(1, 11):
-        reader.knowledge.take(Event(event={"number": number}, lost=1 if number == 2 else 0))
-    taken = [one for one in reader.take_all() if isinstance(one, Event)]
+        reader.knowledge.take(EventMessage(event={"number": number}, lost=1 if number == 2 else 0))
+    taken = [one for one in reader.take_all() if isinstance(one, EventMessage)]
     assert [(one.event["number"], one.lost) for one in taken] == [(8, 8), (9, 0), (10, 0)]
     assert reader.knowledge.last_event == 10
 
@@ -133,17 +133,17 @@ def test_waiting_events_are_bounded_by_their_bytes() -> None:
     reader = Reader()
     for number in range(1, 41):
         event = {"number": number, "facts": "x" * 100_000}
-        reader.knowledge.take(Event(event=event))
+        reader.knowledge.take(EventMessage(event=event))
         waiting = [(size, event) for event, size in reader.pending._events]
         assert sum(size for size, _ in waiting) <= module.MAX_EVENT_BYTES
         assert len(waiting) == min(number, 10)
-    taken = [one for one in reader.take_all() if isinstance(one, Event)]
+    taken = [one for one in reader.take_all() if isinstance(one, EventMessage)]
     assert [one.event["number"] for one in taken] == [*range(31, 41)]
     assert [one.lost for one in taken] == [30] + 9 * [0]
     for number in (41, 42):
-        reader.knowledge.take(Event(event={"number": number, "facts": "x" * 3_000_000}))
+        reader.knowledge.take(EventMessage(event={"number": number, "facts": "x" * 3_000_000}))
     (newest,) = reader.take_all()
-    assert isinstance(newest, Event)
+    assert isinstance(newest, EventMessage)
     assert (newest.event["number"], newest.lost) == (42, 1)
     assert reader.pending._event_bytes == 0
 
@@ -153,27 +153,27 @@ def test_events_that_are_nested_as_deeply_as_can_be_are_taken() -> None:
     for _ in range(100_000):
         deep = [deep]
     reader = Reader()
-    reader.knowledge.take(Event(event={"number": 1, "facts": deep}))
+    reader.knowledge.take(EventMessage(event={"number": 1, "facts": deep}))
     assert len(reader.take_all()) == 1
 
 
 def test_settings_are_bounded_by_their_bytes() -> None:
     reader = Reader()
     for _ in range(3):  # the same again is no more
-        reader.knowledge.take(Settings(facts={"a": "x" * 500_000}))
-    reader.knowledge.take(Settings(facts={"b": "x" * 500_000}))
+        reader.knowledge.take(SettingsMessage(facts={"a": "x" * 500_000}))
+    reader.knowledge.take(SettingsMessage(facts={"b": "x" * 500_000}))
     with pytest.raises(StreamError, match="bytes"):
-        reader.knowledge.take(Settings(facts={"c": "x" * 500_000}))
+        reader.knowledge.take(SettingsMessage(facts={"c": "x" * 500_000}))
     assert [*reader.knowledge.settings] == ["a", "b"]
-    reader.knowledge.take(Settings(facts={"a": 1}))
-    reader.knowledge.take(Settings(facts={"c": "x" * 500_000}))
+    reader.knowledge.take(SettingsMessage(facts={"a": 1}))
+    reader.knowledge.take(SettingsMessage(facts={"c": "x" * 500_000}))
 
 
 def test_settings_are_joined() -> None:
     reader = Reader()
-    reader.knowledge.take(Settings(facts={"a": 1, "b": 1}))
-    reader.knowledge.take(Settings(facts={"b": 2}))
-    assert reader.take_all() == [Settings(facts={"a": 1, "b": 2})]
+    reader.knowledge.take(SettingsMessage(facts={"a": 1, "b": 1}))
+    reader.knowledge.take(SettingsMessage(facts={"b": 2}))
+    assert reader.take_all() == [SettingsMessage(facts={"a": 1, "b": 2})]
     assert reader.knowledge.settings == {"a": 1, "b": 2}
 
 
@@ -181,6 +181,6 @@ def test_every_kind_that_can_be_wanted_has_its_place() -> None:
     assert len(WANTS) == 11
     reader = Reader()
     for _ in range(1000):
-        reader.pending.add(Status(stamp_ns=1))
+        reader.pending.add(StatusMessage(stamp_ns=1))
         reader.pending.add(LINK)
     assert len(reader.take_all()) == 2

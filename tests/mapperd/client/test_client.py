@@ -22,13 +22,13 @@ from mapperd.client import (
     MapReset,
     connect,
 )
-from mapperd.wire.messages import Bye, Pose, Status
+from mapperd.wire.messages import ByeMessage, PoseMessage, StatusMessage
 from tests.conftest import ROOT
 from tests.support.stream_server import TOKEN, Served, Server, a_block
 
 pytestmark = pytest.mark.net
 
-POSE = Pose(
+POSE = PoseMessage(
     stamp_ns=1,
     position_m=(1.0, 2.0, 3.0),
     orientation_xyzw=(0.0, 0.0, 0.0, 1.0),
@@ -190,7 +190,7 @@ def test_right_token_and_tls_let_it_in(tls: tuple[ssl.SSLContext, ssl.SSLContext
 
 def test_full_daemon_is_tried_again() -> None:
     async def wait() -> None:
-        served = Served(refusal=Bye(reason="too_many_clients", message="full"))
+        served = Served(refusal=ByeMessage(reason="too_many_clients", message="full"))
         async with pair(served) as (_, client):
             await until(lambda: client.link.reason == "full")
             served.refusal = None
@@ -291,8 +291,8 @@ def test_reader_that_begins_late_is_reported_all_that_is_known() -> None:
                 reported.append(change)
                 if change == POSE:
                     break
-            kinds = [type(change) for change in reported if not isinstance(change, Status)]
-            assert kinds == [LinkChanged, MapReset, MapChanged, Pose]
+            kinds = [type(change) for change in reported if not isinstance(change, StatusMessage)]
+            assert kinds == [LinkChanged, MapReset, MapChanged, PoseMessage]
             assert isinstance(reported[2], MapChanged)
             assert len(reported[2].keys) == 3
 

@@ -16,21 +16,21 @@ from mapperd.wire.blocks import CELLS, BlockSet, encode_blocks
 from mapperd.wire.framing import StreamError, framed
 from mapperd.wire.messages import (
     WANTS,
-    Blocks,
-    Box,
-    Fan,
-    Greeting,
-    Image,
+    BlocksMessage,
+    FanMessage,
+    GreetingMessage,
+    ImageMessage,
     Interest,
-    Localization,
-    Path,
-    Pose,
-    Reset,
-    Returns,
-    Robots,
-    Settings,
-    Status,
-    Welcome,
+    LocalizationMessage,
+    MapBox,
+    PathMessage,
+    PoseMessage,
+    ResetMessage,
+    ReturnsMessage,
+    RobotsMessage,
+    SettingsMessage,
+    StatusMessage,
+    WelcomeMessage,
 )
 from tests.support.stream_server import FACTS, Served, a_block
 
@@ -52,7 +52,7 @@ IMAGE: dict[str, Any] = {
     "bearings_rad": bytes(12),
     "body": zstandard.compress(bytes(6)),
 }
-WELCOME = Welcome(
+WELCOME = WelcomeMessage(
     version=1, server="", vehicle="", session="s", map=FACTS, revision=0, resumed=False
 )
 
@@ -62,7 +62,7 @@ def a_dialogue(interest: Interest | None = None, **more: Any) -> Dialogue:
     wishes = Wishes(WANTS, interest or Interest(detail="counts"))
     knowledge = Knowledge(wishes.interest, lambda _: None, **more)
     dialogue = Dialogue(wishes, knowledge, None, lambda _: None)
-    dialogue.receive(framed(Greeting()) + framed(WELCOME))
+    dialogue.receive(framed(GreetingMessage()) + framed(WELCOME))
     dialogue.outgoing()
     return dialogue
 
@@ -79,45 +79,49 @@ def body(cells: int = 5, key: int = 0, counts: int | None = None, times: int = 1
     )
 
 
-def blocks(data: bytes, **more: Any) -> Blocks:
-    return Blocks(revision=1, stamp_ns=1, body=data, **more)
+def blocks(data: bytes, **more: Any) -> BlocksMessage:
+    return BlocksMessage(revision=1, stamp_ns=1, body=data, **more)
 
 
 @pytest.mark.parametrize(
     "message",
     [
-        Greeting(),
+        GreetingMessage(),
         WELCOME,
         blocks(body(counts=17)),
         blocks(body(counts=1, times=2)),
         blocks(body()),
         blocks(b"nothing"),
         blocks(b"", complete=2),
-        Reset(map=msgspec.structs.replace(FACTS, resolution_m=NAN), revision=1),
-        Reset(map=msgspec.structs.replace(FACTS, free_log_odds=9.0), revision=1),
-        Pose(**POSE | {"position_m": (NAN, 0.0, 0.0)}),
-        Pose(**POSE | {"sonar_position_m": (INF, 0.0, 0.0)}),
-        Pose(**POSE | {"orientation_xyzw": (0.0, 0.0, 0.0, 0.0)}),
-        Pose(**POSE | {"orientation_xyzw": (NAN, 0.0, 0.0, 1.0)}),
-        Pose(**POSE, velocity_mps=(NAN, 0.0, 0.0)),
-        Pose(**POSE, covariance=(INF,) * 36),
-        Path(first=1, points=b""),
-        Path(first=0, points=bytes(11)),
-        Path(first=0, points=np.full(3, NAN, "<f4").tobytes()),
-        Path(first=0, points=bytes(12 * 100_001)),
-        Path(first=0, points=bytes(24), rest=bytes(12)),
-        Path(first=0, points=bytes(12), rest=bytes(11)),
-        Path(first=0, points=bytes(12), rest=np.full(3, INF, "<f4").tobytes()),
-        Fan(bearings_rad=(1.0, -1.0), vertical_aperture_rad=0.2, min_range_m=0, max_range_m=1),
-        Fan(bearings_rad=(-1.0, 1.0), vertical_aperture_rad=NAN, min_range_m=0, max_range_m=1),
-        Returns(stamp_ns=1, ping_id=1, points=bytes(12), intensities=b""),
-        Image(**IMAGE | {"rows": 3}),
-        Image(**IMAGE | {"body": zstandard.compress(bytes(1 << 24))}),
-        Image(**IMAGE | {"bearings_rad": bytes(8)}),
-        Robots(seen=[(1, NAN, 0.0, 0.0)]),
-        Localization(report={}, particles=bytes(15)),
-        Localization(report={}, scan=np.full(3, INF, "<f4").tobytes()),
-        Settings(facts={str(number): 1 for number in range(10_001)}),
+        ResetMessage(map=msgspec.structs.replace(FACTS, resolution_m=NAN), revision=1),
+        ResetMessage(map=msgspec.structs.replace(FACTS, free_log_odds=9.0), revision=1),
+        PoseMessage(**POSE | {"position_m": (NAN, 0.0, 0.0)}),
+        PoseMessage(**POSE | {"sonar_position_m": (INF, 0.0, 0.0)}),
+        PoseMessage(**POSE | {"orientation_xyzw": (0.0, 0.0, 0.0, 0.0)}),
+        PoseMessage(**POSE | {"orientation_xyzw": (NAN, 0.0, 0.0, 1.0)}),
+        PoseMessage(**POSE, velocity_mps=(NAN, 0.0, 0.0)),
+        PoseMessage(**POSE, covariance=(INF,) * 36),
+        PathMessage(first=1, points=b""),
+        PathMessage(first=0, points=bytes(11)),
+        PathMessage(first=0, points=np.full(3, NAN, "<f4").tobytes()),
+        PathMessage(first=0, points=bytes(12 * 100_001)),
+        PathMessage(first=0, points=bytes(24), rest=bytes(12)),
+        PathMessage(first=0, points=bytes(12), rest=bytes(11)),
+        PathMessage(first=0, points=bytes(12), rest=np.full(3, INF, "<f4").tobytes()),
+        FanMessage(
+            bearings_rad=(1.0, -1.0), vertical_aperture_rad=0.2, min_range_m=0, max_range_m=1
+        ),
+        FanMessage(
+            bearings_rad=(-1.0, 1.0), vertical_aperture_rad=NAN, min_range_m=0, max_range_m=1
+        ),
+        ReturnsMessage(stamp_ns=1, ping_id=1, points=bytes(12), intensities=b""),
+        ImageMessage(**IMAGE | {"rows": 3}),
+        ImageMessage(**IMAGE | {"body": zstandard.compress(bytes(1 << 24))}),
+        ImageMessage(**IMAGE | {"bearings_rad": bytes(8)}),
+        RobotsMessage(seen=[(1, NAN, 0.0, 0.0)]),
+        LocalizationMessage(report={}, particles=bytes(15)),
+        LocalizationMessage(report={}, scan=np.full(3, INF, "<f4").tobytes()),
+        SettingsMessage(facts={str(number): 1 for number in range(10_001)}),
     ],
     ids=lambda message: type(message).__name__,
 )
@@ -127,7 +131,7 @@ def test_message_that_cannot_be_ends_the_connection(message: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "interest", [Interest(box=Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))), Interest(detail="classes")]
+    "interest", [Interest(box=MapBox((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))), Interest(detail="classes")]
 )
 def test_blocks_that_nobody_asked_for_end_the_connection(interest: Interest) -> None:
     inside, outside = blocks(body(1, 1)), blocks(body(9, 50))
@@ -142,7 +146,7 @@ def test_map_that_is_not_wanted_is_refused() -> None:
     wishes = Wishes(("pose",), Interest())
     knowledge = Knowledge(wishes.interest, lambda _: None)
     dialogue = Dialogue(wishes, knowledge, None, lambda _: None)
-    dialogue.receive(framed(Greeting()) + framed(WELCOME))
+    dialogue.receive(framed(GreetingMessage()) + framed(WELCOME))
     with pytest.raises(StreamError, match="nobody asked"):
         dialogue.receive(framed(blocks(body())))
 
@@ -158,9 +162,9 @@ def test_only_what_was_held_is_gone_on_with(resumed: bool) -> None:  # noqa: FBT
     )
     if resumed:
         with pytest.raises(StreamError, match="not held"):
-            dialogue.receive(framed(Greeting()) + framed(other))
+            dialogue.receive(framed(GreetingMessage()) + framed(other))
     else:
-        dialogue.receive(framed(Greeting()) + framed(other))
+        dialogue.receive(framed(GreetingMessage()) + framed(other))
         mirror = dialogue._knowledge.mirror
         assert mirror is not None
         assert len(mirror) == 0
@@ -172,13 +176,13 @@ GOOD = [
     for message in (
         blocks(body(counts=1), complete=1),
         blocks(body(-128, counts=0)),
-        Reset(map=FACTS, revision=2),
-        Pose(**POSE),
-        Path(first=0, points=bytes(24)),
-        Image(**IMAGE),
-        Settings(facts={"a.b": {"value": 1}}),
-        Status(stamp_ns=5, link={"left": 3}),
-        Returns(stamp_ns=1, ping_id=1, points=bytes(12), intensities=b"\x05"),
+        ResetMessage(map=FACTS, revision=2),
+        PoseMessage(**POSE),
+        PathMessage(first=0, points=bytes(24)),
+        ImageMessage(**IMAGE),
+        SettingsMessage(facts={"a.b": {"value": 1}}),
+        StatusMessage(stamp_ns=5, link={"left": 3}),
+        ReturnsMessage(stamp_ns=1, ping_id=1, points=bytes(12), intensities=b"\x05"),
     )
 ]
 
@@ -220,7 +224,7 @@ def test_memory_does_not_grow_through_thousands_of_rounds() -> None:
                 dialogue._knowledge.distrust()
             dialogue.end()
             dialogue.begin()
-            dialogue.receive(framed(Greeting()) + framed(WELCOME))
+            dialogue.receive(framed(GreetingMessage()) + framed(WELCOME))
 
     rounds(20)
     tracemalloc.start()

@@ -18,7 +18,7 @@ from mapperd.localization.status import LocalizationFacts
 from mapperd.server.listeners import open_unix_listener
 from mapperd.server.state_feed import Feed
 from mapperd.server.stream_server import StreamServer
-from mapperd.wire.messages import Event, Localization, Robots, Want
+from mapperd.wire.messages import EventMessage, LocalizationMessage, RobotsMessage, Want
 from tests.mapperd.localization.believed import facts as believed
 from tests.mapperd.server.watched import PlainSource, run
 from tests.support.control_server import FakeDaemon
@@ -70,12 +70,12 @@ def test_robots_come_and_go(short: Path) -> None:
     async def work() -> None:
         async with running_client(short, "robots") as sent:
             sent.known.robots = [{"t_s": 2.5, "position_m": [1.0, 2.0, 3.0]}]
-            first = await sent.next(lambda one: isinstance(one, Robots) and bool(one.seen))
+            first = await sent.next(lambda one: isinstance(one, RobotsMessage) and bool(one.seen))
             assert first.seen == [(2_500_000_000, 1.0, 2.0, 3.0)]
             assert sent.client.robots == first
             sent.known.robots = []
-            await sent.next(lambda one: isinstance(one, Robots) and not one.seen)
-            assert sent.client.robots == Robots(seen=[])
+            await sent.next(lambda one: isinstance(one, RobotsMessage) and not one.seen)
+            assert sent.client.robots == RobotsMessage(seen=[])
 
     run(work())
 
@@ -84,7 +84,7 @@ def test_localization_is_reported_with_its_cloud_and_its_scan(short: Path) -> No
     async def work() -> None:
         async with running_client(short, "localization") as sent:
             sent.known.localization = facts = believed(0.2)
-            first = await sent.next(lambda one: isinstance(one, Localization))
+            first = await sent.next(lambda one: isinstance(one, LocalizationMessage))
             assert first.report["map"] == "tank.yaml"
             assert (first.report["state"], first.report["elsewhere"]) == ("ambiguous", 0.2)
             assert first.report["x_m"] == 1.0
@@ -93,7 +93,7 @@ def test_localization_is_reported_with_its_cloud_and_its_scan(short: Path) -> No
             )
             assert floats_of(first.scan, 3).tolist() == [[5.0, 2.0, 0.0]]  # the other is no place
             sent.known.localization = believed(None, state="waiting for a pose", scan_points_m=None)
-            second = await sent.next(lambda one: isinstance(one, Localization))
+            second = await sent.next(lambda one: isinstance(one, LocalizationMessage))
             assert (second.report["state"], second.scan) == ("waiting for a pose", b"")
 
     run(work())
@@ -105,7 +105,10 @@ def test_events_are_reported_once_each_and_again_after_a_break(short: Path) -> N
             events = sent.daemon.events
 
             async def heard(number: int) -> list[tuple[int, str, int]]:
-                found = [await sent.next(lambda one: isinstance(one, Event)) for _ in range(number)]
+                found = [
+                    await sent.next(lambda one: isinstance(one, EventMessage))
+                    for _ in range(number)
+                ]
                 return [(one.event["number"], one.event["code"], one.lost) for one in found]
 
             last = events.last

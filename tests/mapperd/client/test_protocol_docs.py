@@ -12,7 +12,7 @@ from mapperd.wire import messages
 from mapperd.wire.auth import proof_of
 from mapperd.wire.blocks import MAX_BODY, MAX_KEY, decode_blocks, encode_blocks
 from mapperd.wire.framing import framed
-from mapperd.wire.messages import FromClient, FromServer, Greeting
+from mapperd.wire.messages import FromClient, FromServer, GreetingMessage
 from tests.conftest import ROOT
 
 PAGE = (ROOT / "docs" / "reference" / "map-stream.md").read_text(encoding="utf-8")
@@ -48,7 +48,7 @@ def test_limits_are_those_of_the_code() -> None:
 
 
 def test_greeting_is_byte_for_byte_as_shown() -> None:
-    assert framed(Greeting()) == _bytes(_block("hex-greeting"))
+    assert framed(GreetingMessage()) == _bytes(_block("hex-greeting"))
 
 
 def test_body_is_as_shown() -> None:

@@ -5,10 +5,17 @@ import numpy as np
 
 from mapperd.client.state import Knowledge
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
-from mapperd.wire.messages import Blocks, Box, Interest, Path, Reset, Welcome
+from mapperd.wire.messages import (
+    BlocksMessage,
+    Interest,
+    MapBox,
+    PathMessage,
+    ResetMessage,
+    WelcomeMessage,
+)
 from tests.support.stream_server import FACTS
 
-WELCOME = Welcome(
+WELCOME = WelcomeMessage(
     version=1, server="", vehicle="", session="s", map=FACTS, revision=0, resumed=False
 )
 POINTS = np.ones((2, 3), "<f4").tobytes()
@@ -28,20 +35,20 @@ def known(interest: Interest | None = None) -> Knowledge:
 
 
 def test_resume_reports_both_what_is_complete_and_the_newest() -> None:
-    box = Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+    box = MapBox((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
     knowledge = known(Interest(level=1, box=box))
     assert knowledge.resume() is None
-    knowledge.take(Blocks(revision=7, stamp_ns=1, complete=6, body=body()))
-    knowledge.take(Blocks(revision=9, stamp_ns=1, left=5, body=body()))
-    knowledge.take(Path(first=0, points=POINTS, version=3))
+    knowledge.take(BlocksMessage(revision=7, stamp_ns=1, complete=6, body=body()))
+    knowledge.take(BlocksMessage(revision=9, stamp_ns=1, left=5, body=body()))
+    knowledge.take(PathMessage(first=0, points=POINTS, version=3))
     resume = knowledge.resume()
     assert resume is not None
     assert (resume.revision, resume.newest) == (6, 9)
     assert (resume.level, resume.detail, resume.box) == (1, "log_odds", box)
     assert (resume.path, resume.path_version) == (2, 3)
-    knowledge.take(Reset(map=FACTS, revision=1))
+    knowledge.take(ResetMessage(map=FACTS, revision=1))
     assert knowledge.resume() is None
-    knowledge.take(Blocks(revision=1, stamp_ns=1, complete=1, body=body()))
+    knowledge.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body()))
     resume = knowledge.resume()
     assert resume is not None
     assert resume.newest == 1
@@ -53,21 +60,21 @@ def test_blocks_are_read_by_the_interest_of_the_last_reset() -> None:
     mirror = knowledge.mirror
     assert mirror is not None
     knowledge.interest = third  # changed twice; the daemon has heeded one yet
-    knowledge.take(Blocks(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
+    knowledge.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
     assert (mirror.interest, knowledge.is_complete) == (first, False)
-    knowledge.take(Reset(map=FACTS, revision=1, interest=second))
-    knowledge.take(Blocks(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
+    knowledge.take(ResetMessage(map=FACTS, revision=1, interest=second))
+    knowledge.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
     assert (mirror.interest, knowledge.is_complete) == (second, False)
     assert knowledge.resume() is None
-    knowledge.take(Reset(map=FACTS, revision=1, interest=third))
-    knowledge.take(Blocks(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
+    knowledge.take(ResetMessage(map=FACTS, revision=1, interest=third))
+    knowledge.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
     assert (mirror.interest, knowledge.is_complete) == (third, True)
 
 
 def test_path_is_of_its_session() -> None:
     knowledge = known()
-    knowledge.take(Blocks(revision=1, stamp_ns=1, complete=1, body=body()))
-    knowledge.take(Path(first=0, points=POINTS))
+    knowledge.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body()))
+    knowledge.take(PathMessage(first=0, points=POINTS))
     again = msgspec.structs.replace(WELCOME, resumed=True)
     knowledge.begin(again, knowledge.resume())
     assert len(knowledge.path) == 2
@@ -79,7 +86,7 @@ def test_path_is_of_its_session() -> None:
 
 def test_thresholds_and_origin_may_change_while_the_link_is_away() -> None:
     knowledge = known()
-    knowledge.take(Blocks(revision=1, stamp_ns=1, complete=1, body=body()))
+    knowledge.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body()))
     facts = msgspec.structs.replace(FACTS, origin_deg=(54.0, 10.0), occupied_log_odds=1.0)
     knowledge.begin(msgspec.structs.replace(WELCOME, resumed=True, map=facts), knowledge.resume())
     assert knowledge.mirror is not None
@@ -87,13 +94,13 @@ def test_thresholds_and_origin_may_change_while_the_link_is_away() -> None:
     assert len(knowledge.mirror) == 1
 
 
-def blocks_of(sent: dict[int, int], **more: int) -> Blocks:
+def blocks_of(sent: dict[int, int], **more: int) -> BlocksMessage:
     """Blocks by the first number of their keys, each with one value in all its cells."""
     keys = np.zeros((len(sent), 3), np.int32)
     keys[:, 0] = list(sent)
     cells = np.repeat(np.array(list(sent.values()), np.int8)[:, None], CELLS, axis=1)
     body = encode_blocks(BlockSet(keys, np.zeros(len(sent), np.uint32), cells))
-    return Blocks(stamp_ns=1, body=body, **more)
+    return BlocksMessage(stamp_ns=1, body=body, **more)
 
 
 def test_each_message_replaces_the_blocks_before() -> None:
@@ -102,7 +109,7 @@ def test_each_message_replaces_the_blocks_before() -> None:
         knowledge.take(blocks_of({number % 3: number}, revision=number, complete=number))
         knowledge.take(blocks_of({5: number if number % 2 else UNKNOWN}, revision=number))
         if number == 10:
-            knowledge.take(Reset(map=FACTS, revision=10))
+            knowledge.take(ResetMessage(map=FACTS, revision=10))
     assert knowledge.mirror is not None
     held = knowledge.mirror.blocks()
     values = dict(zip(held.keys[:, 0].tolist(), held.cells[:, 0].tolist(), strict=True))

@@ -16,19 +16,19 @@ from mapperd.client.errors import AskError
 from mapperd.client.mirror import MapMirror
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, path_message
 from mapperd.wire.messages import (
-    Event,
-    Fan,
-    Image,
+    EventMessage,
+    FanMessage,
+    ImageMessage,
     Interest,
-    Localization,
+    LocalizationMessage,
     MapFacts,
-    Path,
-    Pose,
-    Returns,
-    Robots,
-    Settings,
-    Status,
-    Welcome,
+    PathMessage,
+    PoseMessage,
+    ReturnsMessage,
+    RobotsMessage,
+    SettingsMessage,
+    StatusMessage,
+    WelcomeMessage,
 )
 
 T0 = 1_790_000_000_000_000_000
@@ -44,7 +44,7 @@ FACTS = MapFacts(
 )
 CONNECTED = LinkStatus("connected", "/run/map.sock", "", 0.0, connects=1, bytes=10)
 
-POSE = Pose(
+POSE = PoseMessage(
     stamp_ns=T0 + 5,
     position_m=(10.0, 20.0, -3.0),
     orientation_xyzw=(0.0, 0.0, 0.5**0.5, 0.5**0.5),  # a quarter turn to port
@@ -53,8 +53,10 @@ POSE = Pose(
     velocity_mps=(0.0, 1.5, 0.0),
     covariance=tuple(float(k) for k in range(36)),
 )
-FAN = Fan(bearings_rad=(-1.0, 1.0), vertical_aperture_rad=0.35, min_range_m=0.5, max_range_m=20.0)
-RETURNS = Returns(
+FAN = FanMessage(
+    bearings_rad=(-1.0, 1.0), vertical_aperture_rad=0.35, min_range_m=0.5, max_range_m=20.0
+)
+RETURNS = ReturnsMessage(
     stamp_ns=T0 + 6,
     ping_id=1,
     sonar_position_m=POSE.sonar_position_m,
@@ -63,7 +65,7 @@ RETURNS = Returns(
     intensities=bytes([7, 200]),
 )
 PIXELS = np.arange(12, dtype=np.uint8).reshape(4, 3)
-IMAGE = Image(
+IMAGE = ImageMessage(
     stamp_ns=T0 + 7,
     ping_id=1,
     rows=4,
@@ -72,8 +74,8 @@ IMAGE = Image(
     bearings_rad=np.array([-0.5, 0.0, 0.5], "<f4").tobytes(),
     body=zstandard.ZstdCompressor().compress(PIXELS.tobytes()),
 )
-ROBOTS = Robots(seen=[(T0 - 3 * S, 1.0, 2.0, 3.0)])
-LOCALIZATION = Localization(
+ROBOTS = RobotsMessage(seen=[(T0 - 3 * S, 1.0, 2.0, 3.0)])
+LOCALIZATION = LocalizationMessage(
     report={
         "state": "localized",
         "pose": {
@@ -86,8 +88,8 @@ LOCALIZATION = Localization(
     particles=np.array([[1, 2, 0.5, 0.7], [3, 4, 1.5, 0.3]], "<f4").tobytes(),
     scan=np.array([[1, 2, 3]], "<f4").tobytes(),
 )
-STATUS = Status(stamp_ns=T0 + 8, status={"phase": "mapping"}, link={"left": 3})
-EVENT = Event(
+STATUS = StatusMessage(stamp_ns=T0 + 8, status={"phase": "mapping"}, link={"left": 3})
+EVENT = EventMessage(
     event={
         "number": 1,
         "t_s": T0 / S,
@@ -98,7 +100,7 @@ EVENT = Event(
     },
     lost=2,
 )
-SETTINGS = Settings(
+SETTINGS = SettingsMessage(
     facts={
         "filtering.min_range": {"value": 1.5, "dynamic": True},
         "filtering.intensity_threshold": {"value": 50, "dynamic": True},
@@ -115,15 +117,15 @@ class FakeClient:
     def __init__(self) -> None:
         self.mirror: MapMirror | None = MapMirror(FACTS, Interest())
         self.link = CONNECTED
-        self.welcome: Welcome | None = None
-        self.pose: Pose | None = None
+        self.welcome: WelcomeMessage | None = None
+        self.pose: PoseMessage | None = None
         self.path: NDArray[np.float64] = np.zeros((0, 3))
-        self.fan: Fan | None = None
-        self.returns: Returns | None = None
-        self.image: Image | None = None
-        self.robots: Robots | None = None
-        self.localization: Localization | None = None
-        self.status: Status | None = None
+        self.fan: FanMessage | None = None
+        self.returns: ReturnsMessage | None = None
+        self.image: ImageMessage | None = None
+        self.robots: RobotsMessage | None = None
+        self.localization: LocalizationMessage | None = None
+        self.status: StatusMessage | None = None
         self.settings: dict[str, Any] = {}
         self.wants: Collection[str] = ()
         self.asked: list[dict[str, Any]] = []
@@ -134,12 +136,12 @@ class FakeClient:
         """None is the end."""
         if isinstance(change, LinkChanged):
             self.link = change.link
-        elif isinstance(change, Settings):
+        elif isinstance(change, SettingsMessage):
             self.settings = {**self.settings, **change.facts}
-        elif isinstance(change, Path):
+        elif isinstance(change, PathMessage):
             self.path = WAY
-        elif not isinstance(change, Event | MapReset | MapChanged | None):
-            setattr(self, type(change).__name__.lower(), change)
+        elif not isinstance(change, EventMessage | MapReset | MapChanged | None):
+            setattr(self, type(change).__struct_config__.tag, change)
         self._waiting.put_nowait(change)
 
     def feed_all(self) -> None:

@@ -13,7 +13,7 @@ from mapperd.foxglove.geometry import Frames, transforms
 from mapperd.foxglove.map_publisher import map_cloud, map_rows
 from mapperd.foxglove.messages import FanShape, StateMessages
 from mapperd.foxglove.scene import PathDrawing, covariance_scene, fan_scene, robots_scene
-from mapperd.wire.messages import Image, Robots
+from mapperd.wire.messages import ImageMessage, RobotsMessage
 from tests.mapperd.foxglove.foxglove_fakes import (
     FAN,
     LOCALIZATION,
@@ -107,7 +107,7 @@ def test_robots_are_where_they_were_seen() -> None:
     (entity,) = update.entities
     assert _vector(entity.spheres[0].pose.position).tolist() == [1.0, 2.0, 3.0]
     assert entity.texts[0].text == "robot, 3 s ago"
-    assert not decoded(robots_scene(Robots(seen=[]), "map", T0)).entities
+    assert not decoded(robots_scene(RobotsMessage(seen=[]), "map", T0)).entities
 
 
 def test_doubt_is_an_ellipse_of_two_deviations() -> None:
@@ -156,7 +156,7 @@ def test_polar_image_becomes_a_fan_image() -> None:
     targets = {(25, 3): 50, (35, 15): 100, (39, 30): 150, (20, 27): 200}
     for (row, beam), value in targets.items():
         pixels[row, beam] = value
-    image = Image(
+    image = ImageMessage(
         stamp_ns=T0,
         ping_id=1,
         rows=rows,
@@ -177,7 +177,7 @@ def test_polar_image_becomes_a_fan_image() -> None:
 
 def test_another_shape_gets_another_lookup_table() -> None:
     shape = FanShape()
-    one = Image(
+    one = ImageMessage(
         stamp_ns=T0,
         ping_id=1,
         rows=4,

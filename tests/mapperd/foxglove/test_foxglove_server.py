@@ -18,7 +18,7 @@ from mapperd.errors import LiveError
 from mapperd.foxglove import server
 from mapperd.foxglove.channels import CHANNELS
 from mapperd.foxglove.server import serve
-from mapperd.wire.messages import Settings, Status
+from mapperd.wire.messages import SettingsMessage, StatusMessage
 from tests.mapperd.foxglove.foxglove_fakes import (
     POSE,
     T0,
@@ -251,7 +251,9 @@ def test_parameters_go_both_ways() -> None:
             await eye.ask("getParameters", parameterNames=["filtering.min_range"], id="now")
             await eye.of("parameterValues", "now")
             eye.texts.clear()
-            client.feed(Settings(facts={"filtering.min_range": {"value": 3.5, "dynamic": True}}))
+            client.feed(
+                SettingsMessage(facts={"filtering.min_range": {"value": 3.5, "dynamic": True}})
+            )
             update = await eye.of("parameterValues")
             assert _values(update) == {"filtering.min_range": 3.5}
 
@@ -322,11 +324,11 @@ def test_a_daemons_clock_that_is_set_back_begins_a_session() -> None:
         async with viewer(port) as eye:
             first = (await eye.of("serverInfo"))["sessionId"]
             await eye.watch("/status")
-            client.feed(Status(stamp_ns=S))
+            client.feed(StatusMessage(stamp_ns=S))
             assert (await eye.of("serverInfo"))["sessionId"] != first
             await eye.hear(lambda: any(time_ns == S for _, time_ns, _ in eye.messages))
             client.feed(POSE)
-            client.feed(Status(stamp_ns=T0 + S))
+            client.feed(StatusMessage(stamp_ns=T0 + S))
             await eye.hear(lambda: any(time_ns == T0 + S for _, time_ns, _ in eye.messages))
 
     served(changing)

@@ -10,7 +10,14 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.server.map_source import MapSource
 from mapperd.wire.blocks import CELLS, UNKNOWN, decode_blocks
-from mapperd.wire.messages import BLOCK_EDGE, Blocks, Interest, MapFacts, Reset, Resume
+from mapperd.wire.messages import (
+    BLOCK_EDGE,
+    BlocksMessage,
+    Interest,
+    MapFacts,
+    ResetMessage,
+    Resume,
+)
 
 SECOND_NS = 1_000_000_000
 SentState = dict[tuple[int, ...], tuple[bytes, bytes]]
@@ -110,10 +117,10 @@ class Client:
             self.take(message)
         return messages
 
-    def take(self, message: Blocks | Reset) -> None:
+    def take(self, message: BlocksMessage | ResetMessage) -> None:
         self.newest = max(self.newest, message.revision)
         self.sent_messages += 1
-        if isinstance(message, Reset):
+        if isinstance(message, ResetMessage):
             self.resets += 1
             self.mirror = MapMirror(message.map, message.interest or self.interest)
             self.newest = message.revision

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.map_index import distances_m
-from mapperd.wire.messages import Box, Interest
+from mapperd.wire.messages import Interest, MapBox
 from tests.mapperd.server.sent_state import SECOND_NS, Client, expected, scatter, source_of
 from tests.mapperd.store.dive import CONFIG, integrate
 
@@ -28,7 +28,7 @@ INTERESTS = [
     for level, detail in ((0, "log_odds"), (1, "counts"), (2, "classes"), (3, "log_odds"))
     for radius_m in (0.0, 1.5)
 ] + [
-    Interest(level=level, radius_m=radius_m, box=Box((-2.0, -1.0, -4.0), (1.0, 2.0, 0.5)))
+    Interest(level=level, radius_m=radius_m, box=MapBox((-2.0, -1.0, -4.0), (1.0, 2.0, 0.5)))
     for level in (0, 1)
     for radius_m in (0.0, 1.5)
 ]

@@ -14,7 +14,7 @@ from mapperd.server.requests import EVENTS_AT_ONCE
 from mapperd.server.session import ASKS, MESSAGES_AT_ONCE, MESSAGES_PER_S, QUIET_S
 from mapperd.server.stream_server import NEWCOMERS
 from mapperd.wire.auth import Limits
-from mapperd.wire.messages import MAX_FROM_CLIENT, Answer
+from mapperd.wire.messages import MAX_FROM_CLIENT, AnswerMessage
 from mapperd.wire.requests import Fault, Request, decode_request
 
 pytestmark = pytest.mark.net
@@ -79,4 +79,4 @@ def test_requests_of_the_page_are_the_protocol() -> None:
         request, _ = decode_request(msgspec.msgpack.encode(msgspec.json.decode(line)))
         assert not isinstance(request, Fault), request
     for line in answers:
-        msgspec.convert(msgspec.json.decode(line) | {"t": "answer"}, Answer)
+        msgspec.convert(msgspec.json.decode(line) | {"t": "answer"}, AnswerMessage)

@@ -10,7 +10,7 @@ from mapperd.server import connection
 from mapperd.server.session import CHANGES_AT_ONCE, CHANGES_PER_S, Session
 from mapperd.wire.auth import Limits
 from mapperd.wire.framing import framed
-from mapperd.wire.messages import Ack, Ask, Change, Interest
+from mapperd.wire.messages import AckMessage, AskMessage, ChangeMessage, Interest
 from tests.mapperd.server.test_session import SentState
 from tests.mapperd.server.watched import bed_of, run
 
@@ -31,7 +31,7 @@ def test_many_messages_are_heard_in_many_turns(
             watcher = await bed.watcher(door, tls[1] if door == "tls" else None)  # type: ignore[arg-type]
             await watcher.hello(b"correct-horse-battery-staple" if door == "tls" else None)
             monkeypatch.setattr(Session, "take", noted)
-            output = 10_000 * framed(Change()) + framed(Change(bytes_per_s=77_777))
+            output = 10_000 * framed(ChangeMessage()) + framed(ChangeMessage(bytes_per_s=77_777))
             watcher.writer.write(output)
             (client,) = bed.server._clients
             while client.session.pacer.bytes_per_s != 77_777:  # noqa: ASYNC110 it tells nobody
@@ -53,7 +53,7 @@ def test_of_many_changes_the_newest_is_heeded_in_its_time() -> None:
             session.wish = None
 
     for n in range(100):
-        reported.say(Change(interest=Interest(radius_m=float(n + 1))))
+        reported.say(ChangeMessage(interest=Interest(radius_m=float(n + 1))))
         look()
     assert heeded == [float(n + 1) for n in range(CHANGES_AT_ONCE)]
     for _ in range(8):
@@ -63,7 +63,7 @@ def test_of_many_changes_the_newest_is_heeded_in_its_time() -> None:
     assert heeded[CHANGES_AT_ONCE:] == [100.0]
     for n in range(400):
         reported.link.now_s += 0.01
-        reported.say(Change(interest=Interest(radius_m=1000.0 + n)))
+        reported.say(ChangeMessage(interest=Interest(radius_m=1000.0 + n)))
         session.look(reported.now_s)
         look()
     assert 4 * CHANGES_PER_S - 1 <= len(heeded) - CHANGES_AT_ONCE - 1 <= 4 * CHANGES_PER_S + 2
@@ -84,7 +84,10 @@ def test_who_acknowledges_and_asks_but_never_reads_is_cut(
             while not client.is_over:
                 if not client.session.asks:
                     ask = msgspec.msgpack.encode({"do": "status", "id": 1})
-                    watcher.say(Ask(ask=msgspec.Raw(ask)), Ack(bytes=client.session.pacer.sent))
+                    watcher.say(
+                        AskMessage(ask=msgspec.Raw(ask)),
+                        AckMessage(bytes=client.session.pacer.sent),
+                    )
                 await asyncio.sleep(0.001)
                 assert client._transport is not None
                 longest = max(longest, client._transport.get_write_buffer_size())

@@ -9,13 +9,21 @@ import pytest
 
 from mapperd.wire.auth import Limits
 from mapperd.wire.framing import framed
-from mapperd.wire.messages import Ack, Answer, Ask, Box, Change, Hello, Interest
+from mapperd.wire.messages import (
+    AckMessage,
+    AnswerMessage,
+    AskMessage,
+    ChangeMessage,
+    HelloMessage,
+    Interest,
+    MapBox,
+)
 from tests.mapperd.server.watched import as_bytes, bed_of, run
 
 pytestmark = pytest.mark.net
 
 NAN = float("nan")
-HELLO = framed(Hello(version=1, wants=["map"]))
+HELLO = framed(HelloMessage(version=1, wants=["map"]))
 
 
 def bare(message: object) -> bytes:
@@ -37,25 +45,26 @@ def bare(message: object) -> bytes:
         (bare({"t": "hello", "version": 1, "bytes_per_s": -1}), "bad_message"),
         (bare({"t": "hello", "version": 1, "interest": {"level": 4}}), "bad_message"),
         (bare({"t": "hello", "version": 1, "name": "x" * 101}), "bad_message"),
-        (framed(Hello(version=2)), "bad_version"),
-        (framed(Ack(bytes=0)), "no_hello"),
-        (framed(Change(wants=[])), "no_hello"),
+        (framed(HelloMessage(version=2)), "bad_version"),
+        (framed(AckMessage(bytes=0)), "no_hello"),
+        (framed(ChangeMessage(wants=[])), "no_hello"),
         (HELLO + HELLO, "hello_twice"),
-        (HELLO + framed(Ack(bytes=1 << 40)), "bad_ack"),
-        (HELLO + framed(Change(interest=Interest(radius_m=NAN))), "bad_message"),
+        (HELLO + framed(AckMessage(bytes=1 << 40)), "bad_ack"),
+        (HELLO + framed(ChangeMessage(interest=Interest(radius_m=NAN))), "bad_message"),
         (
-            framed(Hello(version=1, interest=Interest(box=Box((0, 0, 0), (1, -1, 1))))),
+            framed(HelloMessage(version=1, interest=Interest(box=MapBox((0, 0, 0), (1, -1, 1))))),
             "bad_interest",
         ),
         (
-            framed(Hello(version=1, interest=Interest(box=Box((0, 0, 0), (1, NAN, 1))))),
+            framed(HelloMessage(version=1, interest=Interest(box=MapBox((0, 0, 0), (1, NAN, 1))))),
             "bad_interest",
         ),
         (
-            HELLO + 20 * framed(Ask(ask=msgspec.Raw(msgspec.msgpack.encode({"do": "status"})))),
+            HELLO
+            + 20 * framed(AskMessage(ask=msgspec.Raw(msgspec.msgpack.encode({"do": "status"})))),
             "too_many_asks",
         ),
-        (HELLO + 40_000 * framed(Change()), "too_many_messages"),
+        (HELLO + 40_000 * framed(ChangeMessage()), "too_many_messages"),
     ],
 )
 def test_who_breaks_a_rule_is_reported_and_let_go(short: Path, output: bytes, reason: str) -> None:
@@ -94,15 +103,15 @@ def test_a_request_that_is_invalid_is_answered(short: Path, ask: bytes, reason: 
     async def work() -> None:
         async with bed_of(short) as bed:
             watcher = await bed.welcomed(wants=[])
-            watcher.writer.write(framed(Ask(ask=msgspec.Raw(ask))))
+            watcher.writer.write(framed(AskMessage(ask=msgspec.Raw(ask))))
             if reason is None:  # the message itself is none
                 bye = await watcher.over()
                 assert bye is not None
                 assert bye.reason == "bad_message"
                 return
-            await watcher.until(lambda: Answer in watcher.newest)
-            answer = watcher.newest[Answer]
-            assert isinstance(answer, Answer)
+            await watcher.until(lambda: AnswerMessage in watcher.newest)
+            answer = watcher.newest[AnswerMessage]
+            assert isinstance(answer, AnswerMessage)
             assert answer.error is not None
             assert answer.error["reason"] == reason
             assert (await watcher.ask(do="status", id=9)).result["phase"] == "mapping"
@@ -113,7 +122,12 @@ def test_a_request_that_is_invalid_is_answered(short: Path, ask: bytes, reason: 
 
 def test_any_bytes_leave_the_others_alone(short: Path) -> None:
     chance = random.Random(11)  # noqa: S311 a test
-    good = [HELLO, framed(Ack(bytes=60)), framed(Change(wants=["map", "pose"])), framed(Change())]
+    good = [
+        HELLO,
+        framed(AckMessage(bytes=60)),
+        framed(ChangeMessage(wants=["map", "pose"])),
+        framed(ChangeMessage()),
+    ]
 
     def spoilt() -> bytes:
         data = bytearray(b"".join(chance.choices(good, k=4)))

@@ -7,7 +7,7 @@ from mapperd.mapping.sonar_map import PingStats
 from mapperd.server.outbox import ClientOutbox
 from mapperd.server.pacer import Pacer
 from mapperd.wire.framing import client_inbox
-from mapperd.wire.messages import Image
+from mapperd.wire.messages import ImageMessage
 from oculus_driver.ping import Ping
 from tests.mapperd.server.test_state_feed import feed_of, fused, treated
 
@@ -32,7 +32,7 @@ def test_no_picture_is_older_than_the_one_before(ping: Callable[..., Ping]) -> N
 
     def tell(client: ClientOutbox) -> list[int]:
         output = client_inbox().feed(b"".join(client.pieces(now_s, 1)))
-        return [one.ping_id for one in output if isinstance(one, Image)]
+        return [one.ping_id for one in output if isinstance(one, ImageMessage)]
 
     def client() -> Choosing:
         new = Choosing(feed, EventLog(lambda: 1), Roomy())

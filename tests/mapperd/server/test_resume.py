@@ -13,7 +13,7 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.map_source import MapSource
 from mapperd.server.session import PARKED_S, Ends, Parting, ResumeCache
 from mapperd.server.subscription import MAX_MESSAGES, MOST_BLOCKS, InFlight
-from mapperd.wire.messages import Ack, Interest, Resume
+from mapperd.wire.messages import AckMessage, Interest, Resume
 from tests.mapperd.server.sent_state import (
     SECOND_NS,
     Client,
@@ -279,7 +279,7 @@ def test_what_is_remembered_is_bounded() -> None:
 def test_who_is_lost_is_kept_and_who_is_cut_is_not(short: Path, how: str, parked: int) -> None:
     async def end(bed: Bed, client: Watcher) -> None:
         if how == "breaks the rules":
-            client.say(Ack(bytes=10**9))
+            client.say(AckMessage(bytes=10**9))
         elif how == "is silent":
             client.acks = False
             bed.source.put((5, 0, 0), 1)

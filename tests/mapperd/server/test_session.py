@@ -17,19 +17,19 @@ from mapperd.server.state_messages import Track
 from mapperd.wire.auth import FailureLimiter
 from mapperd.wire.framing import client_inbox, framed
 from mapperd.wire.messages import (
-    Blocks,
-    Change,
-    Event,
+    BlocksMessage,
+    ChangeMessage,
+    EventMessage,
     FromClient,
-    Hello,
+    HelloMessage,
     MapFacts,
-    Path,
-    Pose,
+    PathMessage,
+    PoseMessage,
     Resume,
-    Robots,
-    Settings,
-    Status,
-    Welcome,
+    RobotsMessage,
+    SettingsMessage,
+    StatusMessage,
+    WelcomeMessage,
 )
 from tests.mapperd.server.shaped import LEAST_ON_ITS_WAY, STEP_S, Link
 
@@ -54,13 +54,13 @@ class PlainFeed(SimpleNamespace):
         return Newest(1, bytes(self.pictures[coarseness]))
 
     def event(self, happening: Any, lost: int) -> bytes:
-        return framed(Event(event={"number": happening.number}, lost=lost))
+        return framed(EventMessage(event={"number": happening.number}, lost=lost))
 
 
-def pose(n: int) -> Pose:
+def pose(n: int) -> PoseMessage:
     at = (float(n), 0.0, 0.0)
     turn = (0.0, 0.0, 0.0, 1.0)
-    return Pose(
+    return PoseMessage(
         stamp_ns=n,
         position_m=at,
         orientation_xyzw=turn,
@@ -82,7 +82,9 @@ class LargeMap:
         self.number += 1
         sizes = (0.7, 1.1, 1.45)
         size = int(room * sizes[room % len(sizes)])
-        return framed(Blocks(revision=1, stamp_ns=1, left=1, complete=None, body=bytes(size)))
+        return framed(
+            BlocksMessage(revision=1, stamp_ns=1, left=1, complete=None, body=bytes(size))
+        )
 
 
 class SentState:
@@ -100,7 +102,7 @@ class SentState:
         self.heard: list[tuple[float, Any]] = []
         self.way = b""
         self._send(self.session.greeting(self.now_s))
-        self.say(Hello(version=1, **hello))
+        self.say(HelloMessage(version=1, **hello))
         self.map: Any = None
         if has_map:
             self.map = LargeMap()
@@ -142,19 +144,21 @@ class SentState:
 
     def late_s(self) -> list[float]:
         """How old poses were when they came."""
-        return [at_s - one.stamp_ns / 1000 for at_s, one in self.heard if isinstance(one, Pose)]
+        return [
+            at_s - one.stamp_ns / 1000 for at_s, one in self.heard if isinstance(one, PoseMessage)
+        ]
 
 
 def test_the_welcome_comes_first_and_reports_what_there_is() -> None:
     reported = SentState(1e6, wants=["pose"])
     reported.tick(20, poses=True)
     kinds = [type(one) for _, one in reported.heard]
-    assert kinds[1] is Welcome
-    (welcome,) = reported.of(Welcome)
+    assert kinds[1] is WelcomeMessage
+    (welcome,) = reported.of(WelcomeMessage)
     assert (welcome.revision, welcome.session, welcome.vehicle) == (7, "s1", "rov")
     assert welcome.map == FACTS
-    assert len(reported.of(Pose)) >= 5
-    assert reported.of(Robots) == []
+    assert len(reported.of(PoseMessage)) >= 5
+    assert reported.of(RobotsMessage) == []
 
 
 def test_a_slow_link_has_fresh_poses_and_skips_the_others() -> None:
@@ -165,7 +169,7 @@ def test_a_slow_link_has_fresh_poses_and_skips_the_others() -> None:
     assert max(reported.late_s()) < wire_s + UNSENT_S * FIRST_RATE / 6_000
     assert max(reported.late_s()[50:]) < wire_s + MIN_UNSENT / 6_000
     assert len(reported.late_s()) > 60
-    assert reported.session.portions.skipped["pose"] + len(reported.of(Pose)) > 1150
+    assert reported.session.portions.skipped["pose"] + len(reported.of(PoseMessage)) > 1150
 
 
 def test_heartbeats_come_each_second_and_the_whole_status_when_there_is_room() -> None:
@@ -173,17 +177,17 @@ def test_heartbeats_come_each_second_and_the_whole_status_when_there_is_room() -
     silent = SentState(1e6)
     for reported in (quick, slow, silent):
         reported.tick(400)
-        beats = [at_s for at_s, one in reported.heard if isinstance(one, Status)]
+        beats = [at_s for at_s, one in reported.heard if isinstance(one, StatusMessage)]
         assert 18 <= len(beats) <= 20
         assert np.diff(beats).max() < 2.1
     whole = [
-        len([one for one in reported.of(Status) if one.status])
+        len([one for one in reported.of(StatusMessage) if one.status])
         for reported in (quick, slow, silent)
     ]
     assert whole[0] >= 18
     assert 1 <= whole[1] <= 5  # 3 kB each, of a twentieth of the link
     assert whole[2] == 0
-    link = quick.of(Status)[-1].link
+    link = quick.of(StatusMessage)[-1].link
     assert link["bytes"] > 50_000
     assert {"bytes_per_s", "round_trip_s", "in_flight", "left", "skipped"} <= link.keys()
 
@@ -199,10 +203,10 @@ def test_poses_come_while_the_map_takes_all_it_can(rate: float, limit: int) -> N
     reported.tick(800, poses=True)
     bytes_per_s = min(rate, limit or rate)
     of_all = bytes_per_s * (reported.now_s - begun_s)
-    assert reported.bytes_of(Pose) > 0.8 * SHARES["pose"] * of_all
-    assert reported.bytes_of(Blocks) > 0.7 * of_all
-    each_s = len(framed(reported.of(Pose)[0])) / (SHARES["pose"] * bytes_per_s)
-    gaps_s = np.diff([at_s for at_s, one in reported.heard if isinstance(one, Pose)])
+    assert reported.bytes_of(PoseMessage) > 0.8 * SHARES["pose"] * of_all
+    assert reported.bytes_of(BlocksMessage) > 0.7 * of_all
+    each_s = len(framed(reported.of(PoseMessage)[0])) / (SHARES["pose"] * bytes_per_s)
+    gaps_s = np.diff([at_s for at_s, one in reported.heard if isinstance(one, PoseMessage)])
     assert gaps_s.max() < 1.5 * each_s + 2 * max(UNSENT_S, MIN_UNSENT / bytes_per_s)
 
 
@@ -227,10 +231,10 @@ def test_the_map_starves_nothing_that_comes_to_an_end(rate: float) -> None:
     reported = SentState(rate, has_map=True, wants=["map", "pose", "settings", "status"])
     reported.feed.settings = SettingLog({f"a.b{n}": {"text": "x" * 300} for n in range(50)})
     reported.tick(20 * 80, poses=True)
-    facts = {name for one in reported.of(Settings) for name in one.facts}
+    facts = {name for one in reported.of(SettingsMessage) for name in one.facts}
     assert len(facts) == 50
-    assert sum(1 for one in reported.of(Status) if one.status) > 2
-    assert reported.bytes_of(Blocks) > 0.4 * rate * 80
+    assert sum(1 for one in reported.of(StatusMessage) if one.status) > 2
+    assert reported.bytes_of(BlocksMessage) > 0.4 * rate * 80
 
 
 def test_settings_come_in_pieces_and_poses_between_them() -> None:
@@ -240,14 +244,14 @@ def test_settings_come_in_pieces_and_poses_between_them() -> None:
     )
     reported.tick(240, poses=True)
     facts: dict[str, Any] = {}
-    for one in reported.of(Settings):
+    for one in reported.of(SettingsMessage):
         facts |= one.facts
     assert len(facts) == 300
-    at_s = [at_s for at_s, one in reported.heard if isinstance(one, Pose)]
+    at_s = [at_s for at_s, one in reported.heard if isinstance(one, PoseMessage)]
     assert np.diff(at_s).max() < 0.7
     reported.feed.settings.put({"a.b7": {"value": 8}})
     reported.tick(20)
-    assert reported.of(Settings)[-1].facts == {"a.b7": {"value": 8}}
+    assert reported.of(SettingsMessage)[-1].facts == {"a.b7": {"value": 8}}
 
 
 def test_events_are_reported_once_and_those_that_are_forgotten_counted() -> None:
@@ -255,9 +259,9 @@ def test_events_are_reported_once_and_those_that_are_forgotten_counted() -> None
     for n in range(1200):
         reported.events.add(Severity.INFO, "n", str(n))
     reported.tick(200)
-    numbers = [one.event["number"] for one in reported.of(Event)]
+    numbers = [one.event["number"] for one in reported.of(EventMessage)]
     assert numbers == [*range(201, 1201)]
-    assert [one.lost for one in reported.of(Event)][:2] == [200, 0]
+    assert [one.lost for one in reported.of(EventMessage)][:2] == [200, 0]
 
 
 def test_a_path_grows_goes_on_and_is_sent_again_where_it_was_thinned() -> None:
@@ -270,24 +274,24 @@ def test_a_path_grows_goes_on_and_is_sent_again_where_it_was_thinned() -> None:
     again = SentState(1e6, wants=["path"], resume=resume)
     again.feed.path = reported.feed.path
     again.tick(20)
-    assert [one.first for one in again.of(Path)] == [498]
+    assert [one.first for one in again.of(PathMessage)] == [498]
     other = SentState(
         1e6, wants=["path"], resume=Resume(map="m1", session="s0", revision=1, path=498)
     )
     other.feed.path = reported.feed.path
     other.tick(20)
-    assert not other.of(Welcome)[0].resumed
-    assert other.of(Path)[0].first == 0
+    assert not other.of(WelcomeMessage)[0].resumed
+    assert other.of(PathMessage)[0].first == 0
     for n in range(500, 1001):
         reported.feed.path.add(np.array([2.0 * n, 0, 0]))
     reported.tick(20)
-    assert reported.of(Path)[-1].version == 1
+    assert reported.of(PathMessage)[-1].version == 1
     assert points_of(reported)[:, 0].tolist() == [4.0 * n for n in range(501)]
 
 
 def points_of(reported: SentState) -> Any:
     points = np.zeros((0, 3))
-    for one in reported.of(Path):
+    for one in reported.of(PathMessage):
         points = np.vstack([points[: one.first], np.frombuffer(one.points, "<f4").reshape(-1, 3)])
     return points
 
@@ -295,13 +299,13 @@ def points_of(reported: SentState) -> Any:
 def test_what_is_not_wanted_any_more_is_not_reported() -> None:
     reported = SentState(1e6, wants=["pose"])
     reported.tick(10, poses=True)
-    reported.say(Change(wants=["robots"]))
+    reported.say(ChangeMessage(wants=["robots"]))
     reported.tick(5)
     reported.heard.clear()
-    reported.feed.make("robots", Robots(seen=[(1, 2.0, 3.0, 4.0)]))
+    reported.feed.make("robots", RobotsMessage(seen=[(1, 2.0, 3.0, 4.0)]))
     reported.tick(10, poses=True)
-    assert not reported.of(Pose)
-    assert len(reported.of(Robots)) == 1
+    assert not reported.of(PoseMessage)
+    assert len(reported.of(RobotsMessage)) == 1
 
 
 def test_pictures_are_as_fine_as_the_link_has_room_for() -> None:

@@ -10,7 +10,7 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server import map_source as source_module
 from mapperd.server.map_index import distances_m
 from mapperd.server.priority_queue import NEAR_M
-from mapperd.wire.messages import Blocks, Box, Interest
+from mapperd.wire.messages import BlocksMessage, Interest, MapBox
 from tests.mapperd.server.sent_state import (
     SECOND_NS,
     Client,
@@ -37,7 +37,7 @@ def test_the_nearest_is_reported_first_within_the_bytes_that_are_given() -> None
     before = np.zeros((0, 3), np.int32)
     while client.view.left:
         message = client.view.next_message(position, 2000)
-        assert isinstance(message, Blocks)
+        assert isinstance(message, BlocksMessage)
         assert len(message.body) <= 3000
         assert (message.complete is None) == (message.left > 0)
         client.take(message)
@@ -60,7 +60,7 @@ def test_a_box_is_reported_and_nothing_else() -> None:
     sonar_map = SonarMap(CONFIG)
     scatter(sonar_map, 2, 3000)
     source = source_of(sonar_map)
-    interest = Interest(box=Box((-1.0, -1.0, -1.0), (0.5, 2.0, 1.0)))
+    interest = Interest(box=MapBox((-1.0, -1.0, -1.0), (0.5, 2.0, 1.0)))
     client = Client(source, interest)
     source.look(SECOND_NS)
     client.hear()

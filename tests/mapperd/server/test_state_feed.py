@@ -14,8 +14,7 @@ from mapperd.client.validation import check_message
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.errors import Reject
-from mapperd.geometry.frames import Pose as Place
-from mapperd.geometry.frames import pose_from_rpy, quaternion_to_matrix
+from mapperd.geometry.frames import Pose, pose_from_rpy, quaternion_to_matrix
 from mapperd.imaging.ping_image import PingImage
 from mapperd.mapping.sonar_map import PingStats
 from mapperd.odometry.fusion import FusedPose
@@ -24,7 +23,13 @@ from mapperd.pipeline.step import PingResult
 from mapperd.server.state_feed import Feed, SettingLog
 from mapperd.server.state_messages import IMAGE_SIZES, Track, first_returns, image_message
 from mapperd.wire.framing import client_inbox
-from mapperd.wire.messages import Fan, Image, Pose, Returns, Robots
+from mapperd.wire.messages import (
+    FanMessage,
+    ImageMessage,
+    PoseMessage,
+    ReturnsMessage,
+    RobotsMessage,
+)
 from oculus_driver.ping import Ping
 from tests.support.control_server import FakeDaemon
 
@@ -75,7 +80,7 @@ def test_the_pose_is_the_pings_and_the_sonars_beside_it(ping: Ping) -> None:
     feed.refresh({"pose"}, 0.2)
     assert feed.newest("pose").number == 1
     output = message(feed.newest("pose").frame)
-    assert isinstance(output, Pose)
+    assert isinstance(output, PoseMessage)
     assert (output.stamp_ns, output.source) == (1_000, "odometry")
     assert output.position_m == feed.position_m == (5.0, 2.0, -3.0)
     np.testing.assert_allclose(output.sonar_position_m, (5.0, 3.0, -2.5), atol=1e-12)
@@ -96,7 +101,7 @@ def test_a_ping_without_a_pose_moves_nothing(ping: Ping) -> None:
     assert len(feed.path) == 0
     feed.draw({"returns"}, [])
     output = message(feed.newest("returns").frame)
-    assert isinstance(output, Returns)
+    assert isinstance(output, ReturnsMessage)
     assert (output.outcome, output.sonar_position_m) == ("no_odometry", None)
 
 
@@ -107,7 +112,7 @@ def test_the_fan_is_reported_when_it_changes(ping: Ping) -> None:
         feed.refresh({"fan"}, n)
     assert feed.newest("fan").number == 1
     output = message(feed.newest("fan").frame)
-    assert isinstance(output, Fan)
+    assert isinstance(output, FanMessage)
     assert output.bearings_rad[0] == pytest.approx(ping.bearings_rad[0], abs=1e-4)
     assert output.vertical_aperture_rad == pytest.approx(math.radians(14))
     assert output.min_range_m == 0.5
@@ -137,7 +142,7 @@ def test_robots_are_reported_when_they_come_and_go() -> None:
     feed.refresh({"robots"}, 0.1)
     feed.refresh({"robots"}, 0.2)
     output = message(feed.newest("robots").frame)
-    assert isinstance(output, Robots)
+    assert isinstance(output, RobotsMessage)
     assert output.seen == [(2_500_000_000, 1.0, 2.0, 3.0)]
     sent.robots = []
     feed.refresh({"robots"}, 0.3)
@@ -163,7 +168,7 @@ def test_a_picture_keeps_the_brightest_sample_of_each_pixel(ping: Ping) -> None:
     rows, beams = ping.image.shape
     for size in (*IMAGE_SIZES, (7, 5), (10_000, 10_000)):
         output = image_message(ping, 5, size)
-        assert isinstance(output, Image)
+        assert isinstance(output, ImageMessage)
         assert output.rows <= size[0]
         assert output.beams <= size[1]
         pixels = np.frombuffer(zstandard.decompress(output.body), np.uint8)
@@ -234,7 +239,7 @@ def test_the_sonar_sits_where_the_settings_report(ping: Ping) -> None:
     assert output.covariance is None
     assert output.velocity_mps is None
     x, y, z, w = output.orientation_xyzw
-    again = Place(np.array(output.position_m), np.array([w, x, y, z]))
+    again = Pose(np.array(output.position_m), np.array([w, x, y, z]))
     np.testing.assert_allclose(again.map_T_base, base.map_T_base, atol=1e-12)
 
 

@@ -11,7 +11,15 @@ import pytest
 from mapperd.events import Severity
 from mapperd.server.pacer import LOCAL_WINDOW
 from mapperd.wire.auth import Limits
-from mapperd.wire.messages import Change, Event, Hello, Interest, Resume, Settings, Status
+from mapperd.wire.messages import (
+    ChangeMessage,
+    EventMessage,
+    HelloMessage,
+    Interest,
+    Resume,
+    SettingsMessage,
+    StatusMessage,
+)
 from tests.mapperd.server.watched import Watcher, as_bytes, bed_of, run
 from tests.support.control_server import TOKEN
 
@@ -78,7 +86,7 @@ def test_a_client_that_never_reads_costs_the_others_nothing(short: Path) -> None
         async with bed_of(short) as bed:
             fill(bed, 2000)
             lazy = await bed.watcher(size=4096)
-            lazy.say(Hello(version=1, wants=["map", "status", "events", "settings"]))
+            lazy.say(HelloMessage(version=1, wants=["map", "status", "events", "settings"]))
             watcher = await bed.welcomed()
             await watcher.until(lambda: watcher.complete == 2000)
             assert watcher.cells == as_bytes(bed.source)
@@ -148,19 +156,19 @@ def test_another_interest_is_reported_again(short: Path) -> None:
         async with bed_of(short) as bed:
             fill(bed, 30)
             watcher = await bed.welcomed(wants=["pose"])
-            watcher.say(Change(wants=["map"]))
+            watcher.say(ChangeMessage(wants=["map"]))
             await watcher.until(lambda: watcher.complete == 30)
-            watcher.say(Change(interest=Interest(radius_m=5.0)))
+            watcher.say(ChangeMessage(interest=Interest(radius_m=5.0)))
             resets = watcher.resets
             await watcher.until(lambda: watcher.resets > resets)
             await watcher.until(lambda: watcher.complete == 30)
             assert watcher.cells == as_bytes(bed.source)
-            watcher.say(Change(wants=[]))
+            watcher.say(ChangeMessage(wants=[]))
             while bed.source.views:  # noqa: ASYNC110 it tells nobody
                 await asyncio.sleep(0.01)
             fill(bed, 5)
             watcher.newest.clear()
-            await watcher.until(lambda: Status in watcher.newest)
+            await watcher.until(lambda: StatusMessage in watcher.newest)
             assert watcher.complete == 30
             await watcher.leave()
 
@@ -262,7 +270,7 @@ def test_a_setting_that_one_changes_is_seen_by_another(short: Path) -> None:
 
             def known() -> int:
                 for message in one.heard:
-                    if isinstance(message, Settings):
+                    if isinstance(message, SettingsMessage):
                         facts.update(message.facts)
                 return len(facts)
 
@@ -272,9 +280,9 @@ def test_a_setting_that_one_changes_is_seen_by_another(short: Path) -> None:
             one.heard.clear()
             answer = await two.ask(do="set", id=4, changes={"filtering.min_range": 2.0})
             assert answer.result == {"changed": {"filtering.min_range": [0.5, 2.0]}}
-            await one.until(lambda: any(isinstance(sent, Settings) for sent in one.heard))
-            sent = one.newest[Settings]
-            assert isinstance(sent, Settings)
+            await one.until(lambda: any(isinstance(sent, SettingsMessage) for sent in one.heard))
+            sent = one.newest[SettingsMessage]
+            assert isinstance(sent, SettingsMessage)
             assert [*sent.facts] == ["filtering.min_range"]
             assert sent.facts["filtering.min_range"]["value"] == 2.0
             refused = await two.ask(do="set", id=5, changes={"filtering.min_range": -1})
@@ -294,7 +302,7 @@ def test_events_come_as_they_happen_and_since_a_number(short: Path) -> None:
             bed.daemon.events.add(Severity.NOTICE, "after", "after")
 
             def codes(watcher: Watcher) -> list[str]:
-                return [m.event["code"] for m in watcher.heard if isinstance(m, Event)]
+                return [m.event["code"] for m in watcher.heard if isinstance(m, EventMessage)]
 
             await new.until(lambda: codes(new) == ["after"])
             await old.until(lambda: codes(old) == ["before", "after"])

@@ -18,8 +18,14 @@ from mapperd.events import EventLog
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.map_source import MapSource
 from mapperd.wire.blocks import UNKNOWN
-from mapperd.wire.messages import Fan, Image, MapFacts, Pose, Returns
-from mapperd.wire.messages import Path as Trace
+from mapperd.wire.messages import (
+    FanMessage,
+    ImageMessage,
+    MapFacts,
+    PathMessage,
+    PoseMessage,
+    ReturnsMessage,
+)
 from tests.mapperd.daemon.test_daemon import bench_of
 from tests.mapperd.server.watched import Key, Watcher
 from tests.support.control_server import TOKEN
@@ -112,7 +118,7 @@ def test_a_daemon_shows_its_map_its_pose_and_what_the_sonar_sees(
                 stack.callback(watcher.writer.transport.abort)
                 await watcher.until(lambda: watcher.greeting is not None)
                 await watcher.hello(wants=wants)
-                kinds = {Pose, Trace, Fan, Returns, Image}
+                kinds = {PoseMessage, PathMessage, FanMessage, ReturnsMessage, ImageMessage}
                 await watcher.until(lambda: kinds <= watcher.newest.keys() and bool(watcher.cells))
                 await bench.daemon.reset("test")
                 await watcher.until(lambda: watcher.resets > 0)
@@ -140,12 +146,14 @@ def cells_of(sonar_map: SonarMap, facts: MapFacts) -> dict[Key, bytes]:
 
 
 def check_scene(watcher: Watcher) -> None:
-    pose, returns, trace = (watcher.newest[kind] for kind in (Pose, Returns, Trace))
-    assert isinstance(pose, Pose)
+    pose, returns, trace = (
+        watcher.newest[kind] for kind in (PoseMessage, ReturnsMessage, PathMessage)
+    )
+    assert isinstance(pose, PoseMessage)
     assert (pose.source, pose.position_m) == ("fixed", (0.0, 0.0, 0.0))
-    assert isinstance(trace, Trace)
+    assert isinstance(trace, PathMessage)
     assert np.frombuffer(trace.points, "<f4").tolist() == [0.0, 0.0, 0.0]
-    assert isinstance(returns, Returns)
+    assert isinstance(returns, ReturnsMessage)
     assert returns.outcome == "mapped"
     assert returns.sonar_position_m == pose.sonar_position_m
     points = np.frombuffer(returns.points, "<f4").reshape(-1, 3)

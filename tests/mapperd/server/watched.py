@@ -21,20 +21,20 @@ from mapperd.wire.auth import Limits, proof_of
 from mapperd.wire.blocks import CELLS, BlockSet, decode_blocks, encode_blocks
 from mapperd.wire.framing import client_inbox, framed
 from mapperd.wire.messages import (
-    Ack,
-    Ask,
-    Blocks,
-    Bye,
+    AckMessage,
+    AskMessage,
+    BlocksMessage,
+    ByeMessage,
     FromClient,
     FromServer,
-    Greeting,
-    Hello,
+    GreetingMessage,
+    HelloMessage,
     Interest,
     MapFacts,
-    Reset,
+    ResetMessage,
     Resume,
     Vector,
-    Welcome,
+    WelcomeMessage,
 )
 from tests.support.control_server import TOKEN, FakeDaemon
 
@@ -98,7 +98,9 @@ class PlainView:
         source = self._source
         if source.map_id != self._map_id or self._again:
             self._map_id, self._sent_to, self._again = source.map_id, {}, False
-            reset = Reset(map=source.facts(), revision=source.revision, interest=self._interest)
+            reset = ResetMessage(
+                map=source.facts(), revision=source.revision, interest=self._interest
+            )
             return framed(reset)
         due = self._due()
         if not due:
@@ -115,7 +117,7 @@ class PlainView:
         body = encode_blocks(BlockSet(keys, np.zeros(len(keys), np.uint32), cells))
         left = len(due) - len(taken)
         complete = None if left else source.revision
-        blocks = Blocks(
+        blocks = BlocksMessage(
             revision=source.revision, stamp_ns=1, left=left, complete=complete, body=body
         )
         return framed(blocks)
@@ -237,9 +239,9 @@ class Watcher:
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader, self.writer = reader, writer
         self.inbox = client_inbox()
-        self.greeting: Greeting | None = None
-        self.welcome: Welcome | None = None
-        self.bye: Bye | None = None
+        self.greeting: GreetingMessage | None = None
+        self.welcome: WelcomeMessage | None = None
+        self.bye: ByeMessage | None = None
         self.cells: dict[Key, bytes] = {}
         self.complete: int | None = None
         self.resets = 0
@@ -253,11 +255,11 @@ class Watcher:
     async def hello(self, token: bytes | None = None, **fields: Any) -> None:
         assert self.greeting is not None
         proof = "" if token is None else proof_of(token, self.greeting.challenge)
-        self.say(Hello(**{"version": 1, "proof": proof, "wants": ["map"], **fields}))
+        self.say(HelloMessage(**{"version": 1, "proof": proof, "wants": ["map"], **fields}))
         await self.until(lambda: self.welcome is not None or self.bye is not None)
 
     async def ask(self, **ask: Any) -> Any:
-        self.say(Ask(ask=msgspec.Raw(msgspec.msgpack.encode(ask))))
+        self.say(AskMessage(ask=msgspec.Raw(msgspec.msgpack.encode(ask))))
         await self.until(lambda: any(getattr(one, "id", None) == ask["id"] for one in self.heard))
         return next(one for one in self.heard if getattr(one, "id", None) == ask["id"])
 
@@ -265,7 +267,7 @@ class Watcher:
         while not done():
             assert await self.read(), f"it hung up: {self.bye}"
 
-    async def over(self) -> Bye | None:
+    async def over(self) -> ByeMessage | None:
         while await self.read():
             pass
         self.writer.close()
@@ -279,20 +281,20 @@ class Watcher:
         for message in self.inbox.feed(data):
             self._take(message)
         if self.acks and data and self.welcome is not None:
-            self.say(Ack(bytes=self.inbox.received))
+            self.say(AckMessage(bytes=self.inbox.received))
         return bool(data)
 
     def _take(self, message: FromServer) -> None:
         match message:
-            case Greeting():
+            case GreetingMessage():
                 self.greeting = message
-            case Welcome():
+            case WelcomeMessage():
                 self.welcome = message
-            case Bye():
+            case ByeMessage():
                 self.bye = message
-            case Reset():
+            case ResetMessage():
                 self.cells, self.complete, self.resets = {}, None, self.resets + 1
-            case Blocks(body=body, complete=complete):
+            case BlocksMessage(body=body, complete=complete):
                 blocks = decode_blocks(body, counts=False)
                 for key, cells in zip(blocks.keys.tolist(), blocks.cells, strict=True):
                     self.cells[tuple(key)] = cells.tobytes()

@@ -14,7 +14,13 @@ from mapperd.client import LinkChanged, MapClient
 from mapperd.viewer.actors import PATH_PIECE, Actors
 from mapperd.viewer.app import View
 from mapperd.viewer.shapes import strip
-from mapperd.wire.messages import Fan, Localization, Path, Returns, Robots
+from mapperd.wire.messages import (
+    FanMessage,
+    LocalizationMessage,
+    PathMessage,
+    ReturnsMessage,
+    RobotsMessage,
+)
 from tests.mapperd.viewer.view_fakes import FakeClient, pose_at, some_map
 
 if TYPE_CHECKING:
@@ -37,9 +43,9 @@ def way(length: int, x: float) -> NDArray[np.float64]:
 
 def test_a_path_that_starts_again_leaves_nothing_of_the_one_before(server: "ViserServer") -> None:
     actors = Actors(server.scene)
-    actors.take(Path(first=0, points=b""), way(3 * PATH_PIECE, 1.0), 0.0)
+    actors.take(PathMessage(first=0, points=b""), way(3 * PATH_PIECE, 1.0), 0.0)
     longer = way(4 * PATH_PIECE, 2.0)
-    actors.take(Path(first=0, points=b""), longer, 0.0)
+    actors.take(PathMessage(first=0, points=b""), longer, 0.0)
     drawn = [server.scene.get_handle_by_name(f"/path/{number}") for number in range(4)]
     drawn_points = np.concatenate([segments_of(one) for one in drawn])
     np.testing.assert_array_equal(drawn_points, strip(longer))
@@ -49,7 +55,7 @@ def test_a_path_far_from_the_maps_zero_is_drawn_to_the_millimetre(server: "Viser
     actors = Actors(server.scene)
     metres = np.arange(2 * PATH_PIECE)
     points = np.column_stack([500_000.3 + 0.1 * metres, 4_649_776.7 - 0.1 * metres, 0.0 * metres])
-    actors.take(Path(first=0, points=b""), points, 0.0)
+    actors.take(PathMessage(first=0, points=b""), points, 0.0)
     drawn = [server.scene.get_handle_by_name(f"/path/{number}") for number in range(2)]
     drawn_points = np.concatenate([segments_of(one)[:, 0] for one in drawn])
     np.testing.assert_allclose(drawn_points, points[:-1], rtol=0, atol=1e-3)
@@ -83,10 +89,10 @@ def test_what_moves_is_moved_and_not_made_again(server: "ViserServer") -> None:
         actors.pose(msgspec.structs.replace(pose, covariance=plane))
         points = np.full((3 + step, 4), step, "<f4")
         flat = np.ascontiguousarray(points[:, :3]).tobytes()
-        drawn_points = Localization(report={}, particles=points.tobytes(), scan=flat)
+        drawn_points = LocalizationMessage(report={}, particles=points.tobytes(), scan=flat)
         actors.localization(drawn_points, -4.0)
         reach_m = 5.0 + step
-        fan = Fan(
+        fan = FanMessage(
             bearings_rad=(-1.0, 1.0),
             vertical_aperture_rad=0.2,
             min_range_m=0.1,
@@ -94,11 +100,11 @@ def test_what_moves_is_moved_and_not_made_again(server: "ViserServer") -> None:
         )
         actors.fan(fan)
         at, turn = pose.sonar_position_m, pose.sonar_orientation_xyzw
-        met = Returns(
+        met = ReturnsMessage(
             stamp_ns=1, ping_id=1, sonar_position_m=at, sonar_orientation_xyzw=turn, points=flat
         )
         actors.returns(met)
-        actors.robots(Robots(seen=[(1, float(step), 0.0, -4.0)]))
+        actors.robots(RobotsMessage(seen=[(1, float(step), 0.0, -4.0)]))
         actors.path(way(5 + step, 1.0), 5)
         return {name: server.scene.get_handle_by_name(f"/{name}") for name in names}
 
@@ -112,7 +118,7 @@ def test_what_moves_is_moved_and_not_made_again(server: "ViserServer") -> None:
     np.testing.assert_array_equal(second["returns/last"].position, (1, 2, -4))
     np.testing.assert_array_equal(second["robots/0"].position, (1, 0, -4))
     np.testing.assert_array_equal(segments_of(second["path/0"]), strip(way(6, 1.0)))
-    actors.localization(Localization(report={}, particles=b"", scan=b""), -4.0)
+    actors.localization(LocalizationMessage(report={}, particles=b"", scan=b""), -4.0)
     assert server.scene.get_handle_by_name("/localization/particles") is None
 
 
@@ -127,7 +133,7 @@ def test_a_new_session_removes_everything(server: "ViserServer") -> None:
         client.connect()
         view.take(LinkChanged(client.link))
         view.take(pose_at(0, 0, -4, 0.0))
-        view.take(Robots(seen=[(1, 0.0, 0.0, -4.0)]))
+        view.take(RobotsMessage(seen=[(1, 0.0, 0.0, -4.0)]))
         view.take(LinkChanged(client.link))
         assert shown(), "the link broke, the daemon went on"
         assert client.welcome is not None

@@ -14,7 +14,7 @@ from mapperd.viewer.panel import Span
 from mapperd.viewer.settings import control_of, controls_of, value_from
 from mapperd.viewer.shapes import cube, ellipse, fan_lines, strip, vehicle_parts
 from mapperd.viewer.tools import Measuring, distance_text, pick
-from mapperd.wire.messages import Fan
+from mapperd.wire.messages import FanMessage
 from tests.mapperd.viewer.view_fakes import blocks_of, mirror_of
 
 SECOND = 1_000_000_000
@@ -109,7 +109,9 @@ def test_the_nose_is_in_front() -> None:
 
 
 def test_the_fan_lies_between_its_bearings_and_ranges() -> None:
-    fan = Fan(bearings_rad=(-0.2, 1.0), vertical_aperture_rad=0.3, min_range_m=0.5, max_range_m=9.0)
+    fan = FanMessage(
+        bearings_rad=(-0.2, 1.0), vertical_aperture_rad=0.3, min_range_m=0.5, max_range_m=9.0
+    )
     points = fan_lines(fan).reshape(-1, 3).astype(float)
     ranges = np.linalg.norm(points, axis=1)
     assert ranges.min() == pytest.approx(0.5)

@@ -15,7 +15,7 @@ from mapperd.client.mirror import MapMirror
 from mapperd.config.changes import facts_of
 from mapperd.config.tree import Config
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
-from mapperd.wire.messages import Interest, MapFacts, Pose, Settings, Welcome
+from mapperd.wire.messages import Interest, MapFacts, PoseMessage, SettingsMessage, WelcomeMessage
 
 ROOT = Path(__file__).resolve().parents[3]
 STEP = 0.25
@@ -64,7 +64,7 @@ class FakeClient:
     def __init__(self, blocks: BlockSet) -> None:
         self.link = LinkStatus("connecting", "127.0.0.1:52300", "", time.monotonic())
         self.mirror: MapMirror | None = None
-        self.welcome: Welcome | None = None
+        self.welcome: WelcomeMessage | None = None
         self.path: NDArray[np.float64] = np.zeros((0, 3))
         self.values: dict[str, Any] = {}
         self.refuses: dict[str, str] = {}
@@ -81,7 +81,7 @@ class FakeClient:
     def connect(self, *, facts: MapFacts = FACTS) -> None:
         self._be("connected", "")
         self.mirror = MapMirror(facts, Interest(detail="counts"))
-        self.welcome = Welcome(
+        self.welcome = WelcomeMessage(
             version=1,
             server="1",
             vehicle="rov",
@@ -94,7 +94,7 @@ class FakeClient:
         self.feed(MapReset(facts))
         self.mirror.put(self._blocks, time.time_ns())
         self.feed(MapChanged(self._blocks.keys, time.time_ns(), 0))
-        self.feed(Settings(facts=facts_of(Config(), lambda _: "default", [])))
+        self.feed(SettingsMessage(facts=facts_of(Config(), lambda _: "default", [])))
 
     def lose(self, reason: str) -> None:
         self._be("waiting", reason)
@@ -112,9 +112,9 @@ class FakeClient:
         return {name: [before[name], value] for name, value in changes.items()}
 
 
-def pose_at(x: float, y: float, z: float, yaw: float, stamp_ns: int | None = None) -> Pose:
+def pose_at(x: float, y: float, z: float, yaw: float, stamp_ns: int | None = None) -> PoseMessage:
     turn = (0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2)))
-    return Pose(
+    return PoseMessage(
         stamp_ns=time.time_ns() if stamp_ns is None else stamp_ns,
         position_m=(x, y, z),
         orientation_xyzw=turn,

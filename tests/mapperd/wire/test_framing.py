@@ -13,14 +13,14 @@ from mapperd.wire.framing import StreamError, client_inbox, framed, server_inbox
 from mapperd.wire.messages import (
     MAX_FROM_CLIENT,
     MAX_FROM_SERVER,
-    Ack,
-    Ask,
-    Change,
+    AckMessage,
+    AskMessage,
+    ChangeMessage,
     FromClient,
     FromServer,
-    Hello,
+    HelloMessage,
     Interest,
-    Status,
+    StatusMessage,
 )
 
 
@@ -28,9 +28,9 @@ from mapperd.wire.messages import (
 @settings(max_examples=30, deadline=None)
 def test_messages_come_out_however_the_bytes_are_cut(data: st.DataObject) -> None:
     output: list[FromClient] = [
-        Ack(bytes=5),
-        Change(interest=Interest(level=2)),
-        Hello(version=1, name="me"),
+        AckMessage(bytes=5),
+        ChangeMessage(interest=Interest(level=2)),
+        HelloMessage(version=1, name="me"),
     ]
     stream = b"".join(map(framed, output))
     inbox = server_inbox()
@@ -84,7 +84,7 @@ def test_what_no_client_may_report_is_refused(message: object) -> None:
 
 def test_keys_of_later_versions_are_passed_over() -> None:
     body = msgspec.msgpack.encode({"t": "ack", "bytes": 3, "colour": "red"})
-    assert server_inbox().feed(len(body).to_bytes(4, "big") + body) == [Ack(bytes=3)]
+    assert server_inbox().feed(len(body).to_bytes(4, "big") + body) == [AckMessage(bytes=3)]
 
 
 def test_every_kind_has_another_name() -> None:
@@ -118,8 +118,8 @@ def test_deep_nesting_is_refused() -> None:
 
 
 def test_memory_does_not_grow_with_what_was_reported() -> None:
-    stream = framed(Status(stamp_ns=1, status={"a": list(range(100))})) * 50
-    asks = framed(Ask(ask=msgspec.Raw(b"\xc0"))) * 50
+    stream = framed(StatusMessage(stamp_ns=1, status={"a": list(range(100))})) * 50
+    asks = framed(AskMessage(ask=msgspec.Raw(b"\xc0"))) * 50
     inboxes = client_inbox(), server_inbox()
 
     def rounds(number: int) -> None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mapperd.client import MapClient
 from mapperd.client.changes import LinkChanged, MapChanged
 from mapperd.client.mirror import MapMirror
-from mapperd.wire.messages import WANTS, Pose, Want
+from mapperd.wire.messages import WANTS, PoseMessage, Want
 
 __all__ = ["WatchLog", "read_log"]
 
@@ -109,7 +109,7 @@ async def _follow(client: MapClient, log: WatchLog, *, written: bool) -> None:
         match change:
             case MapChanged(keys=keys, stamp_ns=stamp_ns) if client.mirror is not None:
                 log.note(keys, stamp_ns, client.mirror)
-            case Pose(position_m=place):
+            case PoseMessage(position_m=place):
                 log.pose_times_ns.append(time.time_ns())
                 log.poses_m.append(place)
             case LinkChanged(link=link):

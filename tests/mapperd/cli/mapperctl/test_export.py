@@ -22,7 +22,7 @@ from mapperd.config.tree import Config
 from mapperd.export.formats import FORMATS
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.wire.blocks import CELLS, BlockSet, encode_blocks
-from mapperd.wire.messages import MAX_LEVEL, Blocks, Bye
+from mapperd.wire.messages import MAX_LEVEL, BlocksMessage, ByeMessage
 from tests.mapperd.foxglove.test_recording import read
 from tests.support.stream_server import FACTS, Connection, Served, Server, a_block
 
@@ -188,7 +188,7 @@ def test_map_that_does_not_come_whole_is_no_file(
         one = BlockSet(
             np.zeros((1, 3), np.int32), np.zeros(1, np.uint32), a_block(3).reshape(1, CELLS)
         )
-        self.say(Blocks(revision=3, stamp_ns=10**18, left=3, body=encode_blocks(one)))
+        self.say(BlocksMessage(revision=3, stamp_ns=10**18, left=3, body=encode_blocks(one)))
 
     monkeypatch.setattr(Connection, "tell", send)
     code, lines, output = export(tmp_path / f"live{suffix}", "--timeout", "0.3")
@@ -211,7 +211,7 @@ def test_daemon_that_is_not_there_is_reported_at_once(
 def test_daemon_that_refuses_is_reported(
     tmp_path: Path, export: Call, watched: Watched, reason: str, code: int
 ) -> None:
-    watched.served.refusal = Bye(reason=reason, message="it will not")
+    watched.served.refusal = ByeMessage(reason=reason, message="it will not")
     assert (reported := export(tmp_path / "live.ply"))[0] == code
     assert "it will not" in reported[2]
     assert list(tmp_path.iterdir()) == []

@@ -16,7 +16,7 @@ from websockets.asyncio.client import connect
 
 from mapperd.cli.mapperctl.command import main
 from mapperd.foxglove import server as foxglove_server
-from mapperd.wire.messages import Bye
+from mapperd.wire.messages import ByeMessage
 from tests.mapperd.foxglove.foxglove_fakes import message_class, points_of_cloud, until
 from tests.support.stream_server import Served, Server, a_block
 
@@ -136,7 +136,7 @@ def test_a_recording_that_is_refused_leaves_no_file(
     name: str, short: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     async def act(served: Served, server: Server) -> None:
-        served.refusal = Bye(reason="no_permission", message="you may not")
+        served.refusal = ByeMessage(reason="no_permission", message="you may not")
         given = ["record", str(short / name), "--socket", server.address]
         assert await asyncio.to_thread(main, given) == 77
 

@@ -18,7 +18,7 @@ from mapperd.server.pacer import Pacer
 from mapperd.server.priority_queue import Turns
 from mapperd.wire.blocks import UNKNOWN, decode_blocks
 from mapperd.wire.framing import client_inbox
-from mapperd.wire.messages import BLOCK_EDGE, Blocks, Interest, MapFacts
+from mapperd.wire.messages import BLOCK_EDGE, BlocksMessage, Interest, MapFacts
 from studies.accuracy_cost.streaming.truth import EDGE, UNIT, stream_keys
 
 __all__ = [
@@ -209,7 +209,7 @@ class StreamClient:
     def take(self, message: bytes) -> NDArray[np.int32]:
         """As of `Client`."""
         (received,) = self._inbox.feed(message)
-        if not isinstance(received, Blocks) or not received.body:
+        if not isinstance(received, BlocksMessage) or not received.body:
             return np.zeros((0, 3), np.int32)
         blocks = decode_blocks(received.body, counts=self._interest.detail == "counts")
         self._mirror.put(blocks, received.stamp_ns)
