@@ -9,19 +9,19 @@ import numpy as np
 
 from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapReset
 from mapperd.client.mirror import keys_of, names_of
-from mapperd.client.state import Knowledge
+from mapperd.client.state import ClientState
 from mapperd.client.validation import size_of
 from mapperd.wire.blocks import path_message
 from mapperd.wire.messages import EventMessage, PathMessage, SettingsMessage
 
-__all__ = ["Pending"]
+__all__ = ["ChangeQueue"]
 
 MAX_KEYS = 1 << 17
 MAX_EVENTS, MAX_EVENT_BYTES = 1000, 1 << 20
 NO_KEYS = np.zeros((0, 3), np.int32)
 
 
-class Pending:
+class ChangeQueue:
     """Changes in their order, joined where they pile up.
 
     Changes of the map are joined by blocks, those of the path and of settings likewise; of events
@@ -29,13 +29,15 @@ class Pending:
     changed, a reader is told the whole map anew. Any thread may add and take.
 
     Args:
-        knowledge: of the client; all that it knows is told first.
+        client_state: of the client; all that it knows is told first.
         link: how the connection is now.
         news: is called where something was added.
     """
 
-    def __init__(self, knowledge: Knowledge, link: LinkChanged, news: Callable[[], None]) -> None:
-        self._knowledge = knowledge
+    def __init__(
+        self, client_state: ClientState, link: LinkChanged, news: Callable[[], None]
+    ) -> None:
+        self._client_state = client_state
         self._news = news
         self._lock = threading.Lock()
         self._waiting: OrderedDict[type, ClientChange] = OrderedDict()
@@ -60,28 +62,28 @@ class Pending:
             if kind is EventMessage:
                 return self._taken_event()
             if isinstance(change, PathMessage):
-                return path_message(change.first, self._knowledge.path[change.first :])
+                return path_message(change.first, self._client_state.path[change.first :])
             if not isinstance(change, MapChanged):
                 return change
             keys, self._keys = self._keys, {}
             is_all, self._is_all = self._is_all, False
         # Without the lock: who holds the mirror's may want to take too.
-        mirror = self._knowledge.mirror
+        mirror = self._client_state.mirror
         changed = mirror.keys() if is_all and mirror is not None else keys_of(keys)
         return MapChanged(changed, change.stamp_ns, change.left)
 
     def _add_all(self, link: LinkChanged) -> None:
-        knowledge = self._knowledge
+        client_state = self._client_state
         self._add(link)
-        if knowledge.mirror is not None:
-            self._add(MapReset(knowledge.mirror.facts))
+        if client_state.mirror is not None:
+            self._add(MapReset(client_state.mirror.facts))
             self._is_all = True
             self._add(MapChanged(NO_KEYS, 0, 0))
-        if len(knowledge.path):
+        if len(client_state.path):
             self._add(PathMessage(first=0, points=b""))
-        if knowledge.settings:
-            self._add(SettingsMessage(facts=knowledge.settings))
-        for change in knowledge.newest.values():
+        if client_state.settings:
+            self._add(SettingsMessage(facts=client_state.settings))
+        for change in client_state.newest.values():
             self._add(change)
 
     def _add(self, change: ClientChange) -> None:
@@ -107,7 +109,7 @@ class Pending:
     def _add_keys(self, change: MapChanged) -> None:
         if not self._is_all:
             self._keys.update(dict.fromkeys(names_of(change.keys)))
-        mirror = self._knowledge.mirror
+        mirror = self._client_state.mirror
         if len(self._keys) > MAX_KEYS and mirror is not None:
             self._add(MapReset(mirror.facts))
             self._is_all = True

@@ -9,22 +9,30 @@ from collections.abc import AsyncIterator, Callable, Collection, Iterator, Mappi
 from types import TracebackType
 from typing import Any, Self
 
-from mapperd.client.change_queue import Pending
+from mapperd.client.change_queue import ChangeQueue
 from mapperd.client.changes import ClientChange, LinkChanged, LinkState, LinkStatus
-from mapperd.client.connect import Attempts, opened, place_of, read, reason_of, send, with_hint
+from mapperd.client.connect import (
+    RetryDelay,
+    daemon_address,
+    opened,
+    read,
+    reason_of,
+    send,
+    with_hint,
+)
 from mapperd.client.errors import AskError, EndedError
-from mapperd.client.protocol import Dialogue, Wishes
-from mapperd.client.state import MAX_BLOCKS, Knowledge, Known
+from mapperd.client.protocol import ClientProtocol, StreamOptions
+from mapperd.client.state import MAX_BLOCKS, ClientState, StateReader
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import AnswerMessage, Interest, Want
 
-__all__ = ["DEFAULT_WANTS", "Asking", "MapClient"]
+__all__ = ["DEFAULT_WANTS", "MapClient", "PendingRequests"]
 
 UNDER_WAY = 8
 """A daemon cuts off who asks more at once."""
 
 
-class Asking:
+class PendingRequests:
     """Each request of one client, from its number to its answer.
 
     Attributes:
@@ -77,7 +85,7 @@ class Asking:
 DEFAULT_WANTS: tuple[Want, ...] = ("map", "pose", "path", "fan")
 
 
-class MapClient(Known):
+class MapClient(StateReader):
     """A client of one daemon's map stream, `async with`; it tries for ever to be connected.
 
     Args:
@@ -106,20 +114,20 @@ class MapClient(Known):
         name: str = "",
         most_blocks: int = MAX_BLOCKS,
     ) -> None:
-        self._place = place_of(address)
+        self._place = daemon_address(address)
         self._tls = tls
-        self._asking = Asking()
-        wishes = Wishes(tuple(wants), interest or Interest(), bytes_per_s, name)
-        self._knowledge = Knowledge(wishes.interest, self._publish, most_blocks)
-        self._dialogue = Dialogue(wishes, self._knowledge, token, self._asking.answered)
-        self._readers: set[Pending] = set()
+        self._requests = PendingRequests()
+        options = StreamOptions(tuple(wants), interest or Interest(), bytes_per_s, name)
+        self._client_state = ClientState(options.interest, self._publish, most_blocks)
+        self._protocol = ClientProtocol(options, self._client_state, token, self._requests.answered)
+        self._readers: set[ChangeQueue] = set()
         self._news = asyncio.Event()
         self._writer: asyncio.StreamWriter | None = None
         self._running: asyncio.Task[None] | None = None
         self._error: StreamError | None = None
         self._bytes = self._connects = self._faults = 0
         self._link = LinkStatus("connecting", str(self._place), "", time.monotonic())
-        self._attempts = Attempts()
+        self._retry = RetryDelay()
 
     @property
     def link(self) -> LinkStatus:
@@ -165,9 +173,9 @@ class MapClient(Known):
                 await news.wait()
 
     @contextlib.contextmanager
-    def reader(self, news: Callable[[], None] = lambda: None) -> Iterator[Pending]:
+    def reader(self, news: Callable[[], None] = lambda: None) -> Iterator[ChangeQueue]:
         """For one who takes changes in another way; `news` is called where there are some."""
-        pending = Pending(self._knowledge, LinkChanged(self.link), news)
+        pending = ChangeQueue(self._client_state, LinkChanged(self.link), news)
         self._readers.add(pending)
         try:
             yield pending
@@ -182,7 +190,7 @@ class MapClient(Known):
             StreamError: as `changes`.
         """
         async with asyncio.timeout(timeout_s):
-            while not self._knowledge.is_complete:
+            while not self._client_state.is_complete:
                 self.raise_error()
                 if self._link.state == "closed":
                     raise EndedError("this client hung up", "closed")
@@ -195,21 +203,21 @@ class MapClient(Known):
             AskError: it was not done.
         """
         try:
-            async with asyncio.timeout(timeout_s), self._asking.turn:
+            async with asyncio.timeout(timeout_s), self._requests.turn:
                 return await self._asked(do, fields)
         except TimeoutError as error:
             raise AskError("no_answer", f"no answer within {timeout_s:g} s") from error
 
     async def _asked(self, do: str, fields: Mapping[str, Any]) -> dict[str, Any]:
-        if not self._dialogue.is_welcome:
+        if not self._protocol.is_welcome:
             raise AskError("not_connected", f"not connected to {self._place}: {self._link.reason}")
-        number, answer = self._asking.begin()
+        number, answer = self._requests.begin()
         try:
-            self._dialogue.ask(number, do, fields)
+            self._protocol.ask(number, do, fields)
             self._send()
             return await answer
         finally:
-            self._asking.end(number)
+            self._requests.end(number)
 
     async def set(self, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Change settings of the daemon, all or none; returns name to values before and after.
@@ -232,8 +240,8 @@ class MapClient(Known):
         Raises:
             ValueError: there is no such thing to be wanted.
         """
-        before = self._dialogue.wishes
-        self._dialogue.change(
+        before = self._protocol.options
+        self._protocol.change(
             dataclasses.replace(
                 before,
                 wants=before.wants if wants is None else tuple(wants),
@@ -248,22 +256,22 @@ class MapClient(Known):
             await self._stay_connected()
         finally:
             if self._link.state != "closed":
-                self._be("closed", "hung up")
+                self._set_link("closed", "hung up")
 
     async def _stay_connected(self) -> None:
         while True:
-            self._be("connecting", "")
+            self._set_link("connecting", "")
             began_s = time.monotonic()
             try:
                 reason = await self._connection()
             except StreamError as error:
                 if isinstance(error, EndedError) and error.is_final:
                     self._error = error
-                    self._be("closed", str(error))
+                    self._set_link("closed", str(error))
                     return
                 reason = str(error)
-            self._be("waiting", reason)
-            await self._attempts.wait(time.monotonic() - began_s)
+            self._set_link("waiting", reason)
+            await self._retry.wait(time.monotonic() - began_s)
 
     async def _connection(self) -> str:
         """One connection from its beginning to its end; returns why it ended.
@@ -276,7 +284,7 @@ class MapClient(Known):
         except OSError as error:
             return reason_of(error)
         self._writer = writer
-        self._dialogue.begin()
+        self._protocol.begin()
         reason = "the daemon hung up"
         try:
             await self._converse(reader)
@@ -284,38 +292,38 @@ class MapClient(Known):
             reason = reason_of(error)
         except StreamError as error:
             if not isinstance(error, EndedError):
-                self._distrust()
+                self._invalidate()
             raise
         finally:
             self._writer = None
-            self._dialogue.end()
-            self._asking.lose_all()
+            self._protocol.end()
+            self._requests.lose_all()
             writer.transport.abort()
-        return with_hint(reason, self._place, self._tls, is_greeted=self._dialogue.is_greeted)
+        return with_hint(reason, self._place, self._tls, is_greeted=self._protocol.is_greeted)
 
     async def _converse(self, reader: asyncio.StreamReader) -> None:
         while data := await read(reader):
             self._bytes += len(data)
             try:
-                self._dialogue.receive(data)
+                self._protocol.receive(data)
             finally:
-                if self._dialogue.is_welcome and self._link.state != "connected":
+                if self._protocol.is_welcome and self._link.state != "connected":
                     self._connects += 1
-                    self._be("connected", "")
+                    self._set_link("connected", "")
             self._send()
             # A read of bytes that are there already does not let others have their turn.
             await asyncio.sleep(0)
 
     def _send(self) -> None:
         if self._writer is not None:
-            send(self._writer, self._dialogue)
+            send(self._writer, self._protocol)
 
-    def _distrust(self) -> None:
+    def _invalidate(self) -> None:
         """The daemon said what it may not."""
         self._faults += 1
-        self._knowledge.distrust()
+        self._client_state.invalidate()
 
-    def _be(self, state: LinkState, reason: str) -> None:
+    def _set_link(self, state: LinkState, reason: str) -> None:
         self._link = LinkStatus(state, str(self._place), reason, time.monotonic(), self._connects)
         self._publish(LinkChanged(self.link))
 

@@ -8,13 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mapperd.client.errors import EndedError
-from mapperd.client.protocol import Dialogue
+from mapperd.client.protocol import ClientProtocol
 
-__all__ = ["Attempts", "Place", "opened", "place_of", "read", "reason_of", "send", "with_hint"]
+__all__ = [
+    "DaemonAddress",
+    "RetryDelay",
+    "daemon_address",
+    "opened",
+    "read",
+    "reason_of",
+    "send",
+    "with_hint",
+]
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class DaemonAddress:
     """Where to connect to.
 
     Attributes:
@@ -38,21 +47,21 @@ class Place:
         return next((path for path in self.paths if path.exists()), self.paths[0])
 
 
-def place_of(address: str) -> Place:
+def daemon_address(address: str) -> DaemonAddress:
     """Of `HOST:PORT`, `[IPv6]:PORT`, the path of a Unix socket, or "" for this computer's daemon.
 
     Raises:
         ValueError: it is none of these.
     """
     if not address:
-        return Place(_usual_paths())
+        return DaemonAddress(_usual_paths())
     if "/" in address:
-        return Place((Path(address),))
+        return DaemonAddress((Path(address),))
     host, sign, port = address.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     if not (sign and host and port.isascii() and port.isdigit() and 0 < int(port) < 1 << 16):
         raise ValueError(f"{address!r}: HOST:PORT or the path of a socket was expected")
-    return Place(host=host, port=int(port))
+    return DaemonAddress(host=host, port=int(port))
 
 
 def _usual_paths() -> tuple[Path, ...]:
@@ -80,7 +89,7 @@ PLAIN = frozenset({"PACKET_LENGTH_TOO_LONG", "RECORD_LAYER_FAILURE", "WRONG_VERS
 
 
 async def opened(
-    place: Place, tls: ssl.SSLContext | None
+    place: DaemonAddress, tls: ssl.SSLContext | None
 ) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
     """Connect.
 
@@ -95,7 +104,7 @@ async def opened(
 
 
 async def _opened(
-    place: Place, tls: ssl.SSLContext | None
+    place: DaemonAddress, tls: ssl.SSLContext | None
 ) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
     if place.paths:
         return await asyncio.open_unix_connection(place.path)
@@ -116,12 +125,12 @@ async def read(reader: asyncio.StreamReader) -> bytes:
         raise ConnectionError(f"nothing was heard for {SILENCE_S:g} s") from error
 
 
-def send(writer: asyncio.StreamWriter, dialogue: Dialogue) -> None:
+def send(writer: asyncio.StreamWriter, protocol: ClientProtocol) -> None:
     """Send what is to be said."""
     if writer.is_closing():
         return
     is_read = writer.transport.get_write_buffer_size() < UNSENT_BYTES
-    if data := dialogue.outgoing(acknowledge=is_read):
+    if data := protocol.outgoing(acknowledge=is_read):
         writer.write(data)
 
 
@@ -140,14 +149,16 @@ def reason_of(error: OSError) -> str:
     return str(error.strerror or error) or type(error).__name__
 
 
-def with_hint(reason: str, place: Place, tls: ssl.SSLContext | None, *, is_greeted: bool) -> str:
+def with_hint(
+    reason: str, place: DaemonAddress, tls: ssl.SSLContext | None, *, is_greeted: bool
+) -> str:
     """Why a connection ended, and what may be amiss where nothing was said on it."""
     if is_greeted or tls is not None or place.paths:
         return reason
     return f"{reason} without a greeting: its socket may want TLS"
 
 
-class Attempts:
+class RetryDelay:
     """How long to wait between them: longer each time, unless a connection was a good one."""
 
     def __init__(self) -> None:

@@ -9,11 +9,11 @@ from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Self, TypedDict, TypeVar, Unpack
 
-from mapperd.client.change_queue import Pending
+from mapperd.client.change_queue import ChangeQueue
 from mapperd.client.changes import ClientChange, LinkStatus
 from mapperd.client.client import MapClient
 from mapperd.client.errors import AskError
-from mapperd.client.state import Known
+from mapperd.client.state import StateReader
 from mapperd.wire.messages import Interest, Want
 
 __all__ = ["MapFollower"]
@@ -33,7 +33,7 @@ class Options(TypedDict, total=False):
     most_blocks: int
 
 
-class MapFollower(Known):
+class MapFollower(StateReader):
     """A `MapClient` for programs without asyncio, `with`; once. Any thread may use it.
 
     Args:
@@ -46,10 +46,10 @@ class MapFollower(Known):
 
     def __init__(self, address: str = "", **options: Unpack[Options]) -> None:
         self._client = MapClient(address, **options)
-        self._knowledge = self._client._knowledge  # noqa: SLF001 one client in two coats
+        self._client_state = self._client._client_state  # noqa: SLF001 one client in two coats
         self._ends = ExitStack()
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._pending: Pending | None = None
+        self._pending: ChangeQueue | None = None
         self._news = threading.Condition()
         self._noted = 0
 
@@ -149,7 +149,7 @@ class MapFollower(Known):
             self._noted += 1
             self._news.notify_all()
 
-    def _next(self, pending: Pending, end_s: float | None) -> ClientChange | None:
+    def _next(self, pending: ChangeQueue, end_s: float | None) -> ClientChange | None:
         """The next change; None at the end of the time, or of the client."""
         while True:
             noted = self._noted

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from mapperd.client.errors import AskError, EndedError
-from mapperd.client.state import Knowledge
+from mapperd.client.state import ClientState
 from mapperd.wire.auth import proof_of
 from mapperd.wire.framing import StreamError, client_inbox, framed, server_inbox
 from mapperd.wire.messages import (
@@ -30,11 +30,11 @@ from mapperd.wire.messages import (
     WelcomeMessage,
 )
 
-__all__ = ["Dialogue", "Wishes"]
+__all__ = ["ClientProtocol", "StreamOptions"]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Wishes:
+class StreamOptions:
     """What a client would like to be told.
 
     Attributes:
@@ -74,30 +74,30 @@ class Wishes:
         )
 
 
-class Dialogue:
+class ClientProtocol:
     """One client, through all its connections.
 
     Args:
-        wishes: of the first connection.
-        knowledge: takes what the daemon sends.
+        options: of the first connection.
+        client_state: takes what the daemon sends.
         token: that the daemon may ask for.
         answered: called with each answer.
 
     Attributes:
-        wishes: of now.
+        options: of now.
         is_greeted: the daemon has sent something on this connection, or on the one that ended.
         is_welcome: the connection is established.
     """
 
     def __init__(
         self,
-        wishes: Wishes,
-        knowledge: Knowledge,
+        options: StreamOptions,
+        client_state: ClientState,
         token: bytes | None,
         answered: Callable[[AnswerMessage], None],
     ) -> None:
-        self.wishes = wishes
-        self._knowledge = knowledge
+        self.options = options
+        self._client_state = client_state
         self._token = token
         self._answered = answered
         self.begin()
@@ -109,13 +109,13 @@ class Dialogue:
         self._outgoing = bytearray()
         self.is_greeted = False
         self._resume: Resume | None = None
-        self._knowledge.wants_map = "map" in self.wishes.wants
+        self._client_state.wants_map = "map" in self.options.wants
         self.end()
 
     def end(self) -> None:
         """End the connection; the knowledge stays."""
         self.is_welcome = False
-        self._knowledge.is_complete = False
+        self._client_state.is_complete = False
 
     def receive(self, data: bytes) -> None:
         """Take received bytes; changes and answers are reported on the way.
@@ -126,7 +126,7 @@ class Dialogue:
         for message in self._inbox.feed(data):
             self._take(message)
         if self.is_welcome:
-            self._knowledge.used = self._inbox.received
+            self._client_state.used = self._inbox.received
 
     def outgoing(self, *, acknowledge: bool = True) -> bytes:
         """Return what is to be sent now, once."""
@@ -152,21 +152,21 @@ class Dialogue:
             raise AskError("too_long", f"a request of {len(frame)} bytes")
         self._outgoing += frame
 
-    def change(self, wishes: Wishes) -> None:
+    def change(self, options: StreamOptions) -> None:
         """Change the wishes."""
-        before, self.wishes = self.wishes, wishes
-        is_other = wishes.interest != before.interest
-        self._knowledge.interest = wishes.interest
-        if not self.is_welcome or wishes == before:
+        before, self.options = self.options, options
+        is_other = options.interest != before.interest
+        self._client_state.interest = options.interest
+        if not self.is_welcome or options == before:
             return
-        self._knowledge.wants_map |= "map" in wishes.wants
-        self._knowledge.is_complete &= not is_other
+        self._client_state.wants_map |= "map" in options.wants
+        self._client_state.is_complete &= not is_other
         self._send(
             ChangeMessage(
-                wants=list(wishes.wants) if wishes.wants != before.wants else None,
-                interest=wishes.interest if is_other else None,
+                wants=list(options.wants) if options.wants != before.wants else None,
+                interest=options.interest if is_other else None,
                 bytes_per_s=(
-                    wishes.bytes_per_s if wishes.bytes_per_s != before.bytes_per_s else None
+                    options.bytes_per_s if options.bytes_per_s != before.bytes_per_s else None
                 ),
             )
         )
@@ -177,7 +177,7 @@ class Dialogue:
     def _take(self, message: FromServer) -> None:
         if isinstance(message, ByeMessage):
             if message.reason == "bad_message":
-                self._knowledge.forget_ticket()  # an earlier daemon knows no tickets
+                self._client_state.forget_ticket()  # an earlier daemon knows no tickets
             raise EndedError(message.message or message.reason, message.reason)
         if isinstance(message, GreetingMessage):
             self._take_greeting(message)
@@ -188,7 +188,7 @@ class Dialogue:
         elif isinstance(message, AnswerMessage):
             self._answered(message)
         else:
-            self._knowledge.take(message)
+            self._client_state.take(message)
 
     def _take_greeting(self, greeting: GreetingMessage) -> None:
         if self.is_greeted:
@@ -204,14 +204,14 @@ class Dialogue:
             if self._token is None:
                 raise EndedError("the daemon wants a token", "needs_token")
             proof = proof_of(self._token, greeting.challenge)
-        if "map" in self.wishes.wants:
-            self._resume = self._knowledge.resume()
-        self._send(self.wishes.hello(proof, self._resume, self._knowledge.last_event))
+        if "map" in self.options.wants:
+            self._resume = self._client_state.resume()
+        self._send(self.options.hello(proof, self._resume, self._client_state.last_event))
 
     def _take_welcome(self, welcome: WelcomeMessage) -> None:
         if not self.is_greeted or self.is_welcome:
             raise StreamError("a welcome out of turn", "bad_order")
         if welcome.version != VERSION:
             raise StreamError(f"a welcome to version {welcome.version}", "bad_version")
-        self._knowledge.begin(welcome, self._resume)
+        self._client_state.begin(welcome, self._resume)
         self.is_welcome = True

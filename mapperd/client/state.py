@@ -34,7 +34,7 @@ from mapperd.wire.messages import (
     WelcomeMessage,
 )
 
-__all__ = ["MAX_BLOCKS", "Knowledge", "Known"]
+__all__ = ["MAX_BLOCKS", "ClientState", "StateReader"]
 
 MAX_BLOCKS = 1 << 20
 """That a mirror holds: half a GiB, with counts a whole one."""
@@ -65,7 +65,7 @@ Newest = TypeVar(
 )
 
 
-class Knowledge:
+class ClientState:
     """Of one client, through all its connections; its arrays are read only.
 
     Args:
@@ -104,7 +104,7 @@ class Knowledge:
         self._setting_bytes: dict[str, int] = {}
         self.used = 0
         self._ticket = ""
-        self._is_doubted = False
+        self._is_invalid = False
         self._path_version = 0
         self._newest = 0
         self._publish = publish
@@ -123,7 +123,7 @@ class Knowledge:
     def resume(self) -> Resume | None:
         """What another connection may go on from."""
         mirror = self.mirror
-        if mirror is None or self.welcome is None or self._is_doubted:
+        if mirror is None or self.welcome is None or self._is_invalid:
             return None
         if mirror.complete is None and not self._ticket:
             return None
@@ -148,10 +148,10 @@ class Knowledge:
         """The next connection does not go on where the last one was."""
         self._ticket = ""
 
-    def distrust(self) -> None:
+    def invalidate(self) -> None:
         """Something that was told is wrong: the next connection begins with nothing."""
         self.forget_ticket()
-        self._is_doubted = True
+        self._is_invalid = True
 
     def begin(self, welcome: WelcomeMessage, resume: Resume | None) -> None:
         """A connection has come about.
@@ -206,7 +206,7 @@ class Knowledge:
 
     def _begin_map(self, facts: MapFacts, interest: Interest) -> None:
         self._newest = 0
-        self._is_doubted = False
+        self._is_invalid = False
         if self.mirror is None:
             self.mirror = MapMirror(facts, interest)
         else:
@@ -274,62 +274,62 @@ def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
     return array
 
 
-class Known:
+class StateReader:
     """The newest of everything; it stays while the connection is away. Any thread may read it."""
 
-    _knowledge: Knowledge
+    _client_state: ClientState
 
     @property
     def welcome(self) -> WelcomeMessage | None:
         """Of the last connection."""
-        return self._knowledge.welcome
+        return self._client_state.welcome
 
     @property
     def mirror(self) -> MapMirror | None:
         """The map, one and the same object for good; None before the first connection."""
-        return self._knowledge.mirror
+        return self._client_state.mirror
 
     @property
     def path(self) -> NDArray[np.float64]:
         """(N, 3), metres, map frame; read only."""
-        return self._knowledge.path
+        return self._client_state.path
 
     @property
     def settings(self) -> dict[str, Any]:
         """Name to facts, as the answer to `params` of docs/reference/control.md."""
-        return self._knowledge.settings
+        return self._client_state.settings
 
     @property
     def pose(self) -> PoseMessage | None:
         """Where the vehicle is."""
-        return self._knowledge.newest_of(PoseMessage)
+        return self._client_state.newest_of(PoseMessage)
 
     @property
     def fan(self) -> FanMessage | None:
         """What the sonar looks at."""
-        return self._knowledge.newest_of(FanMessage)
+        return self._client_state.newest_of(FanMessage)
 
     @property
     def returns(self) -> ReturnsMessage | None:
         """What the last ping met."""
-        return self._knowledge.newest_of(ReturnsMessage)
+        return self._client_state.newest_of(ReturnsMessage)
 
     @property
     def image(self) -> ImageMessage | None:
         """Of the last ping."""
-        return self._knowledge.newest_of(ImageMessage)
+        return self._client_state.newest_of(ImageMessage)
 
     @property
     def robots(self) -> RobotsMessage | None:
         """Others that were seen."""
-        return self._knowledge.newest_of(RobotsMessage)
+        return self._client_state.newest_of(RobotsMessage)
 
     @property
     def localization(self) -> LocalizationMessage | None:
         """How it goes."""
-        return self._knowledge.newest_of(LocalizationMessage)
+        return self._client_state.newest_of(LocalizationMessage)
 
     @property
     def status(self) -> StatusMessage | None:
         """Of the daemon and of this link; once a second."""
-        return self._knowledge.newest_of(StatusMessage)
+        return self._client_state.newest_of(StatusMessage)

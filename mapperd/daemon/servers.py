@@ -25,7 +25,7 @@ from mapperd.server.listeners import (
     server_tls,
 )
 from mapperd.server.map_source import Source
-from mapperd.server.state_feed import Feed
+from mapperd.server.state_feed import StateFeed
 from mapperd.server.stream_server import StreamServer
 from mapperd.telemetry.telemetry import Telemetry
 from mapperd.wire.auth import CREDENTIALS, read_token, token_file
@@ -110,7 +110,7 @@ def stream_server(
     """
     settings, events = operations.settings, operations.events
     listeners = open_listeners(settings.current, events, environ, inherited)
-    feed = Feed(operations, lambda: live.mapping.snapshot, settings.current.stream.path_points)
+    feed = StateFeed(operations, lambda: live.mapping.snapshot, settings.current.stream.path_points)
     live.mapping.pipeline.executor.on_ping = feed.put
     settings.follow(FOLLOWS, lambda _: None)
     return StreamServer(operations, listeners, feed, source, now_ns=now_ns)

@@ -8,13 +8,13 @@ from typing import Any
 from mapperd.api import DaemonApi
 from mapperd.server.pacer import tcp_state
 from mapperd.server.requests import answer
-from mapperd.server.session import Parting, Session
+from mapperd.server.session import ClientSession, ResumeState
 from mapperd.wire.auth import Limits, TokenBucket
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import MAX_FROM_SERVER
 from mapperd.wire.requests import Fault
 
-__all__ = ["Around", "Connection"]
+__all__ = ["ClientConnection", "ServerContext"]
 
 LEAVE_S = 1.0
 """For the last words to arrive."""
@@ -30,7 +30,7 @@ MAX_HEARD = 8192
 
 
 @dataclass(frozen=True, slots=True)
-class Around:
+class ServerContext:
     """What all connections have in common.
 
     Attributes:
@@ -48,21 +48,21 @@ class Around:
     operations: DaemonApi
     limits: Limits
     count: Callable[[str], None]
-    admit: Callable[["Connection"], None]
-    heard: Callable[["Connection"], None]
-    refused: Callable[["Connection", str], None]
-    gone: Callable[["Connection"], None]
+    admit: Callable[["ClientConnection"], None]
+    heard: Callable[["ClientConnection"], None]
+    refused: Callable[["ClientConnection", str], None]
+    gone: Callable[["ClientConnection"], None]
     clock: Callable[[], float]
     now_ns: Callable[[], int]
 
 
-class Connection(asyncio.BufferedProtocol):
+class ClientConnection(asyncio.BufferedProtocol):
     """From the greeting to the end.
 
     Args:
         session: of the client.
         origin: client, for events and settings.
-        around: what it shares with others.
+        context: what it shares with others.
 
     Attributes:
         session, origin: as given.
@@ -70,15 +70,15 @@ class Connection(asyncio.BufferedProtocol):
         is_for_good: and that is no fault of the link.
     """
 
-    def __init__(self, session: Session, origin: str, around: Around) -> None:
+    def __init__(self, session: ClientSession, origin: str, context: ServerContext) -> None:
         self.session = session
         self.origin = origin
         self.is_over = self.is_for_good = False
-        self._around = around
+        self._context = context
         self._transport: asyncio.Transport | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._answering: asyncio.Task[None] | None = None
-        limits = around.limits
+        limits = context.limits
         self._asks = TokenBucket(limits.asks_per_s, limits.asks_at_once)
         self._heard = memoryview(bytearray(MAX_HEARD))
 
@@ -86,9 +86,9 @@ class Connection(asyncio.BufferedProtocol):
         """Greet it."""
         assert isinstance(transport, asyncio.Transport)  # noqa: S101 of a stream
         self._transport = transport
-        transport.write(self.session.greeting(self._around.clock()))
+        transport.write(self.session.greeting(self._context.clock()))
         loop = asyncio.get_running_loop()
-        self._timer = loop.call_later(self._around.limits.hello_s, self._look_for_hello)
+        self._timer = loop.call_later(self._context.limits.hello_s, self._look_for_hello)
 
     def get_buffer(self, sizehint: int) -> memoryview:  # noqa: ARG002 whoever says much waits
         """Where the next bytes go: so many at most, then others have their turn."""
@@ -101,30 +101,30 @@ class Connection(asyncio.BufferedProtocol):
         was_new = self.session.state == "greeted"
         self.measure()
         try:
-            self.session.take(bytes(self._heard[:nbytes]), self._around.clock())
+            self.session.take(bytes(self._heard[:nbytes]), self._context.clock())
             if was_new and self.session.state != "greeted":
-                self._around.admit(self)
+                self._context.admit(self)
         except StreamError as error:
             self.refuse(error, was_new=was_new)
             return
-        self._around.heard(self)
+        self._context.heard(self)
         if self.session.asks and self._answering is None:
             self._answering = asyncio.get_running_loop().create_task(self._answer())
 
     def connection_lost(self, exc: Exception | None) -> None:
         """It has left, or was let go."""
         if exc is not None:
-            self._around.count("connections_lost")
+            self._context.count("connections_lost")
         self.is_over = True
         for waiting in (self._timer, self._answering):
             if waiting is not None:
                 waiting.cancel()
-        self._around.gone(self)
+        self._context.gone(self)
 
     def turn(self) -> None:
         """Tell it what is due."""
         self.measure()
-        now_s = self._around.clock()
+        now_s = self._context.clock()
         try:
             self.session.look(now_s)
         except StreamError as error:
@@ -133,7 +133,7 @@ class Connection(asyncio.BufferedProtocol):
         if self._transport and self._transport.get_write_buffer_size() > MAX_UNSENT:
             self.refuse(StreamError("it does not read what it is told", "unread"), was_new=False)
             return
-        self.write(self.session.next(now_s, self._around.now_ns()))
+        self.write(self.session.next(now_s, self._context.now_ns()))
 
     def measure(self) -> None:
         """Have the pacer know how the connection stands."""
@@ -160,9 +160,9 @@ class Connection(asyncio.BufferedProtocol):
         """Let it go because of what it said, or did not say."""
         self.is_for_good |= error.reason != "no_acks"
         kind = "refused" if was_new else "cut"
-        self._around.count(f"{kind}_{error.reason}")
+        self._context.count(f"{kind}_{error.reason}")
         if was_new:
-            self._around.refused(self, error.reason)
+            self._context.refused(self, error.reason)
         self.end(error.reason, str(error))
 
     def end(self, reason: str, message: str) -> None:
@@ -182,9 +182,9 @@ class Connection(asyncio.BufferedProtocol):
         self.is_for_good = True
         self.drop()
 
-    def parting(self) -> Parting | None:
+    def resume_state(self) -> ResumeState | None:
         """With what it may come back; None where it may not."""
-        return None if self.is_for_good else self.session.parting()
+        return None if self.is_for_good else self.session.resume_state()
 
     def drop(self) -> None:
         """Close at once: its link is dead."""
@@ -198,20 +198,20 @@ class Connection(asyncio.BufferedProtocol):
 
     async def _answer(self) -> None:
         """One request after the other; who takes no answers is answered no more."""
-        session, around = self.session, self._around
+        session, context = self.session, self._context
         try:
             while session.asks and not self.is_over:
                 under_way = session.pacer.in_flight
                 wait_s = BREATH_S if under_way > ANSWERS_UNDER_WAY else 0.0
                 if not wait_s:
-                    wait_s = self._asks.take(around.clock())
-                    around.count("requests")
+                    wait_s = self._asks.take(context.clock())
+                    context.count("requests")
                     raw = session.asks.popleft()
                     if wait_s:
-                        around.count("throttled")
+                        context.count("throttled")
                         await asyncio.sleep(wait_s)
                     number, result = await answer(
-                        raw, around.operations, self.origin, may_change=session.may_change
+                        raw, context.operations, self.origin, may_change=session.may_change
                     )
                     self._send(number, result)
                 else:
@@ -221,6 +221,6 @@ class Connection(asyncio.BufferedProtocol):
 
     def _send(self, number: int | None, result: dict[str, Any] | Fault) -> None:
         if isinstance(result, Fault):
-            self._around.count("failed" if result.reason == "failed" else "asks_refused")
+            self._context.count("failed" if result.reason == "failed" else "asks_refused")
         self.session.answer(number, result)
         self.turn()

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd import _core
-from mapperd.server.map_index import StoredBricks, View, batches, bricks_of
+from mapperd.server.map_index import BlockIndex, StoredBricks, batches, bricks_of
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import BlocksMessage
 
-__all__ = ["BlockEncoder", "Body", "Times"]
+__all__ = ["BlockEncoder", "Body", "RevisionTimes"]
 
 MAX_KEPT = 64
 """Bodies, and messages: clients that keep up are told the same, the others each their own."""
@@ -45,7 +45,7 @@ class Body:
     data: bytes
 
 
-class Times:
+class RevisionTimes:
     """When the map was at which revision, roughly for what is long ago."""
 
     def __init__(self) -> None:
@@ -78,7 +78,7 @@ class BlockEncoder:
     """
 
     def __init__(self, core: _core.VoxelMap, files: StoredBricks | None) -> None:
-        self.times = Times()
+        self.times = RevisionTimes()
         self._number = 0
         self._core = core
         self._files = files
@@ -103,7 +103,7 @@ class BlockEncoder:
 
     def body(
         self,
-        view: View,
+        view: BlockIndex,
         detail: str,
         numbers: Numbers,
         wanted: NDArray[np.bool_],
@@ -151,7 +151,9 @@ class BlockEncoder:
             _keep(self._framed, id(message), known)
         return known[1]
 
-    def _made(self, view: View, detail: str, numbers: Numbers, wanted: NDArray[np.bool_]) -> Body:
+    def _made(
+        self, view: BlockIndex, detail: str, numbers: Numbers, wanted: NDArray[np.bool_]
+    ) -> Body:
         self._number += 1
         keys = view.keys(numbers)
         cells = np.full((len(numbers), CELLS), UNKNOWN, np.int8)
@@ -170,7 +172,7 @@ class BlockEncoder:
         return Body(revision, self._number, body)
 
     def _content(
-        self, view: View, keys: NDArray[np.int32]
+        self, view: BlockIndex, keys: NDArray[np.int32]
     ) -> tuple[int, NDArray[np.int8], NDArray[np.uint8]]:
         cells = np.full((len(keys), CELLS), UNKNOWN, np.int8)
         bits = np.zeros((len(keys), CELLS), np.uint8)

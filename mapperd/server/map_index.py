@@ -20,10 +20,10 @@ from mapperd.wire.messages import BLOCK_EDGE, Interest, Vector
 
 __all__ = [
     "LEAVE",
+    "BlockIndex",
+    "ChangeListener",
     "ChangedRows",
-    "Listener",
     "StoredBricks",
-    "View",
     "batches",
     "bricks_of",
     "distances_m",
@@ -224,14 +224,14 @@ DOUBT = np.uint64(0xD0B7_D0B7_D0B7_D0B7)
 """Digest of a block that was told as it was at no look: it differs from all that looks find."""
 
 
-class Listener(Protocol):
+class ChangeListener(Protocol):
     """Who is told which blocks changed."""
 
     def changed(self, numbers: Numbers) -> None:
         """These blocks are told otherwise than before."""
 
 
-class View:
+class BlockIndex:
     """An index of blocks, numbered in the order in which they came to be known.
 
     Args:
@@ -260,7 +260,7 @@ class View:
         self.looked = self.sure = 0
         self.in_file = -1
         self.settled: int | None = None
-        self.listeners: weakref.WeakSet[Listener] = weakref.WeakSet()
+        self.listeners: weakref.WeakSet[ChangeListener] = weakref.WeakSet()
         self.unused_since_ns: int | None = None
         self._index = _core.KeyIndex()
         self._waiting = np.zeros((0, 3), np.int32)

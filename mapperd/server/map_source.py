@@ -17,14 +17,14 @@ from mapperd import _core
 from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.encoder import BlockEncoder
-from mapperd.server.map_index import ChangedRows, StoredBricks, View, vector_of
+from mapperd.server.map_index import BlockIndex, ChangedRows, StoredBricks, vector_of
 from mapperd.server.priority_queue import Part
 from mapperd.server.subscription import Subscription
 from mapperd.store.metadata import Identity, fresh
 from mapperd.store.tile_store import TileStore
 from mapperd.wire.messages import Interest, MapFacts, Resume, Vector
 
-__all__ = ["Kept", "MapSource", "MapView", "Source", "why_not"]
+__all__ = ["MapSource", "MapStorage", "MapView", "Source", "why_not"]
 
 
 def why_not(  # noqa: PLR0911 one reason each
@@ -84,7 +84,7 @@ NO_BRICKS = np.zeros((0, 3), np.int32)
 Origin = tuple[float, float] | None
 
 
-class Kept(Protocol):
+class MapStorage(Protocol):
     """Where the map is kept: `mapperd.pipeline.persistence`."""
 
     @property
@@ -113,7 +113,7 @@ class MapSource:
     def __init__(
         self,
         sonar_map: SonarMap,
-        keep: Kept,
+        keep: MapStorage,
         *,
         log_odds_step: float = 0.25,
         origin_deg: Callable[[], Origin] = lambda: None,
@@ -129,7 +129,7 @@ class MapSource:
         self._files = None if path is None else StoredBricks(path, sonar_map.config)
         self.encoder = BlockEncoder(self._core, self._files)
         self._subscriptions: weakref.WeakSet[Subscription] = weakref.WeakSet()
-        self._views: dict[tuple[int, str], View] = {}
+        self._views: dict[tuple[int, str], BlockIndex] = {}
         self._revision, self._replaced_at, *_ = self._core.changed_blocks(1 << 62, NO_BRICKS)
         self._identity = fresh() if self._store is None else self._store.identity
         self._file_version: int | None = None
@@ -186,7 +186,7 @@ class MapSource:
         self._subscriptions.add(one)
         return one
 
-    def view_of(self, interest: Interest) -> View:
+    def view_of(self, interest: Interest) -> BlockIndex:
         """The blocks as an interest has them told."""
         key = interest.level, interest.detail
         view = self._views.get(key)
@@ -198,7 +198,7 @@ class MapSource:
                 occupied_log_odds=self._facts.occupied_log_odds,
                 free_log_odds=self._facts.free_log_odds,
             )
-            view = self._views[key] = View(interest.level, core_view, self._map.resolution_m)
+            view = self._views[key] = BlockIndex(interest.level, core_view, self._map.resolution_m)
         view.unused_since_ns = None
         return view
 

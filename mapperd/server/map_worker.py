@@ -8,15 +8,15 @@ from typing import NoReturn
 
 from mapperd.api import DaemonApi
 from mapperd.events import Severity
-from mapperd.server.connection import Around, Connection
+from mapperd.server.connection import ClientConnection, ServerContext
 from mapperd.server.map_source import MapView, Source
-from mapperd.server.priority_queue import Part, Rooms
-from mapperd.server.session import Beginning, Parting, ResumeCache, Wish
-from mapperd.server.state_feed import Feed
+from mapperd.server.priority_queue import Part, SendRoom
+from mapperd.server.session import MapStart, ResumeCache, ResumeState, ViewRequest
+from mapperd.server.state_feed import StateFeed
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import Interest, ResetMessage, Resume, Vector
 
-__all__ = ["Frame", "MapRounds", "next_frames"]
+__all__ = ["Frame", "MapWorker", "next_frames"]
 
 UNWATCHED_S = 2.0
 """Between looks at the map while nobody watches it: the ages of its blocks are told by them."""
@@ -31,7 +31,7 @@ Frame = tuple[bytes, int, int | None]
 """A message, its number, and the near blocks that are left where it is about such."""
 
 
-def next_frames(view: MapView, rooms: Rooms, position_m: Vector | None) -> list[Frame]:
+def next_frames(view: MapView, rooms: SendRoom, position_m: Vector | None) -> list[Frame]:
     """What a client is told of the map in one round: of what is near, else of what is far."""
     return [*_of_part(view, "near", rooms.near, position_m)] or [
         *_of_part(view, "far", rooms.far, position_m)
@@ -53,13 +53,13 @@ def _of_part(view: MapView, part: Part, most: int, position_m: Vector | None) ->
 class _Order:
     """What one client gets in a round."""
 
-    client: Connection
+    client: ClientConnection
     view: MapView | None
-    wish: Wish | None
-    rooms: Rooms
+    view_request: ViewRequest | None
+    rooms: SendRoom
     settled: int = 0
     is_new: bool = False
-    went_on: bool = False
+    is_resumed: bool = False
     frames: list[Frame] = field(default_factory=list)
     fault: Exception | None = None
 
@@ -75,19 +75,19 @@ class _Job:
         coarseness: of the pictures.
         left: views of clients that are gone, and with what these may come back.
         now_s: when it began.
-        beginning: of the map, when all is done.
+        map_start: of the map, when all is done.
     """
 
     look: bool
     orders: list[_Order]
     draw: frozenset[str]
     coarseness: set[int]
-    left: list[tuple[MapView, Parting | None]]
+    left: list[tuple[MapView, ResumeState | None]]
     now_s: float
-    beginning: Beginning | None = None
+    map_start: MapStart | None = None
 
 
-class MapRounds:
+class MapWorker:
     """Looks at the map, and gives each client what it has room for.
 
     Args:
@@ -95,10 +95,10 @@ class MapRounds:
         feed: what else is drawn in the worker.
         source: the map.
         clients: who is connected, at any time.
-        around: clocks, counters, limits.
+        context: clocks, counters, limits.
 
     Attributes:
-        parking: of clients that were lost; of the worker.
+        resume_cache: of clients that were lost; of the worker.
     """
 
     FOLLOWS = ("stream.rate",)
@@ -107,35 +107,35 @@ class MapRounds:
     def __init__(
         self,
         operations: DaemonApi,
-        feed: Feed,
+        feed: StateFeed,
         source: Source,
-        clients: Collection[Connection],
-        around: Around,
+        clients: Collection[ClientConnection],
+        context: ServerContext,
     ) -> None:
         self._operations = operations
         self._feed = feed
         self._source = source
         self._clients = clients
-        self._around = around
+        self._context = context
         self._due = asyncio.Event()
-        self._beginning = Beginning(source.facts(), source.revision, source.session)
+        self._map_start = MapStart(source.facts(), source.revision, source.session)
         self._looked_s: float | None = None
-        self._left: list[tuple[MapView, Parting | None]] = []
-        self.parking = ResumeCache(around.limits.clients)
+        self._left: list[tuple[MapView, ResumeState | None]] = []
+        self.resume_cache = ResumeCache(context.limits.clients)
 
     def wake(self) -> None:
         """There may be something to do."""
         self._due.set()
 
-    def welcome(self, client: Connection) -> None:
+    def welcome(self, client: ClientConnection) -> None:
         """Welcome a client that does not want the map, now: whatever the worker does or lacks."""
-        client.session.wish = None
-        client.session.viewed(None, self._beginning)
+        client.session.view_request = None
+        client.session.view_ready(None, self._map_start)
         client.turn()
 
-    def leave(self, view: MapView, parting: Parting | None) -> None:
+    def leave(self, view: MapView, resume_state: ResumeState | None) -> None:
         """Its client is gone; for good where there is no parting."""
-        self._left.append((view, parting))
+        self._left.append((view, resume_state))
         self.wake()
 
     async def run(self) -> NoReturn:
@@ -159,13 +159,13 @@ class MapRounds:
             worker.shutdown()  # waits for one round, which is short
 
     async def _round(self, in_worker: Callable[[Callable[[], None]], Awaitable[None]]) -> None:
-        job = self._job(self._around.clock())
+        job = self._job(self._context.clock())
         if not (job.look or job.orders or job.draw or job.left):
             return
         await in_worker(lambda: self._work(job))
-        beginning = job.beginning
-        assert beginning is not None  # noqa: S101 the work has been done
-        self._beginning = beginning
+        map_start = job.map_start
+        assert map_start is not None  # noqa: S101 the work has been done
+        self._map_start = map_start
         for order in job.orders:
             if order.fault is not None:
                 # Its view takes for told what never was: only another connection mends that.
@@ -173,14 +173,14 @@ class MapRounds:
                 order.client.abort()
                 self._left = [(v, None if v is order.view else p) for v, p in self._left]
             if order.is_new and order.view is not None:
-                order.client.session.took(order.view, went_on=order.went_on)
+                order.client.session.took(order.view, is_resumed=order.is_resumed)
             if order.client.is_over:
                 if order.is_new and order.view is not None:
-                    self.leave(order.view, order.client.parting())
-            elif order.wish is None:
+                    self.leave(order.view, order.client.resume_state())
+            elif order.view_request is None:
                 self._deliver(order)
             else:
-                self._begin(order, beginning)
+                self._begin(order, map_start)
 
     def _job(self, now_s: float) -> _Job:
         clients = [*self._clients]
@@ -192,21 +192,21 @@ class MapRounds:
             look,
             [order for order in found if order is not None],
             wanted if self._feed.wants_drawing(wanted, now_s) else frozenset(),
-            {c.session.portions.coarseness() for c in clients if "image" in c.session.wants},
+            {c.session.outbox.coarseness() for c in clients if "image" in c.session.wants},
             left,
             now_s,
         )
 
     def _work(self, job: _Job) -> None:
         """In the worker."""
-        for view, parting in job.left:
-            if parting is None:
+        for view, resume_state in job.left:
+            if resume_state is None:
                 view.close()
             else:
-                self.parking.park(view, parting, job.now_s)
-        self.parking.expire(job.now_s)
+                self.resume_cache.park(view, resume_state, job.now_s)
+        self.resume_cache.expire(job.now_s)
         if job.look:
-            self._source.look(self._around.now_ns(), self._feed.position_m)
+            self._source.look(self._context.now_ns(), self._feed.position_m)
         if job.draw:
             self._feed.draw(job.draw, job.coarseness)
         for order in job.orders:
@@ -215,10 +215,10 @@ class MapRounds:
             except Exception as error:  # noqa: BLE001 the others are to be told what they were given
                 order.fault = error
         source = self._source
-        job.beginning = Beginning(source.facts(), source.revision, source.session)
+        job.map_start = MapStart(source.facts(), source.revision, source.session)
 
     def _failed(self, error: Exception) -> None:
-        self._around.count("failed")
+        self._context.count("failed")
         text = f"map stream: {type(error).__name__}: {error}"
         self._operations.events.add(Severity.ERROR, "stream_failed", text)
 
@@ -230,48 +230,48 @@ class MapRounds:
         self._looked_s = now_s
         return True
 
-    def _order(self, client: Connection, now_s: float, *, look: bool) -> _Order | None:
+    def _order(self, client: ClientConnection, now_s: float, *, look: bool) -> _Order | None:
         session = client.session
-        if session.wish is not None:
-            return _Order(client, session.view, session.wish, Rooms())
-        rooms = session.map_rooms(now_s) if look or session.left else Rooms()
+        if session.view_request is not None:
+            return _Order(client, session.view, session.view_request, SendRoom())
+        rooms = session.map_rooms(now_s) if look or session.left else SendRoom()
         if session.view is None or not rooms:
             return None
         return _Order(client, session.view, None, rooms, session.settled)
 
     def _fill(self, order: _Order) -> None:
         """In the worker."""
-        if order.wish is not None:
-            self._meet(order, order.wish)
+        if order.view_request is not None:
+            self._meet(order, order.view_request)
             return
         view, position_m = order.view, self._feed.position_m
         if view is not None:
             view.settle(order.settled)
             order.frames = next_frames(view, order.rooms, position_m)
 
-    def _meet(self, order: _Order, wish: Wish) -> None:
+    def _meet(self, order: _Order, view_request: ViewRequest) -> None:
         """In the worker: what is of interest now."""
         view = order.view
-        if wish.interest is None:
+        if view_request.interest is None:
             if view is not None:
                 view.close()
             order.view = None
         elif view is None:
-            order.view = self._parked(wish.interest, wish.resume)
-            order.went_on = order.view is not None
+            order.view = self._parked(view_request.interest, view_request.resume)
+            order.is_resumed = order.view is not None
             if order.view is None:
-                order.view = self._source.subscribe(wish.interest, wish.resume)
+                order.view = self._source.subscribe(view_request.interest, view_request.resume)
             order.is_new = True
         else:
-            view.change(wish.interest)
+            view.change(view_request.interest)
 
     def _parked(self, interest: Interest, resume: Resume | None) -> MapView | None:
         if resume is None or not resume.ticket:
             return None
-        return self.parking.take(resume, interest, self._source)
+        return self.resume_cache.take(resume, interest, self._source)
 
     def _deliver(self, order: _Order) -> None:
-        client, view, now_s = order.client, order.view, self._around.clock()
+        client, view, now_s = order.client, order.view, self._context.clock()
         session = client.session
         if view is None or session.view is not view:
             return  # it wanted something else meanwhile
@@ -283,18 +283,18 @@ class MapRounds:
         if session.left and order.frames and session.map_rooms(now_s):
             self.wake()
 
-    def _begin(self, order: _Order, beginning: Beginning) -> None:
-        client, wish, now_s = order.client, order.wish, self._around.clock()
+    def _begin(self, order: _Order, map_start: MapStart) -> None:
+        client, view_request, now_s = order.client, order.view_request, self._context.clock()
         session = client.session
         is_first = session.state == "admitted"
-        if session.wish is wish:
-            session.wish = None
-        session.viewed(order.view, beginning)
+        if session.view_request is view_request:
+            session.view_request = None
+        session.view_ready(order.view, map_start)
         view = order.view if order.is_new and not is_first else None
-        if wish is not None and wish.interest is not None and view is not None:
+        if view_request is not None and view_request.interest is not None and view is not None:
             # What it held when it wanted the map before may be wrong by now.
-            facts, revision = beginning.facts, beginning.revision
-            again = ResetMessage(map=facts, revision=revision, interest=wish.interest)
-            client.write(session.mapped_again(framed(again), view, now_s))
+            facts, revision = map_start.facts, map_start.revision
+            again = ResetMessage(map=facts, revision=revision, interest=view_request.interest)
+            client.write(session.sent_reset(framed(again), view, now_s))
         client.turn()
         self.wake()

@@ -8,7 +8,7 @@ import msgspec
 
 from mapperd.events import EventLog
 from mapperd.server.pacer import Pacer
-from mapperd.server.state_feed import Feed, Newest
+from mapperd.server.state_feed import Newest, StateFeed
 from mapperd.server.state_messages import IMAGE_SIZES
 from mapperd.wire.blocks import path_message
 from mapperd.wire.framing import framed
@@ -71,7 +71,7 @@ class ClientOutbox:
         waits: something is due and lacks room, which the map is not to take.
     """
 
-    def __init__(self, feed: Feed, events: EventLog, pacer: Pacer) -> None:
+    def __init__(self, feed: StateFeed, events: EventLog, pacer: Pacer) -> None:
         self.wants: frozenset[str] = frozenset()
         self.left = 0
         self.skipped: Counter[str] = Counter()

@@ -18,7 +18,7 @@ from mapperd.server.map_index import distances_m
 from mapperd.server.pacer import Pacer
 from mapperd.wire.messages import Vector
 
-__all__ = ["NearestFirst", "Part", "Rooms", "Turns"]
+__all__ = ["BlockQueue", "Part", "SendRoom", "SendSchedule"]
 
 FRONT = 16384
 """Blocks that are put in order at a time: all of a large map's are too many for each message."""
@@ -34,7 +34,7 @@ Part = Literal["near", "far", "any"]
 KeysOf = Callable[[Numbers], NDArray[np.int32]]
 
 
-class NearestFirst:
+class BlockQueue:
     """A set of numbered blocks; what it needs of memory is a bit a block, and its front.
 
     Args:
@@ -196,7 +196,7 @@ MIN = 600
 
 
 @dataclass(frozen=True, slots=True)
-class Rooms:
+class SendRoom:
     """Bytes of the map that may be sent now; 0 is nothing."""
 
     near: int = 0
@@ -206,7 +206,7 @@ class Rooms:
         return bool(self.near or self.far)
 
 
-class Turns:
+class SendSchedule:
     """Passes and rests of one client. Callers pass the time in seconds.
 
     Args:
@@ -220,19 +220,19 @@ class Turns:
         self._rests_until_s = 0.0
         self._near_s: float | None = None
 
-    def rooms(self, now_s: float) -> Rooms:
+    def rooms(self, now_s: float) -> SendRoom:
         """What may be sent now."""
         pacer = self._pacer
         room = int(min(pacer.max_in_flight * SHARE - pacer.in_flight, pacer.room(now_s) * SHARE))
         if room < max(MIN, SHARE * pacer.least()):
-            return Rooms()
+            return SendRoom()
         near = room if now_s >= self._rests_until_s else 0
         if self._near_s is None or now_s - self._near_s > QUIET_S:
-            return Rooms(near, room)
+            return SendRoom(near, room)
         rate = pacer.allowed_rate
         wire = rate * (ASIDE_S + (pacer.round_trip_s or 0.0))
         is_idle = pacer.in_flight <= IDLE * wire or self._messages >= EACH
-        return Rooms(near, room if is_idle else 0)
+        return SendRoom(near, room if is_idle else 0)
 
     def sent_near(self, size: int, left: int, now_s: float) -> None:
         """Note a message of near blocks: its bytes, and the blocks that are left of the pass."""

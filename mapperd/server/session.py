@@ -20,8 +20,8 @@ from mapperd.events import EventLog
 from mapperd.server.map_source import MapView, Source
 from mapperd.server.outbox import ClientOutbox
 from mapperd.server.pacer import Pacer
-from mapperd.server.priority_queue import Rooms, Turns
-from mapperd.server.state_feed import Feed
+from mapperd.server.priority_queue import SendRoom, SendSchedule
+from mapperd.server.state_feed import StateFeed
 from mapperd.wire.auth import FailureLimiter, TokenBucket, is_proof
 from mapperd.wire.framing import StreamError, framed, server_inbox
 from mapperd.wire.messages import (
@@ -42,14 +42,14 @@ from mapperd.wire.messages import (
 from mapperd.wire.requests import Fault, plain_map
 
 __all__ = [
-    "Beginning",
-    "Common",
-    "Ends",
+    "ClientSession",
+    "MapStart",
+    "MessageEnds",
     "Newcomer",
-    "Parting",
     "ResumeCache",
-    "Session",
-    "Wish",
+    "ResumeState",
+    "SessionContext",
+    "ViewRequest",
     "checked",
     "is_ticket",
 ]
@@ -58,7 +58,7 @@ PARKED_S = 120.0
 MAX_ENDS = 4096
 
 
-class Ends:
+class MessageEnds:
     """Where on a connection messages about the map end, until they are acknowledged."""
 
     def __init__(self) -> None:
@@ -88,7 +88,7 @@ class Ends:
 
 
 @dataclass(frozen=True, slots=True)
-class Parting:
+class ResumeState:
     """How a client's connection was when it broke.
 
     Attributes:
@@ -102,7 +102,7 @@ class Parting:
     ticket: str
     acked: int
     sent: int
-    ends: Ends
+    ends: MessageEnds
     before: Resume | None = None
 
     def number_at(self, resume: Resume) -> int | None:
@@ -127,7 +127,7 @@ class Parting:
 @dataclass(slots=True)
 class _Parked:
     view: MapView
-    parting: Parting
+    resume_state: ResumeState
     since_s: float
 
 
@@ -151,10 +151,10 @@ class ResumeCache:
     def __len__(self) -> int:
         return len(self._parked)
 
-    def park(self, view: MapView, parting: Parting, now_s: float) -> None:
+    def park(self, view: MapView, resume_state: ResumeState, now_s: float) -> None:
         """A client is lost; its view goes on listening."""
         self.counters["parked"] += 1
-        self._parked.append(_Parked(view, parting, now_s))
+        self._parked.append(_Parked(view, resume_state, now_s))
         while len(self._parked) > self.most:
             self._drop(self._parked[0])
 
@@ -165,11 +165,11 @@ class ResumeCache:
 
     def take(self, resume: Resume, interest: Interest, source: Source) -> MapView | None:
         """The view of a client that comes back, once; None where it cannot go on."""
-        found = [one for one in self._parked if one.parting.is_of(resume)]
+        found = [one for one in self._parked if one.resume_state.is_of(resume)]
         if not found:
             return None
         one = found[0]
-        number = one.parting.number_at(resume)
+        number = one.resume_state.number_at(resume)
         held = (resume.level, resume.detail, resume.radius_m, resume.box)
         is_same = (
             resume.map == source.facts().id
@@ -225,7 +225,7 @@ class Newcomer:
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class ViewRequest:
     """Changed blocks of the map to send, or None."""
 
     interest: Interest | None
@@ -233,7 +233,7 @@ class Wish:
 
 
 @dataclass(frozen=True, slots=True)
-class Beginning:
+class MapStart:
     """The map when a client begins to be told of it, as `WelcomeMessage` says it."""
 
     facts: MapFacts
@@ -268,7 +268,7 @@ QUIET_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Common:
+class SessionContext:
     """What all clients share.
 
     Attributes:
@@ -279,14 +279,14 @@ class Common:
         bytes_per_s: of one client, at most; 0 has no limit.
     """
 
-    feed: Feed
+    feed: StateFeed
     events: EventLog
     failures: FailureLimiter
     vehicle: str
     bytes_per_s: int = 0
 
 
-class Session:
+class ClientSession:
     """One client, from the greeting to the bye; whoever calls says what time it is.
 
     Args:
@@ -297,50 +297,50 @@ class Session:
     Attributes:
         state: as above.
         name: that the client gives itself.
-        wish: what is to become of its view of the map; None once that is done.
+        view_request: what is to become of its view of the map; None once that is done.
         view: of the map.
         asks: requests that wait.
         pacer: of what is under way.
-        portions: of what it is told.
+        outbox: of what it is told.
         ticket: with which the client resumes after a break.
     """
 
-    def __init__(self, common: Common, newcomer: Newcomer, *, may_change: bool) -> None:
+    def __init__(self, common: SessionContext, newcomer: Newcomer, *, may_change: bool) -> None:
         self.state: Literal["greeted", "admitted", "served"] = "greeted"
         self.name = ""
-        self.wish: Wish | None = None
+        self.view_request: ViewRequest | None = None
         self.view: MapView | None = None
         self.asks: deque[msgspec.Raw] = deque()
         self.pacer = Pacer(common.bytes_per_s)
-        self._turns = Turns(self.pacer)
-        self.portions = ClientOutbox(common.feed, common.events, self.pacer)
+        self._turns = SendSchedule(self.pacer)
+        self.outbox = ClientOutbox(common.feed, common.events, self.pacer)
         self.may_change = may_change
         self.ticket = secrets.token_hex(16)
-        self._ends = Ends()
-        self._went_on = False
+        self._ends = MessageEnds()
+        self._is_resumed = False
         self._common = common
         self._newcomer = newcomer
         self._inbox = server_inbox()
         self._messages = TokenBucket(MESSAGES_PER_S, MESSAGES_AT_ONCE)
         self._changes = TokenBucket(CHANGES_PER_S, CHANGES_AT_ONCE)
-        self._take_wishes = False
-        self._words: deque[bytes] = deque()
+        self._interest_changed = False
+        self._answers: deque[bytes] = deque()
         self._resume: Resume | None = None
         self._interest = Interest()
 
     @property
     def wants(self) -> frozenset[str]:
         """Kinds of messages."""
-        return self.portions.wants
+        return self.outbox.wants
 
     @property
     def left(self) -> int:
         """Blocks of the map that it still lacks."""
-        return self.portions.left
+        return self.outbox.left
 
     @left.setter
     def left(self, blocks: int) -> None:
-        self.portions.left = blocks
+        self.outbox.left = blocks
 
     def greeting(self, now_s: float) -> bytes:
         """The first bytes."""
@@ -367,26 +367,26 @@ class Session:
         Raises:
             StreamError: it does not.
         """
-        self._heed(now_s)
+        self._apply_interest(now_s)
         if self.pacer.quiet_s(now_s) > QUIET_S:
             raise StreamError(f"nothing was acknowledged for {QUIET_S:g} s", "no_acks")
 
-    def viewed(self, view: MapView | None, beginning: Beginning) -> None:
+    def view_ready(self, view: MapView | None, map_start: MapStart) -> None:
         """Its wish for a view of the map has been met."""
         self.view = view
         self.left = 0 if view is None else view.left
         if self.state == "admitted":
-            self._welcome(beginning)
+            self._welcome(map_start)
 
-    def took(self, view: MapView, *, went_on: bool) -> None:
+    def took(self, view: MapView, *, is_resumed: bool) -> None:
         """This view is its own from now on; perhaps it was of the connection before."""
         self._ends.begin(view.number, 0)
-        self._went_on = went_on
+        self._is_resumed = is_resumed
 
-    def parting(self) -> Parting:
+    def resume_state(self) -> ResumeState:
         """With what it may come back."""
-        before = self._resume if self._went_on else None
-        return Parting(self.ticket, self.pacer.acked, self.pacer.sent, self._ends, before)
+        before = self._resume if self._is_resumed else None
+        return ResumeState(self.ticket, self.pacer.acked, self.pacer.sent, self._ends, before)
 
     def is_known_by(self, ticket: str) -> bool:
         """Whether whoever shows this ticket is the same client, which does not miss this one."""
@@ -404,26 +404,26 @@ class Session:
             message = AnswerMessage(id=number, error=plain_map(result))
         else:
             message = AnswerMessage(id=number, result=plain_map(result))
-        self._words.append(framed(message))
+        self._answers.append(framed(message))
 
     @property
     def answers(self) -> int:
         """That it has not been sent yet."""
-        return len(self._words)
+        return len(self._answers)
 
     def next(self, now_s: float, now_ns: int) -> bytes:
         """All that is to be sent now, but for the map; most urgent first."""
         if self.state != "served":
             return b""
-        words, self._words = self._words, deque()  # who asks much is told less: see `asks`
+        words, self._answers = self._answers, deque()  # who asks much is told less: see `asks`
         data = b"".join(self._sent(word, now_s) for word in words)
-        pieces = self.portions.pieces(now_s, now_ns)
+        pieces = self.outbox.pieces(now_s, now_ns)
         return data + b"".join(self._sent(piece, now_s) for piece in pieces)
 
-    def map_rooms(self, now_s: float) -> Rooms:
+    def map_rooms(self, now_s: float) -> SendRoom:
         """Bytes of the map that may be sent now."""
-        if self.state != "served" or self.view is None or self.portions.waits:
-            return Rooms()
+        if self.state != "served" or self.view is None or self.outbox.waits:
+            return SendRoom()
         return self._turns.rooms(now_s)
 
     def nothing_near(self) -> None:
@@ -451,7 +451,7 @@ class Session:
         self._ends.note(number, self.pacer.sent)
         return sent
 
-    def mapped_again(self, frame: bytes, view: MapView, now_s: float) -> bytes:
+    def sent_reset(self, frame: bytes, view: MapView, now_s: float) -> bytes:
         """A reset, as it is to be sent: a view is told from there on, and nothing before counts."""
         data = self._sent(frame, now_s)
         self._ends.begin(view.number, self.pacer.sent)
@@ -469,10 +469,10 @@ class Session:
                     raise StreamError("an acknowledgement of what was not sent", "bad_ack")
             case ChangeMessage():
                 self._change(message)
-                self._heed(now_s)
+                self._apply_interest(now_s)
             case AskMessage(ask=ask):
                 self.asks.append(msgspec.Raw(bytes(ask)))
-                if len(self.asks) > ASKS or len(self._words) > ANSWERS:
+                if len(self.asks) > ASKS or len(self._answers) > ANSWERS:
                     raise StreamError("too many requests at once", "too_many_asks")
 
     def _hello(self, hello: HelloMessage, now_s: float) -> None:
@@ -485,32 +485,34 @@ class Session:
         if hello.beside:
             raise StreamError("a client has one connection", "no_such_connection")
         self.state, self.name = "admitted", hello.name
-        self.portions.want(hello.wants)
+        self.outbox.want(hello.wants)
         self._resume = hello.resume
         self._limit(hello.bytes_per_s)
         self._interest = checked(hello.interest)
-        self.wish = Wish(self._interest if "map" in self.wants else None, hello.resume)
-        self.portions.begin(hello.events_since)
+        self.view_request = ViewRequest(
+            self._interest if "map" in self.wants else None, hello.resume
+        )
+        self.outbox.begin(hello.events_since)
 
-    def _welcome(self, beginning: Beginning) -> None:
+    def _welcome(self, map_start: MapStart) -> None:
         resume, view = self._resume, self.view
-        same = resume is not None and resume.session == beginning.session
+        same = resume is not None and resume.session == map_start.session
         resumed = same if view is None else view.resumed
         if resume is not None and resumed:
-            self.portions.go_on(resume, same=same)
+            self.outbox.go_on(resume, same=same)
         welcome = WelcomeMessage(
             version=VERSION,
             server=__version__,
             vehicle=self._common.vehicle,
-            session=beginning.session,
-            map=beginning.facts,
-            revision=beginning.revision,
+            session=map_start.session,
+            map=map_start.facts,
+            revision=map_start.revision,
             resumed=resumed,
             reason="" if view is None else view.reason,
             may_change=self.may_change,
             ticket=self.ticket,
         )
-        self._words.appendleft(framed(welcome))
+        self._answers.appendleft(framed(welcome))
         self.state = "served"
 
     def _change(self, change: ChangeMessage) -> None:
@@ -520,17 +522,17 @@ class Session:
         if change.interest is not None:
             self._interest = checked(change.interest)
         if change.wants is not None:
-            self.portions.want(change.wants)
+            self.outbox.want(change.wants)
         wants = "map" in self.wants
         if wants != had or (wants and change.interest is not None):
-            self._take_wishes = True
+            self._interest_changed = True
 
-    def _heed(self, now_s: float) -> None:
+    def _apply_interest(self, now_s: float) -> None:
         """A part of the map costs some work to begin with."""
-        if self._take_wishes and not self._changes.wait_s(now_s):
+        if self._interest_changed and not self._changes.wait_s(now_s):
             self._changes.take(now_s)
-            self._take_wishes = False
-            self.wish = Wish(self._interest if "map" in self.wants else None)
+            self._interest_changed = False
+            self.view_request = ViewRequest(self._interest if "map" in self.wants else None)
 
     def _limit(self, bytes_per_s: int) -> None:
         limits = [limit for limit in (bytes_per_s, self._common.bytes_per_s) if limit]

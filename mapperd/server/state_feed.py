@@ -21,8 +21,8 @@ from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.step import PingResult
 from mapperd.server.state_messages import (
     IMAGE_SIZES,
-    Mounting,
-    Track,
+    SonarMounting,
+    VehiclePath,
     fan_message,
     image_message,
     localized_covariance,
@@ -36,7 +36,7 @@ from mapperd.wire.requests import plain, plain_map
 if TYPE_CHECKING:
     from mapperd.pipeline.worker import StatusSnapshot
 
-__all__ = ["Feed", "Newest", "SettingLog"]
+__all__ = ["Newest", "SettingLog", "StateFeed"]
 
 _ENCODER = msgspec.msgpack.Encoder(enc_hook=plain)
 
@@ -104,7 +104,7 @@ class Newest:
 NOTHING = Newest()
 
 
-class Feed:
+class StateFeed:
     """The event loop's, but for `put`, which is the mapping thread's, and `draw`, a worker's.
 
     Args:
@@ -123,13 +123,13 @@ class Feed:
         self, operations: DaemonApi, facts: "Callable[[], StatusSnapshot | None]", path_points: int
     ) -> None:
         config = operations.settings.current
-        self.path = Track(path_points, SPACING_M)
+        self.path = VehiclePath(path_points, SPACING_M)
         self.position_m: Vector | None = None
         self.left_out: Counter[str] = Counter()
         self._operations = operations
         self._facts = facts
         self._config = config
-        self._mounting = Mounting(config)
+        self._mounting = SonarMounting(config)
         self.settings = SettingLog(self._facts_of([]))
         self._newest: dict[str, Newest] = {}
         self._images = [NOTHING] * len(IMAGE_SIZES)
@@ -287,7 +287,7 @@ class Feed:
         before, config = self._config, self._operations.settings.current
         if config is before:
             return
-        self._config, self._mounting = config, Mounting(config)
+        self._config, self._mounting = config, SonarMounting(config)
         names = [*changes_between(before, config)]
         if names:
             self.settings.put(self._facts_of(names))

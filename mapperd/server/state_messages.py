@@ -18,8 +18,8 @@ from oculus_driver.ping import Ping
 
 __all__ = [
     "IMAGE_SIZES",
-    "Mounting",
-    "Track",
+    "SonarMounting",
+    "VehiclePath",
     "fan_message",
     "first_returns",
     "image_message",
@@ -34,7 +34,7 @@ FINE_RAD, FINE_M = 1e-4, 1e-3
 """What a fan is rounded to: the speed of sound makes its range tremble."""
 
 
-class Mounting:
+class SonarMounting:
     """Where the sonar sits on the base.
 
     Args:
@@ -198,7 +198,7 @@ MAX_M = 1e30
 """That the float32 of the messages hold with room."""
 
 
-class Track:
+class VehiclePath:
     """Points of a path; one thread adds, any reads.
 
     A full path keeps every second point, and takes new ones at twice the distance: its points are

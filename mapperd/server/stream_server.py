@@ -17,13 +17,13 @@ from typing import Any, Self
 
 from mapperd.api import DaemonApi
 from mapperd.events import Severity
-from mapperd.server.connection import Around, Connection
+from mapperd.server.connection import ClientConnection, ServerContext
 from mapperd.server.listeners import Listener, peer_of
 from mapperd.server.map_source import Source
-from mapperd.server.map_worker import MapRounds
+from mapperd.server.map_worker import MapWorker
 from mapperd.server.pacer import tune
-from mapperd.server.session import Common, Newcomer, Session
-from mapperd.server.state_feed import Feed
+from mapperd.server.session import ClientSession, Newcomer, SessionContext
+from mapperd.server.state_feed import StateFeed
 from mapperd.wire.auth import FailureLimiter, Limits, TokenBucket
 from mapperd.wire.framing import StreamError
 
@@ -59,7 +59,7 @@ class StreamServer:
         self,
         operations: DaemonApi,
         doors: Sequence[Listener],
-        feed: Feed,
+        feed: StateFeed,
         source: Source,
         *,
         limits: Limits | None = None,
@@ -73,16 +73,16 @@ class StreamServer:
         self._limits = limits or Limits(clients=config.server.max_clients, newcomers=NEWCOMERS)
         self._clock = clock
         self._counters: Counter[str] = Counter()
-        self._clients: dict[Connection, None] = {}
-        self._newcomers: dict[Listener, dict[Connection, asyncio.Task[None]]] = {}
-        self._common = Common(
+        self._clients: dict[ClientConnection, None] = {}
+        self._newcomers: dict[Listener, dict[ClientConnection, asyncio.Task[None]]] = {}
+        self._common = SessionContext(
             feed,
             operations.events,
             FailureLimiter(),
             config.mqtt.vehicle,
             config.stream.bytes_per_s,
         )
-        self._around = Around(
+        self._context = ServerContext(
             operations,
             self._limits,
             self._count,
@@ -93,14 +93,14 @@ class StreamServer:
             clock,
             now_ns,
         )
-        self._rounds = MapRounds(operations, feed, source, self._clients, self._around)
+        self._map_worker = MapWorker(operations, feed, source, self._clients, self._context)
         self._open = AsyncExitStack()
 
     async def __aenter__(self) -> Self:
         self._loop = asyncio.get_running_loop()
         self._open.callback(self._close_doors)
         self._open.push_async_callback(self._end)
-        for work in (self._ticking(), self._rounds.run()):
+        for work in (self._ticking(), self._map_worker.run()):
             task = asyncio.create_task(work)
             self._open.push_async_callback(_end_tasks, [task])
         for door in self._doors:
@@ -127,7 +127,7 @@ class StreamServer:
             "blocks_left": max((one.session.left for one in clients), default=0),
             "counters": dict(sorted(self._all_counters().items())),
             "watching": [
-                {"name": one.session.name, "from": one.origin, **one.session.portions.link()}
+                {"name": one.session.name, "from": one.origin, **one.session.outbox.link()}
                 for one in clients[:MAX_LISTED]
             ],
         }
@@ -151,11 +151,11 @@ class StreamServer:
                 except Exception as error:  # noqa: BLE001 nor what goes wrong with one client
                     self._failed(error)
                     client.abort()
-            self._rounds.wake()
+            self._map_worker.wake()
 
     def _all_counters(self) -> dict[str, int]:
         """Of what happened here, in the feed and with clients that left."""
-        return {**self._counters, **self._feed.left_out, **self._rounds.parking.counters}
+        return {**self._counters, **self._feed.left_out, **self._map_worker.resume_cache.counters}
 
     async def _accept(self, door: Listener) -> None:
         connects = TokenBucket(self._limits.connects_per_s, self._limits.connects_at_once)
@@ -181,8 +181,8 @@ class StreamServer:
         challenge = "" if door.token is None else secrets.token_hex(16)
         may_change = door.token is not None or connection.family == socket.AF_UNIX
         newcomer = Newcomer(peer, challenge, door.token)
-        session = Session(self._common, newcomer, may_change=may_change)
-        client = Connection(session, f"control, {who}", self._around)
+        session = ClientSession(self._common, newcomer, may_change=may_change)
+        client = ClientConnection(session, f"control, {who}", self._context)
         newcomers = self._newcomers[door]
         while len(newcomers) >= self._limits.newcomers:
             oldest = next(iter(newcomers))
@@ -191,7 +191,9 @@ class StreamServer:
             self._counters["cut_crowded_out"] += 1
         newcomers[client] = asyncio.create_task(self._open_up(door, client, connection))
 
-    async def _open_up(self, door: Listener, client: Connection, connection: socket.socket) -> None:
+    async def _open_up(
+        self, door: Listener, client: ClientConnection, connection: socket.socket
+    ) -> None:
         """Make a transport of a socket, with TLS if the door wants it."""
         limit_s = self._limits.hello_s if door.tls else None
         try:
@@ -212,10 +214,10 @@ class StreamServer:
     def _count(self, what: str) -> None:
         self._counters[what] += 1
 
-    def _admit(self, client: Connection) -> None:
-        wish = client.session.wish
-        if wish is not None and wish.resume is not None:
-            self._take_over(wish.resume.ticket, client)
+    def _admit(self, client: ClientConnection) -> None:
+        view_request = client.session.view_request
+        if view_request is not None and view_request.resume is not None:
+            self._take_over(view_request.resume.ticket, client)
         # Followers of the map must not keep out operators, who only send requests.
         follows = bool(client.session.wants)
         clients = sum(bool(other.session.wants) == follows for other in self._clients)
@@ -225,34 +227,38 @@ class StreamServer:
         self._drop_newcomer(client)
         self._clients[client] = None
 
-    def _take_over(self, ticket: str, newcomer: Connection) -> None:
+    def _take_over(self, ticket: str, newcomer: ClientConnection) -> None:
         """Who comes back may know of the break before we do."""
         for client in [*self._clients]:
             if client is not newcomer and client.session.is_known_by(ticket):
                 self._gone(client)
                 client.drop()
 
-    def _heard(self, client: Connection) -> None:
+    def _heard(self, client: ClientConnection) -> None:
         session = client.session
-        wish = session.wish
-        if wish is not None and wish.interest is None and session.state == "admitted":
-            self._rounds.welcome(client)
-        elif wish is not None or session.left:
-            self._rounds.wake()
+        view_request = session.view_request
+        if (
+            view_request is not None
+            and view_request.interest is None
+            and session.state == "admitted"
+        ):
+            self._map_worker.welcome(client)
+        elif view_request is not None or session.left:
+            self._map_worker.wake()
 
-    def _refused(self, client: Connection, reason: str) -> None:
+    def _refused(self, client: ClientConnection, reason: str) -> None:
         if reason == "wrong_token":
             text = f"{client.origin} does not know the token"
             self._operations.events.add(Severity.WARNING, "stream_wrong_token", text)
 
-    def _gone(self, client: Connection) -> None:
+    def _gone(self, client: ClientConnection) -> None:
         self._clients.pop(client, None)
         self._drop_newcomer(client)
         view, client.session.view = client.session.view, None
         if view is not None:
-            self._rounds.leave(view, client.parting())
+            self._map_worker.leave(view, client.resume_state())
 
-    def _drop_newcomer(self, client: Connection) -> None:
+    def _drop_newcomer(self, client: ClientConnection) -> None:
         for newcomers in self._newcomers.values():
             newcomers.pop(client, None)
 

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapperd.errors import StoreError
 from mapperd.server.encoder import BlockEncoder, Body
-from mapperd.server.map_index import View, vector_of, within
-from mapperd.server.priority_queue import NearestFirst, Part
+from mapperd.server.map_index import BlockIndex, vector_of, within
+from mapperd.server.priority_queue import BlockQueue, Part
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import (
     MAX_BLOCKS,
@@ -20,7 +20,7 @@ from mapperd.wire.messages import (
     Vector,
 )
 
-__all__ = ["InFlight", "Source", "Subscription"]
+__all__ = ["BlockSource", "InFlight", "Subscription"]
 
 MOST_BLOCKS, MAX_MESSAGES = 1 << 17, 4096
 """Half a MiB a client; one with more in flight when its link breaks begins again."""
@@ -88,14 +88,14 @@ QUIET_NS = 1_000_000_000
 """A client that lacks nothing is told so at most this often."""
 
 
-class Source(Protocol):
+class BlockSource(Protocol):
     """Where a subscription has the map from."""
 
     encoder: BlockEncoder
     now_ns: int
     trouble: str | None
 
-    def view_of(self, interest: Interest) -> View:
+    def view_of(self, interest: Interest) -> BlockIndex:
         """The blocks as an interest has them told."""
 
     def facts(self) -> MapFacts:
@@ -119,7 +119,7 @@ class Subscription:
 
     def __init__(
         self,
-        source: Source,
+        source: BlockSource,
         interest: Interest,
         known_up_to: int | None,
         reason: str,
@@ -137,7 +137,7 @@ class Subscription:
         self._known_up_to = known_up_to
         self._view = self._source.view_of(self.interest)
         self._view.listeners.add(self)
-        self._queue = NearestFirst(self._view.keys, self._view.block_m)
+        self._queue = BlockQueue(self._view.keys, self._view.block_m)
         self._complete: int | None = None
         self._sent_ns = 0
         self._drawn_at: Vector | None = None

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import time
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -14,9 +14,9 @@ from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapRes
 from mapperd.viewer.actors import Actors
 from mapperd.viewer.camera import CameraMode, Cameras, whole_view
 from mapperd.viewer.health import Health
-from mapperd.viewer.map_layer import MapView
+from mapperd.viewer.map_layer import MapLayer
 from mapperd.viewer.panel import Panel
-from mapperd.viewer.save import Recorder, SaveControls
+from mapperd.viewer.save import MapRecorder, SaveControls
 from mapperd.viewer.settings import SettingsPanel
 from mapperd.viewer.tools import Tools, pick
 from mapperd.wire.messages import PoseMessage, SettingsMessage, StatusMessage, Want
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from mapperd.client import MapClient
 
-__all__ = ["VIEW_WANTS", "View"]
+__all__ = ["VIEW_WANTS", "ViewerPage"]
 
 VIEW_WANTS: tuple[Want, ...] = (
     "map",
@@ -58,7 +58,7 @@ OLDER_S = 10.0
 NOTE_S = 6.0
 
 
-class View:
+class ViewerPage:
     """A page that shows the state of one client; it runs in one event loop.
 
     Args:
@@ -75,8 +75,8 @@ class View:
         client: "MapClient",
         *,
         may_change: bool = True,
-        folder: FilePath = FilePath(),
-        recorder: "Callable[[MapClient, FilePath], Recorder] | None" = None,
+        folder: Path = Path(),
+        recorder: "Callable[[MapClient, Path], MapRecorder] | None" = None,
     ) -> None:
         self._server = server
         self._client = client
@@ -88,7 +88,7 @@ class View:
         self._cameras = Cameras()
         self._actors = Actors(server.scene)
         self._panel = Panel(server, self._post, self._look_changed, self._show)
-        self.map = MapView(server.scene, self._panel.look)
+        self.map = MapLayer(server.scene, self._panel.look)
         self._tools = Tools(self._panel.view_tab, self._post, self._choose_camera, self._pick)
         self._save = SaveControls(
             server,

@@ -15,7 +15,7 @@ from mapperd.viewer.shapes import Nodes, cube
 if TYPE_CHECKING:
     from viser import SceneApi
 
-__all__ = ["Look", "MapView"]
+__all__ = ["MapLayer", "MapStyle"]
 
 MAX_NODES = 1500
 MAX_CUBES = 120_000
@@ -40,7 +40,7 @@ Shape = Literal["auto", "cubes", "points"]
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class MapStyle:
     """How the map is drawn.
 
     Attributes:
@@ -56,7 +56,7 @@ class Look:
     shading: bool = True
 
 
-class MapView:
+class MapLayer:
     """Draws the cells of a map mirror; use from one thread.
 
     Args:
@@ -67,7 +67,7 @@ class MapView:
         sent_bytes: bytes of the map sent to each browser.
     """
 
-    def __init__(self, scene: "SceneApi", look: Look, max_nodes: int = MAX_NODES) -> None:
+    def __init__(self, scene: "SceneApi", look: MapStyle, max_nodes: int = MAX_NODES) -> None:
         self.look = look
         self.sent_bytes = 0
         self._nodes = Nodes()
@@ -130,7 +130,7 @@ class MapView:
         """Mark blocks (N, 3) as changed."""
         self._chunks.touch(keys)
 
-    def change(self, look: Look) -> None:
+    def change(self, look: MapStyle) -> None:
         """Change how the map is drawn."""
         if look != self.look:
             self.look = look

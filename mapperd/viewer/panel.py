@@ -10,7 +10,7 @@ from mapperd.viewer.actors import LAYERS
 from mapperd.viewer.chunks import Filter
 from mapperd.viewer.colours import MODES, Mode, Scale, legend_of
 from mapperd.viewer.health import Health, banner_html, health_html, legend_html
-from mapperd.viewer.map_layer import Look, Shape
+from mapperd.viewer.map_layer import MapStyle, Shape
 
 if TYPE_CHECKING:
     from viser import GuiTabGroupHandle, GuiTabHandle, ViserServer
@@ -106,7 +106,7 @@ class Panel:
             self._add_layers(show)
 
     @property
-    def look(self) -> Look:
+    def look(self) -> MapStyle:
         """How to draw the map."""
         handles = self._handles
         mode: Mode = handles.colour.value
@@ -118,7 +118,7 @@ class Panel:
             -np.inf if clip[0] <= whole[0] else clip[0],
             np.inf if clip[1] >= whole[1] else clip[1],
         )
-        return Look(chosen, Scale(mode, low, high), handles.shape.value, handles.shading.value)
+        return MapStyle(chosen, Scale(mode, low, high), handles.shape.value, handles.shading.value)
 
     def heights(self, low_m: float, high_m: float) -> None:
         """Set the range of heights in the map."""

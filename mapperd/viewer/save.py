@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from mapperd.client import MapClient
 
-__all__ = ["Recorder", "SaveControls"]
+__all__ = ["MapRecorder", "SaveControls"]
 
 NOTE_S = 8.0
 RECORD = "\N{BLACK CIRCLE} Record"
@@ -22,7 +22,7 @@ MAX_DOWNLOAD = 64 << 20
 """Larger files are not sent to the browser."""
 
 
-class Recorder(Protocol):
+class MapRecorder(Protocol):
     """A recording in the background, from `start` to `stop`."""
 
     @property
@@ -58,14 +58,14 @@ class SaveControls:
         client: "MapClient",
         *,
         folder: Path,
-        recorder: Callable[["MapClient", Path], Recorder] | None,
+        recorder: Callable[["MapClient", Path], MapRecorder] | None,
         begin: Callable[[Callable[[], Coroutine[Any, Any, None]]], None],
     ) -> None:
         self._server = server
         self._client = client
         self._folder = folder
         self._make = recorder
-        self._running: Recorder | None = None
+        self._running: MapRecorder | None = None
         with tab, server.gui.add_folder("Save"):
             if recorder is not None:
                 self._button = server.gui.add_button(RECORD, color="red")

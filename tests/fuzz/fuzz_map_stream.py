@@ -11,8 +11,8 @@ import contextlib
 import numpy as np
 import zstandard
 
-from mapperd.client.protocol import Dialogue, Wishes
-from mapperd.client.state import Knowledge
+from mapperd.client.protocol import ClientProtocol, StreamOptions
+from mapperd.client.state import ClientState
 from mapperd.wire.blocks import CELLS, MAX_KEY, decode_blocks
 from mapperd.wire.framing import StreamError, framed, server_inbox
 from mapperd.wire.messages import (
@@ -38,22 +38,22 @@ INTERESTS = (Interest(detail="classes"), Interest(level=3), Interest(detail="cou
 def _client_survives(data: bytes, choice: int) -> None:
     """Check that a client accepts bytes or disconnects, and that its state stays sound."""
     interest = INTERESTS[choice % 3]
-    knowledge = Knowledge(interest, lambda _: None, BLOCK_LIMIT)
-    dialogue = Dialogue(Wishes(WANTS, interest), knowledge, None, lambda _: None)
+    client_state = ClientState(interest, lambda _: None, BLOCK_LIMIT)
+    protocol = ClientProtocol(StreamOptions(WANTS, interest), client_state, None, lambda _: None)
     if choice & 1:
-        dialogue.receive(BEGIN)
+        protocol.receive(BEGIN)
     half = len(data) // 2
     with contextlib.suppress(StreamError):
-        dialogue.receive(data[:half])
-        dialogue.receive(data[half:])
-    _is_sound(knowledge)
+        protocol.receive(data[:half])
+        protocol.receive(data[half:])
+    _is_sound(client_state)
 
 
-def _is_sound(knowledge: Knowledge) -> None:
+def _is_sound(client_state: ClientState) -> None:
     """Check that the state is a path and a map of bounded size."""
-    if knowledge.path.shape[1:] != (3,) or not np.isfinite(knowledge.path).all():
+    if client_state.path.shape[1:] != (3,) or not np.isfinite(client_state.path).all():
         raise AssertionError("the path is not finite")
-    mirror = knowledge.mirror
+    mirror = client_state.mirror
     if mirror is not None:
         mirror.digest()
         mirror.cells("known")

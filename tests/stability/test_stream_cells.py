@@ -11,7 +11,7 @@ from mpmath import mpf
 
 from mapperd import _core
 from mapperd.client.mirror import MapMirror
-from mapperd.server.map_index import View, distances_m, within
+from mapperd.server.map_index import BlockIndex, distances_m, within
 from mapperd.wire.blocks import CELLS, MAX_KEY, UNKNOWN, BlockSet, decode_blocks, encode_blocks
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import Interest, MapFacts
@@ -228,7 +228,7 @@ def test_revisions_beyond_2_to_the_53_are_distinguished() -> None:
     for start in (2**53, 2**62, 2**63 + 5):
         voxels = _core.VoxelMap(0.1, WIDE)
         voxels.raise_revision(start)
-        index = View(0, view(0.25), 0.1)
+        index = BlockIndex(0, view(0.25), 0.1)
         for number in range(3):
             before = voxels.revision
             voxels.set_log_odds(np.array([[10.0 * number, 0.0, 0.0]]), np.array([3.0]))

@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.client.state import Knowledge
+from mapperd.client.state import ClientState
 from mapperd.client.validation import check_message, image_of
 from mapperd.config.tree import Config
 from mapperd.imaging.ping_image import PingImage
-from mapperd.server.state_messages import IMAGE_SIZES, Track, first_returns, image_message
+from mapperd.server.state_messages import IMAGE_SIZES, VehiclePath, first_returns, image_message
 from mapperd.wire.blocks import path_message
 from mapperd.wire.messages import Interest, PathMessage
 from oculus_driver.ping import Ping, decode_ping
@@ -82,7 +82,7 @@ def test_a_path_of_a_year_stays_within_its_points() -> None:
 
     Naively the path grows by a point for every metre, or forgets where it began.
     """
-    track = Track(100, 1.0)
+    track = VehiclePath(100, 1.0)
     for metre in range(20_000):
         track.add(np.array([float(metre), 0.0, 0.0]))
     assert len(track) <= 100
@@ -100,16 +100,16 @@ def test_a_path_in_universal_coordinates_is_sent_to_a_millimetre() -> None:
 
     Naively its points are in single precision, in steps of half a metre: a staircase.
     """
-    track = Track(1000, 0.05)
+    track = VehiclePath(1000, 0.05)
     way = np.array([500_000.123, 4_649_776.25, -12.5]) + np.outer(np.arange(300), [0.07, 0.071, 0])
     for position_m in way:
         track.add(position_m)
     version, first, points = track.since(0, 0, 1000)
-    knowledge = Knowledge(Interest(), lambda _: None)
+    client_state = ClientState(Interest(), lambda _: None)
     for begin in (0, 100, 200):
         piece = path_message(first + begin, points[begin : begin + 100], version)
-        knowledge.take(msgspec.msgpack.decode(msgspec.msgpack.encode(piece), type=PathMessage))
-    assert np.abs(knowledge.path - way).max() < 1e-6
+        client_state.take(msgspec.msgpack.decode(msgspec.msgpack.encode(piece), type=PathMessage))
+    assert np.abs(client_state.path - way).max() < 1e-6
     # Who knows no more than points reads them where they were before.
     old = np.frombuffer(piece.points, "<f4").reshape(-1, 3)
     assert np.abs(old - way[200:]).max() < 0.5
@@ -130,7 +130,7 @@ def test_a_position_beyond_all_numbers_is_no_point_of_the_path() -> None:
 
     Naively it is sent as that, and every client that checks what it reads ends its connection.
     """
-    track = Track(10, 0.1)
+    track = VehiclePath(10, 0.1)
     for x in (0.0, 1e300, -1e300, 1e31, 1.0):
         track.add(np.array([x, 0.0, 0.0]))
     _, _, points = track.since(0, 0, 10)

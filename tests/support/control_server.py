@@ -21,7 +21,7 @@ from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
 from mapperd.events import EventLog
 from mapperd.server.listeners import Listener, open_tcp_listener, open_unix_listener
-from mapperd.server.state_feed import Feed
+from mapperd.server.state_feed import StateFeed
 from mapperd.server.stream_server import StreamServer
 from mapperd.wire.auth import Limits
 from mapperd.wire.messages import Interest, MapFacts
@@ -258,7 +258,7 @@ async def served(
         doors["open"] = open_tcp_listener("127.0.0.1:0", None, None)
     if tls is not None:
         doors["tls"] = open_tcp_listener("127.0.0.1:0", TOKEN, tls[0])
-    feed = Feed(daemon, lambda: None, 1000)
+    feed = StateFeed(daemon, lambda: None, 1000)
     server = StreamServer(daemon, list(doors.values()), feed, EmptySource(), limits=limits)
     async with server:
         yield Served(daemon, server, doors, tls[1] if tls else None)

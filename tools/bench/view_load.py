@@ -20,7 +20,7 @@ from mapperd.cli.mapperctl.view import open_page
 from mapperd.client.mirror import MapMirror
 from mapperd.viewer.chunks import Filter
 from mapperd.viewer.colours import Scale
-from mapperd.viewer.map_layer import Look, MapView
+from mapperd.viewer.map_layer import MapLayer, MapStyle
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
 from mapperd.wire.messages import Interest, MapFacts
 
@@ -60,7 +60,7 @@ def main() -> None:
     mirror.put(_floor(args.cells), time.time_ns())
     occupied = len(mirror.cells("occupied"))
     server = open_page("127.0.0.1", 0)
-    view = MapView(server.scene, Look(Filter(), Scale("height", -10.0, 0.0), args.shape))
+    view = MapLayer(server.scene, MapStyle(Filter(), Scale("height", -10.0, 0.0), args.shape))
     try:
         if args.chromium:
             with _page(args.chromium, f"http://127.0.0.1:{server.get_port()}") as page:
@@ -83,7 +83,7 @@ def main() -> None:
         server.stop()
 
 
-def _show(mirror: MapMirror, view: MapView, occupied: int) -> None:
+def _show(mirror: MapMirror, view: MapLayer, occupied: int) -> None:
     began_s = time.process_time()
     view.touch(mirror.keys())
     longest = 0.0
@@ -99,7 +99,7 @@ def _show(mirror: MapMirror, view: MapView, occupied: int) -> None:
     print(f"longest without a turn for others: {longest * 1e3:.0f} ms")
 
 
-def _update(mirror: MapMirror, view: MapView, page: "Page | None") -> str:
+def _update(mirror: MapMirror, view: MapLayer, page: "Page | None") -> str:
     """Blocks around a vehicle that moves change; what each update is."""
     generator = np.random.default_rng(7)
     keys = mirror.keys()

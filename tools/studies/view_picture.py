@@ -17,7 +17,7 @@ from PIL import Image
 from mapperd.cli.mapperctl.view import open_page
 from mapperd.client import MapClient
 from mapperd.foxglove.recording import Recording
-from mapperd.viewer.app import VIEW_WANTS, View
+from mapperd.viewer.app import VIEW_WANTS, ViewerPage
 from mapperd.wire.auth import read_token
 from studies.stream.world import World
 
@@ -65,7 +65,7 @@ async def _draw(world: World, chromium: str) -> bytes:
     client = MapClient(world.address, token=read_token(world.token), wants=VIEW_WANTS)
     try:
         async with client:
-            view = View(server, client, recorder=Recording)
+            view = ViewerPage(server, client, recorder=Recording)
             running = asyncio.create_task(view.run())
             try:
                 return await _picture(server, client, chromium)

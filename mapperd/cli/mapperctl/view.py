@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from mapperd.cli.mapperctl.errors import CtlError, Exit
 from mapperd.client import Interest, MapClient, StreamError
 from mapperd.foxglove.recording import Recording
-from mapperd.viewer.app import VIEW_WANTS, View
+from mapperd.viewer.app import VIEW_WANTS, ViewerPage
 
 if TYPE_CHECKING:
     import ssl
@@ -159,7 +159,7 @@ async def _follow(server: "ViserServer", client: MapClient, *, may_change: bool)
     with contextlib.suppress(NotImplementedError, RuntimeError):  # a thread, or no Unix
         loop.add_signal_handler(signal.SIGTERM, lambda: loop.create_task(client.close()))
     async with client:
-        await View(server, client, may_change=may_change, recorder=Recording).run()
+        await ViewerPage(server, client, may_change=may_change, recorder=Recording).run()
 
 
 def _named(host: str) -> str:

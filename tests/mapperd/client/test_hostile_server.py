@@ -10,8 +10,8 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapperd.client.protocol import Dialogue, Wishes
-from mapperd.client.state import Knowledge
+from mapperd.client.protocol import ClientProtocol, StreamOptions
+from mapperd.client.state import ClientState
 from mapperd.wire.blocks import CELLS, BlockSet, encode_blocks
 from mapperd.wire.framing import StreamError, framed
 from mapperd.wire.messages import (
@@ -57,14 +57,14 @@ WELCOME = WelcomeMessage(
 )
 
 
-def a_dialogue(interest: Interest | None = None, **more: Any) -> Dialogue:
+def a_protocol(interest: Interest | None = None, **more: Any) -> ClientProtocol:
     """Connected, and welcome."""
-    wishes = Wishes(WANTS, interest or Interest(detail="counts"))
-    knowledge = Knowledge(wishes.interest, lambda _: None, **more)
-    dialogue = Dialogue(wishes, knowledge, None, lambda _: None)
-    dialogue.receive(framed(GreetingMessage()) + framed(WELCOME))
-    dialogue.outgoing()
-    return dialogue
+    options = StreamOptions(WANTS, interest or Interest(detail="counts"))
+    client_state = ClientState(options.interest, lambda _: None, **more)
+    protocol = ClientProtocol(options, client_state, None, lambda _: None)
+    protocol.receive(framed(GreetingMessage()) + framed(WELCOME))
+    protocol.outgoing()
+    return protocol
 
 
 def body(cells: int = 5, key: int = 0, counts: int | None = None, times: int = 1) -> bytes:
@@ -127,7 +127,7 @@ def blocks(data: bytes, **more: Any) -> BlocksMessage:
 )
 def test_message_that_cannot_be_ends_the_connection(message: Any) -> None:
     with pytest.raises(StreamError):
-        a_dialogue().receive(framed(message))
+        a_protocol().receive(framed(message))
 
 
 @pytest.mark.parametrize(
@@ -135,37 +135,37 @@ def test_message_that_cannot_be_ends_the_connection(message: Any) -> None:
 )
 def test_blocks_that_nobody_asked_for_end_the_connection(interest: Interest) -> None:
     inside, outside = blocks(body(1, 1)), blocks(body(9, 50))
-    a_dialogue(interest).receive(framed(inside))
+    a_protocol(interest).receive(framed(inside))
     with pytest.raises(StreamError):
-        a_dialogue(interest).receive(framed(outside))
+        a_protocol(interest).receive(framed(outside))
     forgotten = blocks(body(-128, 50))
-    a_dialogue(interest).receive(framed(forgotten))
+    a_protocol(interest).receive(framed(forgotten))
 
 
 def test_map_that_is_not_wanted_is_refused() -> None:
-    wishes = Wishes(("pose",), Interest())
-    knowledge = Knowledge(wishes.interest, lambda _: None)
-    dialogue = Dialogue(wishes, knowledge, None, lambda _: None)
-    dialogue.receive(framed(GreetingMessage()) + framed(WELCOME))
+    options = StreamOptions(("pose",), Interest())
+    client_state = ClientState(options.interest, lambda _: None)
+    protocol = ClientProtocol(options, client_state, None, lambda _: None)
+    protocol.receive(framed(GreetingMessage()) + framed(WELCOME))
     with pytest.raises(StreamError, match="nobody asked"):
-        dialogue.receive(framed(blocks(body())))
+        protocol.receive(framed(blocks(body())))
 
 
 @pytest.mark.parametrize("resumed", [True, False])
 def test_only_what_was_held_is_gone_on_with(resumed: bool) -> None:  # noqa: FBT001
-    dialogue = a_dialogue()
-    dialogue.receive(framed(blocks(body(counts=1), complete=1)))
-    dialogue.end()
-    dialogue.begin()
+    protocol = a_protocol()
+    protocol.receive(framed(blocks(body(counts=1), complete=1)))
+    protocol.end()
+    protocol.begin()
     other = msgspec.structs.replace(
         WELCOME, resumed=resumed, map=msgspec.structs.replace(FACTS, id="another")
     )
     if resumed:
         with pytest.raises(StreamError, match="not held"):
-            dialogue.receive(framed(GreetingMessage()) + framed(other))
+            protocol.receive(framed(GreetingMessage()) + framed(other))
     else:
-        dialogue.receive(framed(GreetingMessage()) + framed(other))
-        mirror = dialogue._knowledge.mirror
+        protocol.receive(framed(GreetingMessage()) + framed(other))
+        mirror = protocol._client_state.mirror
         assert mirror is not None
         assert len(mirror) == 0
         assert mirror.complete is None
@@ -196,35 +196,35 @@ GOOD = [
 def test_spoiled_bytes_are_taken_or_refused(
     output: list[bytes], spoiled: list[tuple[int, int]], more: bytes
 ) -> None:
-    dialogue = a_dialogue()
+    protocol = a_protocol()
     stream = bytearray(b"".join(output))
     for at, value in spoiled:
         stream[at % len(stream)] = value
     try:
-        dialogue.receive(bytes(stream))
-        dialogue.receive(more)
+        protocol.receive(bytes(stream))
+        protocol.receive(more)
     except StreamError:
         return
-    assert len(dialogue.outgoing()) < 100
+    assert len(protocol.outgoing()) < 100
 
 
 @pytest.mark.slow
 def test_memory_does_not_grow_through_thousands_of_rounds() -> None:
-    dialogue = a_dialogue(most_blocks=100)
+    protocol = a_protocol(most_blocks=100)
     served = Served()
     served.put((0, 0, 0), a_block(1))
 
     def rounds(number: int) -> None:
         for _ in range(number):
-            dialogue.receive(b"".join(GOOD))
-            dialogue.outgoing()
+            protocol.receive(b"".join(GOOD))
+            protocol.outgoing()
             try:
-                dialogue.receive(GOOD[0][:-3] + bytes(9))
+                protocol.receive(GOOD[0][:-3] + bytes(9))
             except StreamError:
-                dialogue._knowledge.distrust()
-            dialogue.end()
-            dialogue.begin()
-            dialogue.receive(framed(GreetingMessage()) + framed(WELCOME))
+                protocol._client_state.invalidate()
+            protocol.end()
+            protocol.begin()
+            protocol.receive(framed(GreetingMessage()) + framed(WELCOME))
 
     rounds(20)
     tracemalloc.start()

@@ -16,7 +16,7 @@ from mapperd.client.validation import floats_of
 from mapperd.events import Severity
 from mapperd.localization.status import LocalizationFacts
 from mapperd.server.listeners import open_unix_listener
-from mapperd.server.state_feed import Feed
+from mapperd.server.state_feed import StateFeed
 from mapperd.server.stream_server import StreamServer
 from mapperd.wire.messages import EventMessage, LocalizationMessage, RobotsMessage, Want
 from tests.mapperd.localization.believed import facts as believed
@@ -54,7 +54,7 @@ class SentState:
 @contextlib.asynccontextmanager
 async def running_client(folder: Path, *wants: Want) -> AsyncIterator[SentState]:
     daemon, known = FakeDaemon(), Known()
-    feed = Feed(daemon, lambda: known, 100)  # type: ignore[arg-type,return-value]
+    feed = StateFeed(daemon, lambda: known, 100)  # type: ignore[arg-type,return-value]
     path = folder / "map.sock"
     async with (
         StreamServer(daemon, [open_unix_listener(path, 0o600)], feed, PlainSource()),

@@ -3,7 +3,7 @@
 import msgspec
 import numpy as np
 
-from mapperd.client.state import Knowledge
+from mapperd.client.state import ClientState
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
 from mapperd.wire.messages import (
     BlocksMessage,
@@ -27,71 +27,73 @@ def body(*, counts: bool = False) -> bytes:
     return encode_blocks(BlockSet(np.zeros((1, 3), np.int32), np.zeros(1, np.uint32), cells, seen))
 
 
-def known(interest: Interest | None = None) -> Knowledge:
-    knowledge = Knowledge(interest or Interest(), lambda _: None)
-    knowledge.wants_map = True
-    knowledge.begin(WELCOME, None)
-    return knowledge
+def known(interest: Interest | None = None) -> ClientState:
+    client_state = ClientState(interest or Interest(), lambda _: None)
+    client_state.wants_map = True
+    client_state.begin(WELCOME, None)
+    return client_state
 
 
 def test_resume_reports_both_what_is_complete_and_the_newest() -> None:
     box = MapBox((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-    knowledge = known(Interest(level=1, box=box))
-    assert knowledge.resume() is None
-    knowledge.take(BlocksMessage(revision=7, stamp_ns=1, complete=6, body=body()))
-    knowledge.take(BlocksMessage(revision=9, stamp_ns=1, left=5, body=body()))
-    knowledge.take(PathMessage(first=0, points=POINTS, version=3))
-    resume = knowledge.resume()
+    client_state = known(Interest(level=1, box=box))
+    assert client_state.resume() is None
+    client_state.take(BlocksMessage(revision=7, stamp_ns=1, complete=6, body=body()))
+    client_state.take(BlocksMessage(revision=9, stamp_ns=1, left=5, body=body()))
+    client_state.take(PathMessage(first=0, points=POINTS, version=3))
+    resume = client_state.resume()
     assert resume is not None
     assert (resume.revision, resume.newest) == (6, 9)
     assert (resume.level, resume.detail, resume.box) == (1, "log_odds", box)
     assert (resume.path, resume.path_version) == (2, 3)
-    knowledge.take(ResetMessage(map=FACTS, revision=1))
-    assert knowledge.resume() is None
-    knowledge.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body()))
-    resume = knowledge.resume()
+    client_state.take(ResetMessage(map=FACTS, revision=1))
+    assert client_state.resume() is None
+    client_state.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body()))
+    resume = client_state.resume()
     assert resume is not None
     assert resume.newest == 1
 
 
 def test_blocks_are_read_by_the_interest_of_the_last_reset() -> None:
     first, second, third = (Interest(level=n, detail="counts") for n in range(3))
-    knowledge = known(first)
-    mirror = knowledge.mirror
+    client_state = known(first)
+    mirror = client_state.mirror
     assert mirror is not None
-    knowledge.interest = third  # changed twice; the daemon has heeded one yet
-    knowledge.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
-    assert (mirror.interest, knowledge.is_complete) == (first, False)
-    knowledge.take(ResetMessage(map=FACTS, revision=1, interest=second))
-    knowledge.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
-    assert (mirror.interest, knowledge.is_complete) == (second, False)
-    assert knowledge.resume() is None
-    knowledge.take(ResetMessage(map=FACTS, revision=1, interest=third))
-    knowledge.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
-    assert (mirror.interest, knowledge.is_complete) == (third, True)
+    client_state.interest = third  # changed twice; the daemon has heeded one yet
+    client_state.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
+    assert (mirror.interest, client_state.is_complete) == (first, False)
+    client_state.take(ResetMessage(map=FACTS, revision=1, interest=second))
+    client_state.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
+    assert (mirror.interest, client_state.is_complete) == (second, False)
+    assert client_state.resume() is None
+    client_state.take(ResetMessage(map=FACTS, revision=1, interest=third))
+    client_state.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
+    assert (mirror.interest, client_state.is_complete) == (third, True)
 
 
 def test_path_is_of_its_session() -> None:
-    knowledge = known()
-    knowledge.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body()))
-    knowledge.take(PathMessage(first=0, points=POINTS))
+    client_state = known()
+    client_state.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body()))
+    client_state.take(PathMessage(first=0, points=POINTS))
     again = msgspec.structs.replace(WELCOME, resumed=True)
-    knowledge.begin(again, knowledge.resume())
-    assert len(knowledge.path) == 2
+    client_state.begin(again, client_state.resume())
+    assert len(client_state.path) == 2
     other = msgspec.structs.replace(again, session="another")
-    knowledge.begin(other, knowledge.resume())
-    assert len(knowledge.path) == 0
-    assert len(knowledge.mirror or ()) == 1
+    client_state.begin(other, client_state.resume())
+    assert len(client_state.path) == 0
+    assert len(client_state.mirror or ()) == 1
 
 
 def test_thresholds_and_origin_may_change_while_the_link_is_away() -> None:
-    knowledge = known()
-    knowledge.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body()))
+    client_state = known()
+    client_state.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body()))
     facts = msgspec.structs.replace(FACTS, origin_deg=(54.0, 10.0), occupied_log_odds=1.0)
-    knowledge.begin(msgspec.structs.replace(WELCOME, resumed=True, map=facts), knowledge.resume())
-    assert knowledge.mirror is not None
-    assert knowledge.mirror.facts == facts
-    assert len(knowledge.mirror) == 1
+    client_state.begin(
+        msgspec.structs.replace(WELCOME, resumed=True, map=facts), client_state.resume()
+    )
+    assert client_state.mirror is not None
+    assert client_state.mirror.facts == facts
+    assert len(client_state.mirror) == 1
 
 
 def blocks_of(sent: dict[int, int], **more: int) -> BlocksMessage:
@@ -104,35 +106,35 @@ def blocks_of(sent: dict[int, int], **more: int) -> BlocksMessage:
 
 
 def test_each_message_replaces_the_blocks_before() -> None:
-    knowledge = known()
+    client_state = known()
     for number in range(1, 20):
-        knowledge.take(blocks_of({number % 3: number}, revision=number, complete=number))
-        knowledge.take(blocks_of({5: number if number % 2 else UNKNOWN}, revision=number))
+        client_state.take(blocks_of({number % 3: number}, revision=number, complete=number))
+        client_state.take(blocks_of({5: number if number % 2 else UNKNOWN}, revision=number))
         if number == 10:
-            knowledge.take(ResetMessage(map=FACTS, revision=10))
-    assert knowledge.mirror is not None
-    held = knowledge.mirror.blocks()
+            client_state.take(ResetMessage(map=FACTS, revision=10))
+    assert client_state.mirror is not None
+    held = client_state.mirror.blocks()
     values = dict(zip(held.keys[:, 0].tolist(), held.cells[:, 0].tolist(), strict=True))
     assert values == {0: 18, 1: 19, 2: 17, 5: 19}
 
 
 def test_revisions_never_go_down() -> None:
-    knowledge = known()
-    knowledge.take(blocks_of({1: 1}, revision=16, complete=15))
-    knowledge.take(blocks_of({1: 2}, revision=14, complete=14))
-    resume = knowledge.resume()
+    client_state = known()
+    client_state.take(blocks_of({1: 1}, revision=16, complete=15))
+    client_state.take(blocks_of({1: 2}, revision=14, complete=14))
+    resume = client_state.resume()
     assert resume is not None
     assert (resume.revision, resume.newest) == (15, 16)
 
 
 def test_nothing_is_resumed_after_a_fault_although_the_connection_lives() -> None:
     welcome = msgspec.structs.replace(WELCOME, ticket="t")
-    knowledge = known()
-    knowledge.begin(welcome, None)
-    knowledge.take(blocks_of({1: 1}, revision=1, complete=1))
-    knowledge.distrust()
-    knowledge.take(blocks_of({1: 2}, revision=2, complete=2))
-    assert knowledge.resume() is None
-    knowledge.begin(welcome, None)
-    knowledge.take(blocks_of({1: 1}, revision=1, complete=1))
-    assert knowledge.resume() is not None
+    client_state = known()
+    client_state.begin(welcome, None)
+    client_state.take(blocks_of({1: 1}, revision=1, complete=1))
+    client_state.invalidate()
+    client_state.take(blocks_of({1: 2}, revision=2, complete=2))
+    assert client_state.resume() is None
+    client_state.begin(welcome, None)
+    client_state.take(blocks_of({1: 1}, revision=1, complete=1))
+    assert client_state.resume() is not None

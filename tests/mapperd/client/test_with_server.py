@@ -19,7 +19,7 @@ from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.listeners import open_unix_listener
 from mapperd.server.map_source import MapSource
-from mapperd.server.state_feed import Feed
+from mapperd.server.state_feed import StateFeed
 from mapperd.server.stream_server import StreamServer
 from mapperd.wire.blocks import UNKNOWN
 from mapperd.wire.messages import MapFacts
@@ -54,7 +54,7 @@ async def served(sonar_map: SonarMap, path: Path) -> AsyncIterator[StreamServer]
     daemon.settings.follow(["stream.rate"], lambda _: None)
     daemon.settings.apply({"stream.rate": 20.0}, "test")
     with MapSource(sonar_map, InMemory(), log_odds_step=STEP) as source:
-        feed = Feed(daemon, lambda: None, 1000)
+        feed = StateFeed(daemon, lambda: None, 1000)
         async with StreamServer(
             daemon, [open_unix_listener(path, 0o600)], feed, source, now_ns=time.time_ns
         ) as server:

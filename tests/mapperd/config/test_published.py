@@ -15,7 +15,7 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.executor import PingExecutor
 from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.pipeline.step import Stages
-from mapperd.server.map_worker import MapRounds
+from mapperd.server.map_worker import MapWorker
 from mapperd.telemetry.telemetry import Telemetry
 
 ANY = (None, None)
@@ -133,7 +133,7 @@ def test_published_defaults_load() -> None:
 
 
 def test_every_live_setting_has_a_follower() -> None:
-    ours = (*PingExecutor.FOLLOWS, *Telemetry.FOLLOWS, *MapFolder.FOLLOWS, *MapRounds.FOLLOWS)
+    ours = (*PingExecutor.FOLLOWS, *Telemetry.FOLLOWS, *MapFolder.FOLLOWS, *MapWorker.FOLLOWS)
     followed = (*ours, "visualization")
     live = [name for name, one in parameters().items() if one.dynamic]
     assert [name for name in live if not name.startswith(followed)] == []

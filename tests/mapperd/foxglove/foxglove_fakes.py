@@ -141,7 +141,7 @@ class FakeClient:
         elif isinstance(change, PathMessage):
             self.path = WAY
         elif not isinstance(change, EventMessage | MapReset | MapChanged | None):
-            setattr(self, type(change).__struct_config__.tag, change)
+            setattr(self, str(change.__struct_config__.tag), change)
         self._waiting.put_nowait(change)
 
     def feed_all(self) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from mapperd.server.session import Session
+from mapperd.server.session import ClientSession
 from tests.mapperd.server.test_stream_server import fill
 from tests.mapperd.server.watched import as_bytes, bed_of, run
 from tests.support.control_server import TOKEN
@@ -88,14 +88,14 @@ def test_a_fault_with_one_client_ends_its_connection_and_no_other(
     async def work() -> None:
         async with bed_of(short) as bed:
             one, other = [await bed.welcomed(name=name) for name in ("one", "other")]
-            looked = Session.look
+            looked = ClientSession.look
 
-            def look(session: Session, now_s: float) -> None:
+            def look(session: ClientSession, now_s: float) -> None:
                 if session.name == "one":
                     raise AttributeError("its transport is half gone")
                 looked(session, now_s)
 
-            monkeypatch.setattr(Session, "look", look)
+            monkeypatch.setattr(ClientSession, "look", look)
             assert await one.over() is None
             fill(bed, 10)
             await other.until(lambda: other.cells == as_bytes(bed.source))

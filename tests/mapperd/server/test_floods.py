@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from mapperd.server import connection
-from mapperd.server.session import CHANGES_AT_ONCE, CHANGES_PER_S, Session
+from mapperd.server.session import CHANGES_AT_ONCE, CHANGES_PER_S, ClientSession
 from mapperd.wire.auth import Limits
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import AckMessage, AskMessage, ChangeMessage, Interest
@@ -20,9 +20,9 @@ def test_many_messages_are_heard_in_many_turns(
     short: Path, tls: tuple[object, object], door: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     taken: list[int] = []
-    take = Session.take
+    take = ClientSession.take
 
-    def noted(session: Session, data: bytes, now_s: float) -> None:
+    def noted(session: ClientSession, data: bytes, now_s: float) -> None:
         taken.append(len(data))
         take(session, data, now_s)
 
@@ -30,7 +30,7 @@ def test_many_messages_are_heard_in_many_turns(
         async with bed_of(short, tls[0]) as bed:  # type: ignore[arg-type]
             watcher = await bed.watcher(door, tls[1] if door == "tls" else None)  # type: ignore[arg-type]
             await watcher.hello(b"correct-horse-battery-staple" if door == "tls" else None)
-            monkeypatch.setattr(Session, "take", noted)
+            monkeypatch.setattr(ClientSession, "take", noted)
             output = 10_000 * framed(ChangeMessage()) + framed(ChangeMessage(bytes_per_s=77_777))
             watcher.writer.write(output)
             (client,) = bed.server._clients
@@ -47,10 +47,10 @@ def test_of_many_changes_the_newest_is_heeded_in_its_time() -> None:
     session, heeded = reported.session, []
 
     def look() -> None:
-        if session.wish is not None:
-            assert session.wish.interest is not None
-            heeded.append(session.wish.interest.radius_m)
-            session.wish = None
+        if session.view_request is not None:
+            assert session.view_request.interest is not None
+            heeded.append(session.view_request.interest.radius_m)
+            session.view_request = None
 
     for n in range(100):
         reported.say(ChangeMessage(interest=Interest(radius_m=float(n + 1))))

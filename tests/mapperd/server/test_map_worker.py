@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.server.map_worker import MapRounds, _Order
-from mapperd.server.priority_queue import Rooms
+from mapperd.server.map_worker import MapWorker, _Order
+from mapperd.server.priority_queue import SendRoom
 from mapperd.wire.messages import Interest
 from tests.mapperd.server.sent_state import SECOND_NS, scatter, source_of
 from tests.mapperd.store.dive import CONFIG
@@ -36,10 +36,10 @@ class Sizes:
 def filled(view: Any, room: int = ROOM) -> list[int]:
     feed: Any = SimpleNamespace(position_m=(0.0, 0.0, 0.0))
     nobody: Any = None
-    order = _Order(nobody, view, None, Rooms(near=room))
-    around: Any = SimpleNamespace(limits=SimpleNamespace(clients=1))
+    order = _Order(nobody, view, None, SendRoom(near=room))
+    context: Any = SimpleNamespace(limits=SimpleNamespace(clients=1))
     source: Any = SimpleNamespace(facts=lambda: None, revision=0, session="s")
-    MapRounds(nobody, feed, source, [], around)._fill(order)
+    MapWorker(nobody, feed, source, [], context)._fill(order)
     return [len(frame) for frame, *_ in order.frames]
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mapperd.server import priority_queue as nearest_module
 from mapperd.server.map_index import LEAVE, distances_m, vector_of, within
-from mapperd.server.priority_queue import NEAR_M, WAITING, NearestFirst, Part
+from mapperd.server.priority_queue import NEAR_M, WAITING, BlockQueue, Part
 from mapperd.wire.messages import Interest
 
 BLOCK_M = 0.8
@@ -22,7 +22,7 @@ class Queue:
     def __init__(self, keys: NDArray[np.int32]) -> None:
         self.keys, self.since, self.turn = keys, dict[int, int](), 0
         self.pass_turn = 0
-        self.queue = NearestFirst(lambda numbers: keys[numbers], BLOCK_M)
+        self.queue = BlockQueue(lambda numbers: keys[numbers], BLOCK_M)
         self.queue.make_room(len(keys))
         self.position = np.zeros(3)
 

@@ -11,7 +11,7 @@ import pytest
 from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.map_source import MapSource
-from mapperd.server.session import PARKED_S, Ends, Parting, ResumeCache
+from mapperd.server.session import PARKED_S, MessageEnds, ResumeCache, ResumeState
 from mapperd.server.subscription import MAX_MESSAGES, MOST_BLOCKS, InFlight
 from mapperd.wire.messages import AckMessage, Interest, Resume
 from tests.mapperd.server.sent_state import (
@@ -44,11 +44,11 @@ class Parked:
         interest: Interest | None = None,
         sent: int = 6,
         used: int = 4,
-        parking: ResumeCache | None = None,
+        resume_cache: ResumeCache | None = None,
         ticket: str = "t1",
     ) -> None:
         self.source = source
-        self.parking = ResumeCache(8) if parking is None else parking
+        self.resume_cache = ResumeCache(8) if resume_cache is None else resume_cache
         self.client = Client(source, interest)
         self.position_m = (0.0, 0.0, 0.0)
         source.look(SECOND_NS)
@@ -56,7 +56,7 @@ class Parked:
 
     def leave(self, ticket: str, sent: int, used: int, before: Resume | None = None) -> None:
         """The client hears of `sent` messages the first `used`, then the link breaks."""
-        client, ends, acked = self.client, Ends(), 0
+        client, ends, acked = self.client, MessageEnds(), 0
         view = client.view
         ends.begin(view.number, 0)
         for number in range(sent):
@@ -68,8 +68,8 @@ class Parked:
             if number < used - 1:
                 acked = (number + 1) * MESSAGE
         view.settle(ends.settled(acked))
-        parting = Parting(ticket, acked, sent * MESSAGE, ends, before)
-        self.parking.park(view, parting, 0.0)
+        resume_state = ResumeState(ticket, acked, sent * MESSAGE, ends, before)
+        self.resume_cache.park(view, resume_state, 0.0)
         self.shown = Resume(
             map=self.source.facts().id,
             session=self.source.session,
@@ -83,7 +83,7 @@ class Parked:
 
     def back(self, **changes: Any) -> bool:
         shown = msgspec.structs.replace(self.shown, **changes)
-        view = self.parking.take(shown, self.client.interest, self.source)
+        view = self.resume_cache.take(shown, self.client.interest, self.source)
         if view is None:
             return False
         assert view is self.client.view
@@ -176,7 +176,7 @@ def test_a_lie_ends_the_ticket(lie: dict[str, Any]) -> None:
     parked = Parked(source_of(mapped()))
     assert not parked.back(**lie)
     assert not parked.back()
-    assert parked.parking.counters == {"parked": 1, "parked_resumed": 0, "parked_dropped": 1}
+    assert parked.resume_cache.counters == {"parked": 1, "parked_resumed": 0, "parked_dropped": 1}
 
 
 def test_a_ticket_is_good_once_and_another_one_never() -> None:
@@ -186,7 +186,7 @@ def test_a_ticket_is_good_once_and_another_one_never() -> None:
     assert not parked.back(ticket="täuschung")
     assert parked.back()
     assert not parked.back()
-    assert parked.parking.counters == {"parked": 1, "parked_resumed": 1, "parked_dropped": 0}
+    assert parked.resume_cache.counters == {"parked": 1, "parked_resumed": 1, "parked_dropped": 0}
 
 
 def test_another_map_or_interest_meanwhile_is_not_gone_on_with() -> None:
@@ -234,20 +234,20 @@ def test_who_saw_it_shows_that_no_more() -> None:
 
 def test_who_stays_away_is_forgotten() -> None:
     parked = Parked(source_of(mapped()))
-    parked.parking.expire(PARKED_S)
-    assert len(parked.parking) == 1
-    parked.parking.expire(PARKED_S + 1)
+    parked.resume_cache.expire(PARKED_S)
+    assert len(parked.resume_cache) == 1
+    parked.resume_cache.expire(PARKED_S + 1)
     assert not parked.back()
-    assert parked.parking.counters["parked_dropped"] == 1
+    assert parked.resume_cache.counters["parked_dropped"] == 1
     assert not parked.client.view._view.listeners
 
 
 def test_no_more_are_kept_than_allowed() -> None:
-    source, parking = source_of(mapped()), ResumeCache(2)
-    first, *others = [Parked(source, parking=parking, ticket=f"t{i}") for i in range(3)]
-    assert len(parking) == 2
+    source, resume_cache = source_of(mapped()), ResumeCache(2)
+    first, *others = [Parked(source, resume_cache=resume_cache, ticket=f"t{i}") for i in range(3)]
+    assert len(resume_cache) == 2
     assert set(first.client.view._view.listeners) == {one.client.view for one in others}
-    assert parking.counters["parked_dropped"] == 1
+    assert resume_cache.counters["parked_dropped"] == 1
     assert not first.back()
     assert all(one.back() for one in others)
 
@@ -265,7 +265,7 @@ def test_what_is_remembered_is_bounded() -> None:
         assert len(found) == blocks
         way.settle(way.number)
         assert way.memory_bytes == 0
-    ends = Ends()
+    ends = MessageEnds()
     for number in range(1, 100_000):
         ends.note(number, 10 * number)
     assert len(ends._ends) <= 4096

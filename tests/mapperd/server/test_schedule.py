@@ -11,17 +11,17 @@ from mapperd.server.priority_queue import (
     LONGEST_REST_S,
     MIN,
     QUIET_S,
-    Rooms,
-    Turns,
+    SendRoom,
+    SendSchedule,
 )
 
 RATE = 25_000.0
 
 
-def turns(rate: float = RATE, bytes_per_s: int = 0) -> tuple[Turns, Pacer]:
+def turns(rate: float = RATE, bytes_per_s: int = 0) -> tuple[SendSchedule, Pacer]:
     pacer = Pacer(bytes_per_s)
     pacer.rate, pacer.round_trip_s = rate, 0.6
-    return Turns(pacer), pacer
+    return SendSchedule(pacer), pacer
 
 
 def test_at_first_all_room_is_for_both() -> None:
@@ -114,7 +114,7 @@ def test_a_pass_whose_rest_is_not_near_any_more_ends() -> None:
 def test_no_room_is_no_room() -> None:
     some, pacer = turns()
     pacer.note_sent(MAX_IN_FLIGHT, 0.0)
-    assert some.rooms(0.0) == Rooms()
+    assert some.rooms(0.0) == SendRoom()
     assert not some.rooms(0.0)
 
 

@@ -11,9 +11,9 @@ import pytest
 from mapperd.events import EventLog, Severity
 from mapperd.server.outbox import SHARES
 from mapperd.server.pacer import FIRST_RATE, MIN_UNSENT, UNSENT_S
-from mapperd.server.session import Beginning, Common, Newcomer, Session
+from mapperd.server.session import ClientSession, MapStart, Newcomer, SessionContext
 from mapperd.server.state_feed import Newest, SettingLog
-from mapperd.server.state_messages import Track
+from mapperd.server.state_messages import VehiclePath
 from mapperd.wire.auth import FailureLimiter
 from mapperd.wire.framing import client_inbox, framed
 from mapperd.wire.messages import (
@@ -41,7 +41,9 @@ class PlainFeed(SimpleNamespace):
     """Messages that a test makes: a pose each tick, robots of 3000 bytes."""
 
     def __init__(self) -> None:
-        super().__init__(made={}, path=Track(1000, 1.0), settings=SettingLog({}), pictures=[0] * 3)
+        super().__init__(
+            made={}, path=VehiclePath(1000, 1.0), settings=SettingLog({}), pictures=[0] * 3
+        )
         self.status = msgspec.Raw(msgspec.msgpack.encode({"phase": "mapping", "long": "x" * 3000}))
 
     def newest(self, kind: str) -> Newest:
@@ -93,8 +95,8 @@ class SentState:
     def __init__(self, rate: float, *, has_map: bool = False, limit: int = 0, **hello: Any) -> None:
         self.feed, self.events = PlainFeed(), EventLog(lambda: 1)
         feed: Any = self.feed
-        common = Common(feed, self.events, FailureLimiter(), "rov", limit)
-        self.session = Session(common, Newcomer("", "", None), may_change=True)
+        common = SessionContext(feed, self.events, FailureLimiter(), "rov", limit)
+        self.session = ClientSession(common, Newcomer("", "", None), may_change=True)
         self.link = Link(
             lambda _: rate, there_s=0.05, back_s=0.05, pacer=self.session.pacer, now_s=100.0
         )
@@ -106,8 +108,8 @@ class SentState:
         self.map: Any = None
         if has_map:
             self.map = LargeMap()
-        self.session.viewed(self.map, Beginning(FACTS, 7, "s1"))
-        self.session.wish = None
+        self.session.view_ready(self.map, MapStart(FACTS, 7, "s1"))
+        self.session.view_request = None
 
     @property
     def now_s(self) -> float:
@@ -169,7 +171,7 @@ def test_a_slow_link_has_fresh_poses_and_skips_the_others() -> None:
     assert max(reported.late_s()) < wire_s + UNSENT_S * FIRST_RATE / 6_000
     assert max(reported.late_s()[50:]) < wire_s + MIN_UNSENT / 6_000
     assert len(reported.late_s()) > 60
-    assert reported.session.portions.skipped["pose"] + len(reported.of(PoseMessage)) > 1150
+    assert reported.session.outbox.skipped["pose"] + len(reported.of(PoseMessage)) > 1150
 
 
 def test_heartbeats_come_each_second_and_the_whole_status_when_there_is_room() -> None:
@@ -217,9 +219,9 @@ def test_the_map_gives_way_to_what_is_due_and_asks_for_no_crumbs() -> None:
     pacer.note_ack(pacer.sent, reported.now_s)
     room = session.map_rooms(reported.now_s).far
     assert room > pacer.least()
-    session.portions.waits = True
+    session.outbox.waits = True
     assert session.map_rooms(reported.now_s).far == 0
-    session.portions.waits = False
+    session.outbox.waits = False
     pacer.note_sent(pacer.room(reported.now_s) - pacer.least() // 2, reported.now_s)
     assert pacer.room(reported.now_s) > 600
     assert session.map_rooms(reported.now_s).far == 0
@@ -314,5 +316,5 @@ def test_pictures_are_as_fine_as_the_link_has_room_for() -> None:
     found: Counter[int] = Counter()
     for rate in (5e6, 2e5, 1e4):
         reported.session.pacer.rate = rate
-        found[reported.session.portions.coarseness()] += 1
+        found[reported.session.outbox.coarseness()] += 1
     assert found == {0: 1, 1: 1, 2: 1}

@@ -20,8 +20,8 @@ from mapperd.mapping.sonar_map import PingStats
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.decoder import PosedPing
 from mapperd.pipeline.step import PingResult
-from mapperd.server.state_feed import Feed, SettingLog
-from mapperd.server.state_messages import IMAGE_SIZES, Track, first_returns, image_message
+from mapperd.server.state_feed import SettingLog, StateFeed
+from mapperd.server.state_messages import IMAGE_SIZES, VehiclePath, first_returns, image_message
 from mapperd.wire.framing import client_inbox
 from mapperd.wire.messages import (
     FanMessage,
@@ -61,9 +61,9 @@ def treated(ping: Ping, pose: FusedPose | Reject, stats: PingStats | Reject) -> 
     return PingResult(PosedPing(0, ping, pose, 2_000, 1_000), pose, stats)
 
 
-def feed_of(config: Config = MOUNTED) -> tuple[Feed, SentState, FakeDaemon]:
+def feed_of(config: Config = MOUNTED) -> tuple[StateFeed, SentState, FakeDaemon]:
     sent, daemon = SentState(), FakeDaemon(config)
-    return Feed(daemon, lambda: sent, 100), sent, daemon  # type: ignore[arg-type,return-value]
+    return StateFeed(daemon, lambda: sent, 100), sent, daemon  # type: ignore[arg-type,return-value]
 
 
 def message(frame: bytes) -> Any:
@@ -200,7 +200,7 @@ def test_first_returns_are_the_nearest_above_the_threshold() -> None:
 
 
 def test_a_path_is_bounded_and_numbered_again_when_it_is_thinned() -> None:
-    track = Track(10, 1.0)
+    track = VehiclePath(10, 1.0)
     for n in range(10):
         track.add(np.array([n, 0.0, 0.0]))
         track.add(np.array([n + 0.5, 0.0, 0.0]))  # too near

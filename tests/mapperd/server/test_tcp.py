@@ -13,7 +13,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from mapperd.server.connection import Connection
+from mapperd.server.connection import ClientConnection
 from mapperd.server.pacer import CALM, TCP_CC_INFO, TcpState, tcp_state, tune
 from mapperd.wire.auth import Limits
 from tests.mapperd.server.watched import Bed, Watcher, bed_of, run
@@ -144,7 +144,7 @@ def test_a_connection_reports_its_pacer_all_of_it(name: bytes) -> None:
     reported: list[tuple[object, ...]] = []
     pacer = SimpleNamespace(note_link=lambda *output, **more: reported.append((*output, more)))
     session: Any = SimpleNamespace(greeting=lambda _: b"", state="served", pacer=pacer)
-    around: Any = SimpleNamespace(
+    context: Any = SimpleNamespace(
         clock=lambda: 7.0, limits=Limits(), count=Counter().update, gone=lambda _: None
     )
     transport = Mock(spec=asyncio.Transport)
@@ -152,7 +152,7 @@ def test_a_connection_reports_its_pacer_all_of_it(name: bytes) -> None:
     transport.get_write_buffer_size.return_value = 1_000
 
     async def work() -> None:
-        connection = Connection(session, "a test", around)
+        connection = ClientConnection(session, "a test", context)
         connection.connection_made(transport)
         connection.measure()
         connection.connection_lost(None)

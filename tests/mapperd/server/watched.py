@@ -15,7 +15,7 @@ import numpy as np
 
 from mapperd.server.listeners import Listener, open_tcp_listener, open_unix_listener
 from mapperd.server.priority_queue import Part
-from mapperd.server.state_feed import Feed
+from mapperd.server.state_feed import StateFeed
 from mapperd.server.stream_server import StreamServer
 from mapperd.wire.auth import Limits, proof_of
 from mapperd.wire.blocks import CELLS, BlockSet, decode_blocks, encode_blocks
@@ -177,7 +177,7 @@ class Bed:
         self.daemon.settings.follow(["stream.rate"], lambda _: None)
         self.daemon.settings.apply({"stream.rate": 20.0}, "test")
         self.source: Any = source or PlainSource()
-        self.feed = Feed(self.daemon, lambda: None, 1000)
+        self.feed = StateFeed(self.daemon, lambda: None, 1000)
         self.doors = {
             "unix": open_unix_listener(folder / "map.sock", 0o600),
             "token": open_tcp_listener("127.0.0.1:0", TOKEN, None),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mapperd.cli.mapperctl.view import open_page
 from mapperd.client import LinkChanged, MapClient
 from mapperd.viewer.actors import PATH_PIECE, Actors
-from mapperd.viewer.app import View
+from mapperd.viewer.app import ViewerPage
 from mapperd.viewer.shapes import strip
 from mapperd.wire.messages import (
     FanMessage,
@@ -125,7 +125,7 @@ def test_what_moves_is_moved_and_not_made_again(server: "ViserServer") -> None:
 def test_a_new_session_removes_everything(server: "ViserServer") -> None:
     async def run() -> None:
         client = FakeClient(some_map())
-        view = View(server, cast("MapClient", client))
+        view = ViewerPage(server, cast("MapClient", client))
 
         def shown() -> bool:
             return server.scene.get_handle_by_name("/robots/0") is not None

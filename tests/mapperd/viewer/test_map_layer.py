@@ -7,13 +7,13 @@ import pytest
 
 from mapperd.viewer.chunks import Chunks, Filter, drawn_of, points_m
 from mapperd.viewer.colours import Scale
-from mapperd.viewer.map_layer import POINT_BYTES, Look, MapView
+from mapperd.viewer.map_layer import POINT_BYTES, MapLayer, MapStyle
 from mapperd.viewer.shapes import STAY
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
 from tests.mapperd.viewer.view_fakes import blocks_of, mirror_of
 
 HEIGHTS = Scale("height", -1.0, 1.0)
-POINTS = Look(Filter(), HEIGHTS, "points")
+POINTS = MapStyle(Filter(), HEIGHTS, "points")
 NOWHERE = (0.0, 0.0, 0.0)
 
 
@@ -95,7 +95,7 @@ def chunk_of(name: str) -> str:
     return name.rsplit("/", 1)[1]
 
 
-def draw_all(view: MapView, mirror: Any, near: tuple[float, float, float] = NOWHERE) -> None:
+def draw_all(view: MapLayer, mirror: Any, near: tuple[float, float, float] = NOWHERE) -> None:
     while view.stale:
         view.draw(mirror, near, 0, 10**9, 1000)
     for _ in range(STAY + 1):
@@ -115,7 +115,7 @@ def shell_of(low: int, high: int) -> np.ndarray[Any, Any]:
 def test_only_the_shell_of_a_solid_is_sent_across_all_borders(max_nodes: int) -> None:
     scene = FakeScene()
     mirror = mirror_of(blocks_of(cube_of(-20, 20)))
-    view = MapView(scene, POINTS, max_nodes)  # type: ignore[arg-type]
+    view = MapLayer(scene, POINTS, max_nodes)  # type: ignore[arg-type]
     view.touch(mirror.keys())
     draw_all(view, mirror)
     expected = np.round((shell_of(-20, 20) + 0.5) * 0.1, 6)
@@ -129,7 +129,7 @@ def test_too_many_nodes_become_larger_ones() -> None:
     scene = FakeScene()
     scattered = np.random.default_rng(1).integers(-300, 300, (400, 3))
     mirror = mirror_of(blocks_of(scattered))
-    view = MapView(scene, POINTS, max_nodes=20)  # type: ignore[arg-type]
+    view = MapLayer(scene, POINTS, max_nodes=20)  # type: ignore[arg-type]
     view.touch(mirror.keys())
     draw_all(view, mirror)
     assert 1 < len(scene.nodes) <= 64  # of 256 cells' edge: there are no larger ones
@@ -140,7 +140,7 @@ def test_too_many_nodes_become_larger_ones() -> None:
 def test_only_chunks_that_changed_are_sent_again() -> None:
     scene = FakeScene()
     mirror = mirror_of(blocks_of([[4, 4, 4], [44, 4, 4], [84, 4, 4]]))
-    view = MapView(scene, POINTS)  # type: ignore[arg-type]
+    view = MapLayer(scene, POINTS)  # type: ignore[arg-type]
     view.touch(mirror.keys())
     draw_all(view, mirror)
     assert sorted(scene.sent) == ["0_0_0", "1_0_0", "2_0_0"]
@@ -156,7 +156,7 @@ def test_a_neighbour_that_is_laid_bare_is_sent_too() -> None:
     scene = FakeScene()
     line = [[x, 4, 4] for x in range(24, 40)]
     mirror = mirror_of(blocks_of(line))
-    view = MapView(scene, POINTS)  # type: ignore[arg-type]
+    view = MapLayer(scene, POINTS)  # type: ignore[arg-type]
     view.touch(mirror.keys())
     draw_all(view, mirror)
     scene.sent.clear()
@@ -168,7 +168,7 @@ def test_a_neighbour_that_is_laid_bare_is_sent_too() -> None:
 def test_what_is_forgotten_goes_from_the_page() -> None:
     scene = FakeScene()
     mirror = mirror_of(blocks_of([[4, 4, 4], [44, 4, 4]]))
-    view = MapView(scene, POINTS)  # type: ignore[arg-type]
+    view = MapLayer(scene, POINTS)  # type: ignore[arg-type]
     view.touch(mirror.keys())
     draw_all(view, mirror)
     gone = np.full((1, CELLS), UNKNOWN, np.int8)
@@ -184,7 +184,7 @@ def test_what_is_forgotten_goes_from_the_page() -> None:
 def test_near_chunks_are_sent_first_and_within_the_budget() -> None:
     scene = FakeScene()
     mirror = mirror_of(blocks_of([[32 * x + 4, 4, 4] for x in range(10)]))
-    view = MapView(scene, POINTS)  # type: ignore[arg-type]
+    view = MapLayer(scene, POINTS)  # type: ignore[arg-type]
     view.touch(mirror.keys())
     sent = view.draw(mirror, (32.0, 0.4, 0.4), 0, 2 * POINT_BYTES - 1, 1000)
     assert scene.sent == ["9_0_0", "8_0_0"]
@@ -223,7 +223,7 @@ def test_many_cells_are_points_and_few_are_cubes(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("mapperd.viewer.map_layer.MAX_CUBES", 100)
     scene = FakeScene()
     mirror = mirror_of(blocks_of([[x, 0, 0] for x in range(90)]))
-    view = MapView(scene, Look(Filter(), HEIGHTS))  # type: ignore[arg-type]
+    view = MapLayer(scene, MapStyle(Filter(), HEIGHTS))  # type: ignore[arg-type]
     view.touch(mirror.keys())
     draw_all(view, mirror)
     assert scene.kinds() == {"cubes"}
@@ -231,7 +231,7 @@ def test_many_cells_are_points_and_few_are_cubes(monkeypatch: pytest.MonkeyPatch
     view.touch(mirror.keys())
     draw_all(view, mirror)
     assert scene.kinds() == {"points"}
-    view.change(Look(Filter(high_m=np.inf, low_m=-1.0), HEIGHTS, "cubes"))
+    view.change(MapStyle(Filter(high_m=np.inf, low_m=-1.0), HEIGHTS, "cubes"))
     draw_all(view, mirror)
     assert scene.kinds() == {"cubes"}
 
@@ -245,7 +245,7 @@ def test_of_many_cells_far_ones_are_drawn_in_larger_cubes(
     mirror = mirror_of(
         blocks_of(np.concatenate([np.add(plate, (320 * k, 0, 0)) for k in range(8)]))
     )
-    view = MapView(scene, POINTS)  # type: ignore[arg-type]
+    view = MapLayer(scene, POINTS)  # type: ignore[arg-type]
     view.touch(mirror.keys())
     draw_all(view, mirror)
     assert {len(node["points"]) for node in scene.nodes.values()} == {16}
@@ -267,7 +267,7 @@ def test_of_many_cells_far_ones_are_drawn_in_larger_cubes(
 def test_a_map_that_grows_changes_its_nodes_in_place(shape: Any) -> None:
     scene = FakeScene()
     mirror = mirror_of(blocks_of([[x, 4, 4] for x in range(10)]))
-    view = MapView(scene, Look(Filter(), HEIGHTS, shape))  # type: ignore[arg-type]
+    view = MapLayer(scene, MapStyle(Filter(), HEIGHTS, shape))  # type: ignore[arg-type]
     for length in (10, 12, 11, 30):
         mirror.put(blocks_of([[x, 4, 4] for x in range(length)]), 0)
         view.touch(mirror.keys())
@@ -281,7 +281,7 @@ def test_a_map_that_grows_changes_its_nodes_in_place(shape: Any) -> None:
 def test_colours_are_sent_after_positions_even_if_unchanged() -> None:
     """Browsers apply colours on receipt, and need as many positions then."""
     scene = FakeScene()
-    view = MapView(scene, Look(Filter(), HEIGHTS, "cubes"))  # type: ignore[arg-type]
+    view = MapLayer(scene, MapStyle(Filter(), HEIGHTS, "cubes"))  # type: ignore[arg-type]
     for x in (1, 2):
         mirror = mirror_of(blocks_of([[0, 4, 4], [x, 4, 4]]))
         view.touch(mirror.keys())
@@ -293,7 +293,7 @@ def test_colours_are_sent_after_positions_even_if_unchanged() -> None:
 def test_cubes_stay_until_the_points_in_their_place_are_drawn() -> None:
     scene = FakeScene()
     mirror = mirror_of(blocks_of([[4, 4, 4], [44, 4, 4]]))
-    view = MapView(scene, Look(Filter(), HEIGHTS, "cubes"))  # type: ignore[arg-type]
+    view = MapLayer(scene, MapStyle(Filter(), HEIGHTS, "cubes"))  # type: ignore[arg-type]
     view.touch(mirror.keys())
     draw_all(view, mirror)
     view.change(POINTS)
@@ -301,7 +301,9 @@ def test_cubes_stay_until_the_points_in_their_place_are_drawn() -> None:
     for _ in range(STAY - 1):
         view.tidy()
         assert (scene.kinds(), len(scene.nodes)) == ({"cubes", "points"}, 4)
-    view.change(Look(Filter(), HEIGHTS, "cubes"))  # and back: those that are to go are there yet
+    view.change(
+        MapStyle(Filter(), HEIGHTS, "cubes")
+    )  # and back: those that are to go are there yet
     made = len(scene.made)
     draw_all(view, mirror)
     assert (scene.kinds(), len(scene.made)) == ({"cubes"}, made)
@@ -316,7 +318,7 @@ def test_small_chunks_stay_until_all_large_ones_are_drawn() -> None:
     scattered = np.random.default_rng(1).integers(-300, 300, (100, 3))
     mirror = mirror_of(blocks_of(scattered))
     expected = np.unique(np.round((scattered + 0.5) * 0.1, 6), axis=0)
-    view = MapView(scene, POINTS, max_nodes=90)  # type: ignore[arg-type]
+    view = MapLayer(scene, POINTS, max_nodes=90)  # type: ignore[arg-type]
     view.touch(mirror.keys())
     while len({name.split("/")[2] for name in scene.nodes}) < 2:
         view.draw(mirror, NOWHERE, 0, 10**9, 8)

@@ -14,7 +14,7 @@ from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.listeners import open_unix_listener
 from mapperd.server.map_source import MapSource
-from mapperd.server.state_feed import Feed
+from mapperd.server.state_feed import StateFeed
 from mapperd.server.stream_server import StreamServer
 from mapperd.viewer.app import VIEW_WANTS
 from tests.mapperd.viewer.view_browser import Serving, chromium
@@ -48,7 +48,7 @@ class Daemon:
         self.settings.follow(["processing.frame_skip"], lambda _: None)
         self._stack = AsyncExitStack()
         source = self._stack.enter_context(MapSource(self.map, InMemory(), log_odds_step=0.25))
-        feed = Feed(daemon, lambda: None, 1000)
+        feed = StateFeed(daemon, lambda: None, 1000)
         door = open_unix_listener(self._path, 0o600)
         await self._stack.enter_async_context(
             StreamServer(daemon, [door], feed, source, now_ns=lambda: 1_700_000_000_000_000_000)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 import pytest
 
 from mapperd.cli.mapperctl.view import open_page
-from mapperd.viewer.app import View
+from mapperd.viewer.app import ViewerPage
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -54,7 +54,7 @@ class Serving:
 
     Args:
         client: makes the client, in the thread.
-        more: of `View`.
+        more: of `ViewerPage`.
     """
 
     def __init__(self, client: Callable[[], Any], **more: Any) -> None:
@@ -113,7 +113,7 @@ class Serving:
             await self._show()
 
     async def _show(self) -> None:
-        self.view = View(self.server, self.client, **self._more)
+        self.view = ViewerPage(self.server, self.client, **self._more)
         running = asyncio.create_task(self.view.run())
         over = asyncio.create_task(self._over.wait())
         self._ready.set()

@@ -253,7 +253,7 @@ def watchers(folder: Path, capture: Path, clients: int, seconds: float, log: Log
     with World(folder, capture) as world:
         world.start_daemon()
         programs = [
-            world.start(_words(world, f"watcher-{number}", everything=True), f"watcher-{number}")
+            world.start(_answers(world, f"watcher-{number}", everything=True), f"watcher-{number}")
             for number in range(clients)
         ]
         world.start_dive(loops=1)
@@ -276,7 +276,7 @@ def watchers(folder: Path, capture: Path, clients: int, seconds: float, log: Log
 
 
 def _watch(world: World, name: str, namespace: str, address: str = "") -> subprocess.Popen[bytes]:
-    return world.start(_words(world, name, address, until_complete=True), name, namespace)
+    return world.start(_answers(world, name, address, until_complete=True), name, namespace)
 
 
 def _relayed(world: World) -> str:
@@ -287,7 +287,7 @@ def _relayed(world: World) -> str:
     return f"127.0.0.1:{int(program.stdout.readline())}"
 
 
-def _words(
+def _answers(
     world: World,
     name: str,
     address: str = "",

@@ -15,7 +15,7 @@ from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.server.map_source import MapSource
 from mapperd.server.map_worker import next_frames
 from mapperd.server.pacer import Pacer
-from mapperd.server.priority_queue import Turns
+from mapperd.server.priority_queue import SendSchedule
 from mapperd.wire.blocks import UNKNOWN, decode_blocks
 from mapperd.wire.framing import client_inbox
 from mapperd.wire.messages import BLOCK_EDGE, BlocksMessage, Interest, MapFacts
@@ -82,7 +82,7 @@ class StreamSender:
     def __post_init__(self) -> None:
         """Connect."""
         self.pacer = Pacer(self.bytes_per_s)
-        self._turns = Turns(self.pacer)
+        self._turns = SendSchedule(self.pacer)
         self._looked = False
         keep = MemoryPersistence(self.sonar_map)
         self._source = MapSource(self.sonar_map, keep, log_odds_step=self.log_odds_step)
@@ -105,7 +105,7 @@ class StreamSender:
         self.cpu_s += time.thread_time() - began_s
 
     def messages(self, now_s: float, position_m: NDArray[np.float64]) -> list[Made]:
-        """As of `Sender`; a round as `MapRounds` has it."""
+        """As of `Sender`; one round of `MapWorker`."""
         rooms = self._turns.rooms(now_s)
         if not rooms or not (self._looked or self._view.left):
             return []
