@@ -448,7 +448,7 @@ class VoxelMap:
     def drop_tiles(self, tiles: list[Key]) -> None:
         """Forget tiles, whatever they hold."""
 
-    def raise_revision(self, least: int) -> None:
+    def raise_revision(self, min_revision: int) -> None:
         """Make the map's revision at least this."""
 
     def clear(self) -> None: ...

@@ -116,7 +116,7 @@ void bind_bricks(py::module_& module) {
       .def("bricks_since", &since, "revision"_a)
       .def("put_bricks", &put, "bricks"_a, "tiles"_a = std::vector<Key>{})
       .def("drop_tiles", &drop, "tiles"_a)
-      .def("raise_revision", &raise_revision, "least"_a);
+      .def("raise_revision", &raise_revision, "min_revision"_a);
 }
 
 }  // namespace mapperd::python

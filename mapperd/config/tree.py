@@ -393,8 +393,8 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
                 "robot_detection.keep_out with mapping.carve_no_return frees the shadows of "
                 "robots; allowed: one of them"
             )
-        least_m = MIN_TILE_VOXELS * self.octree.voxel_resolution
-        if self.outofcore.use and self.outofcore.tile_size < least_m:
+        min_m = MIN_TILE_VOXELS * self.octree.voxel_resolution
+        if self.outofcore.use and self.outofcore.tile_size < min_m:
             raise ValueError(
                 f"outofcore.tile_size {self.outofcore.tile_size:g} is less than "
                 f"{MIN_TILE_VOXELS} voxels of {self.octree.voxel_resolution:g} m; "

@@ -40,7 +40,7 @@ class Journal:
         stream: standard error.
         priorities: begin each line with `<n>`.
         clock: seconds, only forward.
-        least: events that are less severe are left out.
+        min_severity: events that are less severe are left out.
     """
 
     def __init__(
@@ -49,17 +49,17 @@ class Journal:
         clock: Callable[[], float],
         *,
         priorities: bool,
-        least: Severity = Severity.INFO,
+        min_severity: Severity = Severity.INFO,
     ) -> None:
         self._stream = stream
         self._clock = clock
         self._priorities = priorities
-        self._least = PRIORITIES[least]
+        self._max_priority = PRIORITIES[min_severity]
         self._logged: dict[tuple[str, str], tuple[float, int]] = {}
 
     def write(self, event: Event) -> None:
         """Write an event, unless the same was written just now."""
-        if PRIORITIES[event.severity] > self._least:
+        if PRIORITIES[event.severity] > self._max_priority:
             return
         key, now_s = (event.code, event.text), self._clock()
         logged_s, repeats = self._logged.get(key, (float("-inf"), 0))

@@ -85,7 +85,7 @@ class Sightings:
             now_ns: on the clock of the arrivals.
             expire_s: `robot_detection.expire_sec`.
         """
-        most_ns = round(expire_s * SECOND_NS)
-        fresh = [one for one in self._seen if abs(now_ns - one.t_ns) <= most_ns]
+        max_age_ns = round(expire_s * SECOND_NS)
+        fresh = [one for one in self._seen if abs(now_ns - one.t_ns) <= max_age_ns]
         self._seen = deque(fresh)
         return fresh

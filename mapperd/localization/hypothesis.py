@@ -120,6 +120,6 @@ class FitWatch:
         mean = share if self.share is None else self.share + GAIN * (share - self.share)
         return replace(self, share=mean)
 
-    def fits(self, least: float) -> bool:
+    def fits(self, min_share: float) -> bool:
         """Whether the map is met well enough, as far as is known."""
-        return self.share is None or self.share >= least
+        return self.share is None or self.share >= min_share

@@ -165,16 +165,16 @@ def write_nav2_map(grid: GridMap, path: Path, mode: Mode = "trinary") -> None:
         file.write(("\n".join(lines) + "\n").encode())
 
 
-def _read(path: Path, most: int) -> bytes:
+def _read(path: Path, max_bytes: int) -> bytes:
     try:
         if path.exists() and not path.is_file():  # a pipe would keep us waiting
             raise MapError(f"{path}: is no regular file", "bad_map_file")
         with path.open("rb") as file:
-            data = file.read(most + 1)
+            data = file.read(max_bytes + 1)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise MapError(f"{path}: cannot be read: {error}", "bad_map_file") from error
-    if len(data) > most:
-        raise MapError(f"{path}: larger than {most} bytes", "bad_map_file")
+    if len(data) > max_bytes:
+        raise MapError(f"{path}: larger than {max_bytes} bytes", "bad_map_file")
     return data
 
 

@@ -131,12 +131,12 @@ class Cluster:
     pose: PlanarGaussian
 
 
-def clusters_of(particles: ParticleFilter, most: int = MAX_CLUSTERS) -> tuple[Cluster, ...]:
+def clusters_of(particles: ParticleFilter, max_clusters: int = MAX_CLUSTERS) -> tuple[Cluster, ...]:
     """The heaviest clusters, falling; those without weight are left out."""
     _, masses, labels = particles.modes()
     poses, weights = particles.poses, particles.weights
     found = []
-    for label, mass in enumerate(masses[:most].tolist()):
+    for label, mass in enumerate(masses[:max_clusters].tolist()):
         inside = labels == label
         if mass > 0 and inside.any():
             found.append(Cluster(mass, gaussian_of(mcl_estimate(poses[inside], weights[inside]))))

@@ -41,11 +41,11 @@ class Trail:
     """Where the vehicle was believed to be, the newest places.
 
     Args:
-        most: places that are kept.
+        max_places: places that are kept.
     """
 
-    def __init__(self, most: int = 1000) -> None:
-        self._places: deque[tuple[float, float]] = deque(maxlen=most)
+    def __init__(self, max_places: int = 1000) -> None:
+        self._places: deque[tuple[float, float]] = deque(maxlen=max_places)
 
     def add(self, pose: PlanarGaussian) -> None:
         """Add a position, unless it has not moved."""

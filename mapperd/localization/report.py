@@ -144,11 +144,11 @@ def _diagnostics(diagnosis: Diagnosis) -> dict[str, Any]:
     return {"level": diagnosis.level, "text": diagnosis.text, **values}
 
 
-def _sample(facts: LocalizationFacts, most: int) -> list[list[float]]:
+def _sample(facts: LocalizationFacts, max_particles: int) -> list[list[float]]:
     count = len(facts.particles)
-    if most <= 0 or not count:
+    if max_particles <= 0 or not count:
         return []
-    step = -(-count // most)
+    step = -(-count // max_particles)
     sample: list[list[float]] = facts.particles[::step].tolist()
     return sample
 

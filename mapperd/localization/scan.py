@@ -65,28 +65,28 @@ class Scan:
         return len(self.range_m)
 
 
-def decimation(count: int, most: int) -> NDArray[np.int64]:
-    """Indices of `most` evenly spaced of `count` things, the first and the last among them.
+def decimation(count: int, max_count: int) -> NDArray[np.int64]:
+    """Indices of `max_count` evenly spaced of `count` things, the first and the last among them.
 
-    Index ceil(k (count - 1) / (most - 1)) for k = 0 .. most - 1; all if there are not more than
-    `most`, the first alone for `most` 1.
+    Index ceil(k (count - 1) / (max_count - 1)) for k = 0 .. max_count - 1; all if `count` is not
+    larger, the first alone for `max_count` 1.
     """
-    if most >= count:
+    if max_count >= count:
         return np.arange(count, dtype=np.int64)
-    if most <= 1:
-        return np.zeros(max(most, 0), dtype=np.int64)
-    k = np.arange(most, dtype=np.int64)
-    return -(-k * (count - 1) // (most - 1))
+    if max_count <= 1:
+        return np.zeros(max(max_count, 0), dtype=np.int64)
+    k = np.arange(max_count, dtype=np.int64)
+    return -(-k * (count - 1) // (max_count - 1))
 
 
-def decimated(scan: Scan, most: int) -> Scan:
+def decimated(scan: Scan, max_beams: int) -> Scan:
     """A scan of at most so many returns. Beams without a return are gone already: none is wasted.
 
     Args:
         scan: any.
-        most: returns, evenly spaced among those that there are.
+        max_beams: returns, evenly spaced among those that there are.
     """
-    kept = decimation(len(scan), most)
+    kept = decimation(len(scan), max_beams)
     return dataclasses.replace(
         scan,
         bearing_rad=scan.bearing_rad[kept],

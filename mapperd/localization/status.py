@@ -137,18 +137,18 @@ class LocalizationFacts:
     known: KnownMap | None
 
 
-def sample_of(particles: ParticleFilter, most: int = MAX_SAMPLE) -> Floats:
+def sample_of(particles: ParticleFilter, max_particles: int = MAX_SAMPLE) -> Floats:
     """Particles (N, 4) that stand for all: all, or as many by weight; no draw of the filter's.
 
     A larger cloud is resampled by weight, in even steps through the sum
     of the weights, so that equal clouds give equal samples.
     """
     poses, weights = particles.poses, particles.weights
-    if len(poses) > most:
+    if len(poses) > max_particles:
         reached = np.cumsum(weights)
-        steps = (np.arange(most) + 0.5) / most * reached[-1]
+        steps = (np.arange(max_particles) + 0.5) / max_particles * reached[-1]
         chosen = np.minimum(np.searchsorted(reached, steps), len(poses) - 1)
-        poses, weights = poses[chosen], np.full(most, 1 / most)
+        poses, weights = poses[chosen], np.full(max_particles, 1 / max_particles)
     sample: Floats = np.column_stack([poses, weights])
     sample.setflags(write=False)
     return sample

@@ -66,7 +66,7 @@ class OdometryClock:
         self._off = 0  # records in a row
         self._distrusted = False
         self._delays: deque[int] = deque(maxlen=DISTRUST_AFTER)
-        self._least_delay_ns: int | None = None
+        self._min_delay_ns: int | None = None
 
     def state(self) -> OdometryClockState:
         """Everything that `restore` needs to continue exactly."""
@@ -75,7 +75,7 @@ class OdometryClock:
             self._off,
             self._distrusted,
             list(self._delays),
-            self._least_delay_ns,
+            self._min_delay_ns,
         )
 
     def restore(self, state: OdometryClockState) -> None:
@@ -83,7 +83,7 @@ class OdometryClock:
         self._fit.restore(state.fit)
         self._off, self._distrusted = state.off, state.distrusted
         self._delays = deque(state.delays_ns, maxlen=DISTRUST_AFTER)
-        self._least_delay_ns = state.least_delay_ns
+        self._min_delay_ns = state.least_delay_ns
 
     def t_host_ns(self, odometry: Odometry, arrival_ns: int | None) -> int | Reject:
         """The record's host time, on the clock of the arrival stamps.
@@ -125,9 +125,9 @@ class OdometryClock:
         self._delays.append(arrival_ns - sent_ns)
         if len(self._delays) < DISTRUST_AFTER:
             return False
-        least_ns, now_ns = self._least_delay_ns, min(self._delays)
-        self._least_delay_ns = now_ns if least_ns is None else min(least_ns, now_ns)
-        return least_ns is not None and now_ns - least_ns > STEP_NS
+        min_ns, now_ns = self._min_delay_ns, min(self._delays)
+        self._min_delay_ns = now_ns if min_ns is None else min(min_ns, now_ns)
+        return min_ns is not None and now_ns - min_ns > STEP_NS
 
     def _carried_over(self, odometry: Odometry, arrival_ns: int) -> int | None:
         """By the fit of the stamps of sending, where there are some: they know the link's delay."""

@@ -151,14 +151,14 @@ def bad_numbers(key: str, numbers: Sequence[float], limit: float) -> Reject | No
     return None
 
 
-def bad_number(key: str, number: float, least: float, most: float) -> Reject | None:
+def bad_number(key: str, number: float, minimum: float, maximum: float) -> Reject | None:
     """Why this number cannot be true, if so."""
-    if least <= number <= most:
+    if minimum <= number <= maximum:
         return None
     # An integer of hundreds of digits, which text can hold, is no float: it must not become one.
     if isinstance(number, float) and not math.isfinite(number):
         return Reject("not_finite", f"{key} is {number}")
-    return Reject("out_of_range", f"{key} is {str(number)[:24]}; from {least:g} to {most:g}")
+    return Reject("out_of_range", f"{key} is {str(number)[:24]}; from {minimum:g} to {maximum:g}")
 
 
 def bad_quaternion(quaternion: Sequence[float]) -> Reject | None:

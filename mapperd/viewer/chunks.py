@@ -36,15 +36,15 @@ class Chunks:
     Their edge doubles if too many are visible, because each costs the browser time.
 
     Args:
-        most: maximum number of visible chunks.
+        max_chunks: maximum number of visible chunks.
 
     Attributes:
         span: blocks along the edge of a chunk.
     """
 
-    def __init__(self, most: int) -> None:
+    def __init__(self, max_chunks: int) -> None:
         self.span = FIRST_SPAN
-        self._most = most
+        self._max_chunks = max_chunks
         self._known: set[Chunk] = set()
         self._stale: set[Chunk] = set()
         self._shown: set[Chunk] = set()
@@ -67,7 +67,7 @@ class Chunks:
     @property
     def crowded(self) -> bool:
         """Whether too many chunks are visible, so that they should `grow`."""
-        return len(self._shown) > self._most and self.span < LAST_SPAN
+        return len(self._shown) > self._max_chunks and self.span < LAST_SPAN
 
     def touch(self, keys: ArrayLike) -> None:
         """Mark blocks (N, 3) as changed, and with them the faces of their neighbours."""
@@ -107,14 +107,14 @@ class Chunks:
         self._shown.clear()
         self.span = FIRST_SPAN
 
-    def take(self, near_m: ArrayLike, cell_m: float, most: int) -> list[Chunk]:
+    def take(self, near_m: ArrayLike, cell_m: float, max_chunks: int) -> list[Chunk]:
         """Return the chunks to draw next, nearest first, and mark them as drawn."""
         if not self._stale:
             return []
         waiting = np.array(sorted(self._stale), np.int64)
         centres_m = (waiting + 0.5) * (self.edge * cell_m)
         order = np.argsort(np.linalg.norm(centres_m - np.asarray(near_m), axis=1), kind="stable")
-        taken = [(int(x), int(y), int(z)) for x, y, z in waiting[order[:most]]]
+        taken = [(int(x), int(y), int(z)) for x, y, z in waiting[order[:max_chunks]]]
         self._stale.difference_update(taken)
         return taken
 

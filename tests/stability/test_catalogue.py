@@ -6,12 +6,12 @@ import pytest
 from studies.numerics.catalogue import CASES, case_of, cases, catalogue
 from studies.report import PAGES, section
 
-LEAST_CASES = 80
+MIN_CASES = 80
 
 
 def test_every_case_states_what_it_guards_against_and_what_happens_naively() -> None:
     found = list(cases())
-    assert len(found) >= LEAST_CASES
+    assert len(found) >= MIN_CASES
     assert len({case.name for case in found}) == len(found), "two cases of one name"
 
 

@@ -72,9 +72,9 @@ def test_returns_behind_the_least_range_of_all_are_invalid() -> None:
     for row_m in (0.001, 0.05, 0.09, 0.5):
         echo = PingImage(image, np.linspace(-1, 1, 5), row_m)
         points, bright = first_returns(echo, Config())
-        least_m = Config().filtering.min_range
-        assert len(points) == len(bright) == (5 if 10 * row_m > least_m else 0)
-        assert (np.linalg.norm(points, axis=1) >= least_m).all()
+        min_m = Config().filtering.min_range
+        assert len(points) == len(bright) == (5 if 10 * row_m > min_m else 0)
+        assert (np.linalg.norm(points, axis=1) >= min_m).all()
 
 
 def test_a_path_of_a_year_stays_within_its_points() -> None:

@@ -12,7 +12,7 @@ from mapperd.cli.mapperd import Exit
 FOLDER = Path(__file__).resolve().parents[2] / "systemd"
 UNITS = sorted(path for path in FOLDER.iterdir() if path.suffix in (".service", ".socket"))
 SERVICES = [path for path in UNITS if path.suffix == ".service"]
-MOST_EXPOSED = 2.0
+MAX_EXPOSURE = 2.0
 
 needs_systemd = pytest.mark.skipif(
     shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed"
@@ -57,7 +57,7 @@ def test_exposure_is_low(unit: Path) -> None:
     report = analyze("security", "--offline=true", str(unit))
     score = re.search(r"exposure level for \S+: ([0-9.]+)", report)
     assert score is not None, report
-    assert float(score[1]) <= MOST_EXPOSED
+    assert float(score[1]) <= MAX_EXPOSURE
 
 
 def test_the_daemon_is_supervised_by_its_messages() -> None:

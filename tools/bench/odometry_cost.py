@@ -172,8 +172,8 @@ def table(seconds: float) -> str:
         _, asked, found = runs[0]
         if found < 0.95 * asked:
             raise ValueError(f"{name}: {found} of {asked} pings had a pose")
-        least_s = min(run[0] for run in runs)
-        share, each_us = least_s / seconds, 1e6 * least_s / len(chunks)
+        min_s = min(run[0] for run in runs)
+        share, each_us = min_s / seconds, 1e6 * min_s / len(chunks)
         lines.append(f"| `{name}` | {100 * share:.1f} % | {each_us:.0f} µs |")
     return "\n".join(lines)
 

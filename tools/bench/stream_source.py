@@ -48,7 +48,7 @@ class Watched:
         others: clients that are sent the same.
         sent_bytes, messages: that it was sent.
         look_s, encode_s: processor time of the looks, and of making messages.
-        most_s: of the longest tick.
+        max_s: of the longest tick.
         ticks: so many.
     """
 
@@ -59,7 +59,7 @@ class Watched:
     messages: int = 0
     look_s: float = 0.0
     encode_s: float = 0.0
-    most_s: float = 0.0
+    max_s: float = 0.0
     ticks: int = 0
 
     def tick(self, now_ns: int) -> None:
@@ -76,7 +76,7 @@ class Watched:
         ended_s = time.process_time()
         self.look_s += looked_s - began_s
         self.encode_s += ended_s - looked_s
-        self.most_s = max(self.most_s, ended_s - began_s)
+        self.max_s = max(self.max_s, ended_s - began_s)
         self.ticks += 1
 
 
@@ -140,7 +140,7 @@ def dive(
             f" {PLAIN_BYTES * count.changed / one.sent_bytes:6.1f}"
             f" ({PLAIN_BYTES * count.sent / one.sent_bytes:5.1f})"
             f" {1e3 * one.look_s / one.ticks:6.2f} {1e3 * one.encode_s / one.ticks:6.2f}"
-            f" {1e3 * one.most_s:6.1f} {100 * (one.look_s + one.encode_s) / seconds:5.2f}"
+            f" {1e3 * one.max_s:6.1f} {100 * (one.look_s + one.encode_s) / seconds:5.2f}"
             f" {100 * one.source.memory_bytes / sonar_map.memory_bytes:5.1f}"
         )
 

@@ -82,10 +82,10 @@ class Comparison:
     """
 
     def __init__(self, resolution_m: float, tolerance_m: float) -> None:
-        most_m = MAX_REACH_VOXELS * resolution_m
-        if not 0 < tolerance_m <= most_m:
+        max_m = MAX_REACH_VOXELS * resolution_m
+        if not 0 < tolerance_m <= max_m:
             raise SurveyError(
-                f"tolerance: {tolerance_m:g} m is not allowed; allowed: up to {most_m:g} m"
+                f"tolerance: {tolerance_m:g} m is not allowed; allowed: up to {max_m:g} m"
             )
         self.resolution_m = resolution_m
         self.near = math.floor((tolerance_m / resolution_m) ** 2 + 1e-6)  # squared, in voxels

@@ -95,10 +95,10 @@ def run_survey(
         SurveyError: somebody else is at work there, or a task cannot be done.
     """
     resolution_m = request.config.octree.voxel_resolution
-    most_bytes = voxel_bytes_of(options.memory_bytes, resolution_m)
-    edge = edge_for(request.config, most_bytes, request.survey.tile_size_m)
+    max_bytes = voxel_bytes_of(options.memory_bytes, resolution_m)
+    edge = edge_for(request.config, max_bytes, request.survey.tile_size_m)
     with _alone(folder):
-        return _Running(request, folder, engine, out).run(edge, most_bytes, by_dive=options.by_dive)
+        return _Running(request, folder, engine, out).run(edge, max_bytes, by_dive=options.by_dive)
 
 
 class _Running:
@@ -111,20 +111,20 @@ class _Running:
         self._wall_s: dict[str, float] = {}
         self._shards: set[str] = set()
 
-    def run(self, edge: int, most_bytes: int, *, by_dive: bool) -> dict[str, Any]:
+    def run(self, edge: int, max_bytes: int, *, by_dive: bool) -> dict[str, Any]:
         self._folder.forget_workspaces()
         with self._stage("plan") as show:
             plans = plan_all(self._request, self._folder, self._engine, show)
         self._times += plan_times(plans)
         rows = [rows_of(self._folder, plan) for plan in plans]
-        edge = edge_within(edge, rows, self._request.config, most_bytes)
+        edge = edge_within(edge, rows, self._request.config, max_bytes)
         whole = Scope("", plans, rows)
         alone = [Scope(p.name, [p], [r]) for p, r in zip(plans, rows, strict=True)]
         scopes = [whole, *(alone if by_dive else [])]
         before = tuple(task.name for task in self._times)
         maps = []
         for scope in scopes:
-            maps.append(self._map_of(scope, edge, most_bytes, before))
+            maps.append(self._map_of(scope, edge, max_bytes, before))
             before = (self._times[-1].name,)  # of the merge: the next map is begun after it
         self._forget_others(plans, [each["map"] for each in maps])
         record = self._record(plans, maps, whole, edge)
@@ -132,9 +132,9 @@ class _Running:
         return record
 
     def _map_of(
-        self, scope: Scope, edge: int, most_bytes: int, before: tuple[str, ...]
+        self, scope: Scope, edge: int, max_bytes: int, before: tuple[str, ...]
     ) -> dict[str, Any]:
-        stage = TileStage(scope, self._request.config, self._folder, edge, most_bytes)
+        stage = TileStage(scope, self._request.config, self._folder, edge, max_bytes)
         suffix = f" {scope.name}" if scope.name else ""
         with self._stage(f"tiles{suffix}") as show:
             shards = stage.run(self._engine, show)

@@ -186,7 +186,7 @@ class TileTask(Struct, frozen=True):
         dives: that the pings are of.
         pings: as bytes of an array of `PLACE`, in order.
         folder: the survey's, as `Folder` takes it.
-        most_bytes: that its voxels may take.
+        max_bytes: that its voxels may take.
     """
 
     shard: str
@@ -196,7 +196,7 @@ class TileTask(Struct, frozen=True):
     dives: list[SpooledDive]
     pings: bytes
     folder: str
-    most_bytes: int
+    max_bytes: int
 
 
 class TileResult(Struct, frozen=True):
@@ -209,7 +209,7 @@ class TileResult(Struct, frozen=True):
         bricks: in its shard.
         cpu_s, read_bytes, written_bytes: of the task.
         voxel_bytes: that it took at the end.
-        most_bytes: that it might have taken.
+        max_bytes: that it might have taken.
     """
 
     shard: str
@@ -220,7 +220,7 @@ class TileResult(Struct, frozen=True):
     read_bytes: int
     written_bytes: int
     voxel_bytes: int
-    most_bytes: int
+    max_bytes: int = msgspec.field(name="most_bytes")  # the key of earlier records, too
 
 
 def map_tile(task: TileTask) -> TileResult:
@@ -238,7 +238,7 @@ def map_tile(task: TileTask) -> TileResult:
     sonar_map = SonarMap(_single_threaded(task.config))
     sonar_map.core.limit_to_tile(task.key, task.edge)
     bricks = written = 0
-    whole = _integrate(sonar_map, folder, task.dives, places, task.most_bytes)
+    whole = _integrate(sonar_map, folder, task.dives, places, task.max_bytes)
     voxel_bytes = sonar_map.memory_bytes
     if whole:
         with scratch() as work:
@@ -255,7 +255,7 @@ def map_tile(task: TileTask) -> TileResult:
         read_bytes=int(places["size"].sum()),
         written_bytes=written,
         voxel_bytes=voxel_bytes,
-        most_bytes=task.most_bytes,
+        max_bytes=task.max_bytes,
     )
 
 
@@ -270,7 +270,7 @@ def _integrate(
     folder: Folder,
     dives: Sequence[SpooledDive],
     places: NDArray[np.void],
-    most_bytes: int,
+    max_bytes: int,
 ) -> bool:
     """Replay the pings; False as soon as the voxels take too much memory.
 
@@ -281,7 +281,7 @@ def _integrate(
         for ordinal, ping in _pings(folder, dives, places, opened):
             sonar_map.core.raise_revision(ordinal - 1)
             sonar_map.integrate(*ping)
-            if sonar_map.memory_bytes > most_bytes:
+            if sonar_map.memory_bytes > max_bytes:
                 return False
     return True
 
@@ -345,20 +345,20 @@ class TileStage:
         config: the settings.
         folder: the survey's.
         edge: of a tile, in bricks.
-        most_bytes: that a tile's voxels may take.
+        max_bytes: that a tile's voxels may take.
 
     Attributes:
         results: of all tiles, those that were too large with them.
     """
 
     def __init__(
-        self, scope: Scope, config: Config, folder: Folder, edge: int, most_bytes: int
+        self, scope: Scope, config: Config, folder: Folder, edge: int, max_bytes: int
     ) -> None:
         self.results: list[TileResult] = []
         self._scope = scope
         self._config = config
         self._folder = folder
-        self._most_bytes = most_bytes
+        self._max_bytes = max_bytes
         self._edge = edge
         self._ordinals = ordinals_of(scope.rows)
         self._there: dict[str, int] = {}
@@ -404,7 +404,7 @@ class TileStage:
         children = children_of(tile, places, self._scope.rows, self._ordinals)
         if not children:
             raise SurveyError(
-                f"tile {tile.name} takes over {self._most_bytes >> 20} MiB and cannot be cut: "
+                f"tile {tile.name} takes over {self._max_bytes >> 20} MiB and cannot be cut: "
                 "allowed: a larger --memory-per-worker, or larger voxels"
             )
         for child, theirs in children.items():
@@ -425,7 +425,7 @@ class TileStage:
             ],
             pings=places.tobytes(),
             folder=self._folder.url,
-            most_bytes=self._most_bytes,
+            max_bytes=self._max_bytes,
         )
 
     def _kept(self, task: TileTask) -> TileResult | None:
@@ -435,5 +435,5 @@ class TileStage:
         if result is None:
             return None
         if result.too_large:
-            return result if task.most_bytes <= result.most_bytes else None
+            return result if task.max_bytes <= result.max_bytes else None
         return result if self._there.get(task.shard) == result.written_bytes else None

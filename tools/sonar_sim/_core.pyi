@@ -242,7 +242,7 @@ def edges(
     normals: NDArray[np.float32],
     smooth: NDArray[np.int32],
     bent: float,
-    least_step_m: float,
+    min_step_m: float,
     turned: float,
 ) -> NDArray[np.int64]:
     """Rays whose upper neighbour in the column met something else, in order.
@@ -256,7 +256,7 @@ def edges(
         normals: of the faces, (F, 3).
         smooth: of the faces, not negative where round, (F,).
         bent: slope by which one neighbour may leave the other's plane.
-        least_step_m: by which it may in any case.
+        min_step_m: by which it may in any case.
         turned: least cosine between the normals on a round surface.
     """
 

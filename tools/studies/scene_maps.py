@@ -225,9 +225,9 @@ def config_of(scenario: Scenario) -> dict[str, object]:
     }
 
 
-def _thinned(scenario: Scenario, most_pings: int) -> Scenario:
+def _thinned(scenario: Scenario, max_pings: int) -> Scenario:
     """The same survey with no more pings than asked for, evenly spread."""
-    rate_hz = min(scenario.ping_rate_hz, most_pings / scenario.trajectory.duration_s)
+    rate_hz = min(scenario.ping_rate_hz, max_pings / scenario.trajectory.duration_s)
     return replace(scenario, ping_rate_hz=rate_hz)
 
 

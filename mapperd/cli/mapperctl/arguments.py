@@ -277,12 +277,12 @@ def _radius(text: str) -> float:
     return _number_between(text, 0.0, MAX_M, "metres were")
 
 
-def _number_between(text: str, least: float, most: float, what: str) -> float:
+def _number_between(text: str, minimum: float, maximum: float, what: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not least <= value <= most:
+    if not minimum <= value <= maximum:
         raise argparse.ArgumentTypeError(f"{text!r}: {what} expected")
     return value
 
@@ -374,13 +374,15 @@ def _deviation_deg(text: str) -> float:
     return _number(text, 0.0, MAX_DEG, "degrees")
 
 
-def _number(text: str, least: float, most: float, unit: str) -> float:
+def _number(text: str, minimum: float, maximum: float, unit: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not least <= value <= most:
-        raise argparse.ArgumentTypeError(f"{text!r}: {least:g} to {most:g} {unit} were expected")
+    if not minimum <= value <= maximum:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: {minimum:g} to {maximum:g} {unit} were expected"
+        )
     return value
 
 

@@ -124,11 +124,11 @@ def _made(
     return make_files(sonar_map, args.file, origin, calibration)
 
 
-def _choose(sonar_map: SonarMap, least: float | None) -> None:
+def _choose(sonar_map: SonarMap, min_probability: float | None) -> None:
     """Change the probability threshold of occupied voxels."""
-    if least is not None:
-        free = min(sonar_map.config.mapping.free_threshold, least)
-        values = {"mapping.occupied_threshold": least, "mapping.free_threshold": free}
+    if min_probability is not None:
+        free = min(sonar_map.config.mapping.free_threshold, min_probability)
+        values = {"mapping.occupied_threshold": min_probability, "mapping.free_threshold": free}
         sonar_map.reconfigure(with_values(sonar_map.config, values))
 
 

@@ -100,11 +100,11 @@ def _bag(args: argparse.Namespace, config: Config) -> Iterator[str]:
 
 def _values(args: argparse.Namespace, config: Config) -> dict[str, Any]:
     """Settings from the arguments."""
-    least = args.min_probability
-    if least is None:
+    min_probability = args.min_probability
+    if min_probability is None:
         return {}
-    free = min(config.mapping.free_threshold, least)
-    return {"mapping.occupied_threshold": least, "mapping.free_threshold": free}
+    free = min(config.mapping.free_threshold, min_probability)
+    return {"mapping.occupied_threshold": min_probability, "mapping.free_threshold": free}
 
 
 def _origin(args: argparse.Namespace) -> Origin | None:

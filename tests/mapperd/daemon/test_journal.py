@@ -35,7 +35,7 @@ def journal(**changes: Any) -> tuple[Journal, io.StringIO, Clock]:
     ],
 )
 def test_priorities_are_the_journals(severity: Severity, mark: str) -> None:
-    writer, stream, _ = journal(least=Severity.DEBUG)
+    writer, stream, _ = journal(min_severity=Severity.DEBUG)
     writer.write(event("sonar: pinging", severity))
     assert stream.getvalue() == f"{mark}sonar: pinging\n"
 

@@ -11,12 +11,10 @@ from mapperd.localization.detector import FirstReturns, Limits, equalised, first
 ROW_M = 0.02
 
 
-def found(
-    echo: PingImage, least_m: float = 0.5, most_m: float = 10.0, **changes: Any
-) -> FirstReturns:
+def found(echo: PingImage, min_m: float = 0.5, max_m: float = 10.0, **changes: Any) -> FirstReturns:
     settings = msgspec.structs.replace(ScanExtractionConfig(), **changes)
     levels = equalised(levels_db(echo.intensity), echo.range_resolution_m)
-    return first_returns(levels, echo, Limits(least_m, most_m, echo.range_resolution_m), settings)
+    return first_returns(levels, echo, Limits(min_m, max_m, echo.range_resolution_m), settings)
 
 
 def test_noise_has_hardly_a_return(make_echo: Any) -> None:
@@ -40,11 +38,11 @@ def test_beams_without_an_echo_have_none(make_echo: Any) -> None:
 def test_nothing_is_looked_for_outside_the_limits(make_echo: Any) -> None:
     echo = make_echo((0.3, 200, 0, 127), (3.01, 100, 0, 127), (8.0, 100, 0, 127))
     assert found(echo).range_m == pytest.approx(np.full(128, 3.01), abs=ROW_M)
-    assert found(echo, least_m=0.1).range_m == pytest.approx(np.full(128, 0.3), abs=2 * ROW_M)
-    assert found(echo, least_m=4.0).range_m == pytest.approx(np.full(128, 8.0), abs=2 * ROW_M)
-    assert np.isnan(found(echo, most_m=2.5).range_m).all()
-    assert np.isnan(found(echo, least_m=2.0, most_m=2.0).range_m).all()
-    assert np.isnan(found(echo, least_m=50.0, most_m=60.0).range_m).all()
+    assert found(echo, min_m=0.1).range_m == pytest.approx(np.full(128, 0.3), abs=2 * ROW_M)
+    assert found(echo, min_m=4.0).range_m == pytest.approx(np.full(128, 8.0), abs=2 * ROW_M)
+    assert np.isnan(found(echo, max_m=2.5).range_m).all()
+    assert np.isnan(found(echo, min_m=2.0, max_m=2.0).range_m).all()
+    assert np.isnan(found(echo, min_m=50.0, max_m=60.0).range_m).all()
 
 
 def test_an_echo_shorter_than_the_run_is_invalid(make_echo: Any) -> None:
@@ -135,4 +133,4 @@ def test_empty_and_full_images_have_no_returns(make_echo: Any, level: float) -> 
 
 @pytest.mark.parametrize(("rows", "beams"), [(1, 1), (3, 2), (30, 1)])
 def test_tiny_images_are_taken(make_echo: Any, rows: int, beams: int) -> None:
-    assert found(make_echo(rows=rows, beams=beams), least_m=0.0).range_m.shape == (beams,)
+    assert found(make_echo(rows=rows, beams=beams), min_m=0.0).range_m.shape == (beams,)

@@ -94,7 +94,7 @@ def test_without_a_map_nothing_is_drawn() -> None:
 
 
 def test_trail_keeps_the_newest_places() -> None:
-    trail = Trail(most=3)
+    trail = Trail(max_places=3)
     assert trail.points_m().shape == (0, 2)
     for x_m in (0.0, 0.0, 1.0, 2.0, 3.0):
         trail.add(PlanarGaussian(x_m, 0.0, 0.0, np.eye(3)))

@@ -137,7 +137,7 @@ def test_any_payload_gives_records_or_rejects(number: int, payload: bytes) -> No
 
 def test_bad_line_loses_only_what_it_spoils() -> None:
     link = decoder()
-    bad = Misbehaviour(drop=0.1, garble=0.1, noise=0.2, most_bytes=50)
+    bad = Misbehaviour(drop=0.1, garble=0.1, noise=0.2, max_bytes=50)
     found = places(fed(link, *bad.pieces(track(500))))
     assert found == sorted(set(found))
     assert len(found) > 350

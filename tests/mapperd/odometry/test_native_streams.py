@@ -84,7 +84,7 @@ def test_split_of_the_stream_does_not_matter(name: FormatName, cuts: list[int]) 
 @BOTH
 def test_bad_line_loses_only_what_it_spoils(name: FormatName) -> None:
     decoder = link(name)
-    bad = Misbehaviour(drop=0.1, garble=0.1, noise=0.1, most_bytes=50, stall_from=50, stall_for=20)
+    bad = Misbehaviour(drop=0.1, garble=0.1, noise=0.1, max_bytes=50, stall_from=50, stall_for=20)
     found = norths(decoder, *bad.pieces(encoded(name, native(n)) for n in range(400)))
     assert len(found) > 250
     assert decoder.counters.rejects.total() > 30

@@ -224,7 +224,7 @@ def test_any_sentence_gives_records_or_rejects(text: str) -> None:
 
 def test_bad_line_loses_only_what_it_spoils() -> None:
     decoder = link()
-    bad = Misbehaviour(drop=0.1, garble=0.1, noise=0.1, most_bytes=30)
+    bad = Misbehaviour(drop=0.1, garble=0.1, noise=0.1, max_bytes=30)
     messages = [NmeaTalker().prdid("1.0", "2.0", str(n)) for n in range(300)]
     found = [r for piece in bad.pieces(messages) for r in decoder.feed(piece, None)]
     assert sum(isinstance(result, Odometry) for result in found) > 200

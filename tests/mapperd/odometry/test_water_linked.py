@@ -345,7 +345,7 @@ def test_any_field_gives_a_record_or_a_reject(key: str, value: Any) -> None:
 )
 def test_bad_line_loses_only_what_it_spoils(link: Callable[[], Decoder], message: str) -> None:
     dvl, decoder = Dvl(), link()
-    bad = Misbehaviour(drop=0.1, garble=0.1, noise=0.1, most_bytes=200)
+    bad = Misbehaviour(drop=0.1, garble=0.1, noise=0.1, max_bytes=200)
     messages = [getattr(dvl, message)() for _ in range(300)]
     found = [r for piece in bad.pieces(messages) for r in decoder.feed(piece, None)]
     assert sum(isinstance(result, Odometry) for result in found) > 200

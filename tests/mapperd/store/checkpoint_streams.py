@@ -94,7 +94,7 @@ def chunks_of(name: str, *, cut: bool = True) -> list[Chunk]:
         cut: streams into pieces of any length, with some bytes spoilt.
     """
     messages = list(FORMATS[name]())
-    bad = Misbehaviour(garble=0.05, noise=0.05, most_bytes=0 if name == "native" else 150, seed=3)
+    bad = Misbehaviour(garble=0.05, noise=0.05, max_bytes=0 if name == "native" else 150, seed=3)
     pieces = [piece for piece in bad.pieces(messages) if piece] if cut else messages
     chunks: list[tuple[int, Chunk]] = []
     for i, piece in enumerate(pieces):

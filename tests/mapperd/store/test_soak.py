@@ -22,7 +22,7 @@ def test_nothing_grows_however_long_it_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "dive.map"
     echoes = [dive.echo_of(number) for number in range(ROUND)]
     sonar_map, store = dive.open_store(path)
-    warm_files = warm_bytes = most_bytes = most_map = 0
+    warm_files = warm_bytes = max_bytes = max_map = 0
     with store:
         for number in range(PINGS):
             at = number % ROUND
@@ -30,17 +30,17 @@ def test_nothing_grows_however_long_it_goes_on(tmp_path: Path) -> None:
             store.advance(struct.pack("<Q", number + 1))
             if number % 50 == 0:
                 store.save()
-                most_map = max(most_map, sonar_map.memory_bytes)
+                max_map = max(max_map, sonar_map.memory_bytes)
             if number == PINGS // 5:
                 warm_files, warm_bytes = open_files(), resident_bytes()
             if number % 50 == 0 and number > PINGS // 5:
-                most_bytes = max(most_bytes, resident_bytes())
+                max_bytes = max(max_bytes, resident_bytes())
         assert open_files() == warm_files
         assert store.counters.tiles_loaded > PINGS / 30
     whole = SonarMap(dive.CONFIG)
     with StoreReader(path) as reader:
         reader.load(whole)
-    assert most_map < whole.memory_bytes / 3
-    print(f"RSS: {warm_bytes} bytes warm, {most_bytes} at most; {store.status()}")  # noqa: T201
+    assert max_map < whole.memory_bytes / 3
+    print(f"RSS: {warm_bytes} bytes warm, {max_bytes} at most; {store.status()}")  # noqa: T201
     if PINGS >= LONG:
-        assert most_bytes < 1.05 * warm_bytes
+        assert max_bytes < 1.05 * warm_bytes

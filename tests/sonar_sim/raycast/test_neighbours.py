@@ -75,9 +75,9 @@ def edges_of(
         np.array(column or [0] * count, dtype=np.int32),
         NORMALS,
         smooth,
-        bent=0.15,
-        least_step_m=0.02,
-        turned=0.995,
+        0.15,
+        0.02,
+        0.995,
     )
     return [int(ray) for ray in found]
 
@@ -110,9 +110,9 @@ def test_a_step_off_the_plane_is_an_edge() -> None:
             nothing,
             NORMALS,
             FLAT,
-            bent=0.15,
-            least_step_m=0.02,
-            turned=0.995,
+            0.15,
+            0.02,
+            0.995,
         )
         assert got.tolist() == edge
 

@@ -14,7 +14,7 @@ class Misbehaviour:
         drop: part of the messages that are lost.
         garble: share of the messages with one changed byte.
         noise: part of the messages that have line noise before them.
-        most_bytes: a stream is cut into pieces of 1 to so many bytes; 0 leaves messages whole.
+        max_bytes: a stream is cut into pieces of 1 to so many bytes; 0 leaves messages whole.
         stall_from: from this message on, nothing comes ...
         stall_for: ... until so many have gathered, which then come in one piece.
         seed: of all chance.
@@ -23,7 +23,7 @@ class Misbehaviour:
     drop: float = 0.0
     garble: float = 0.0
     noise: float = 0.0
-    most_bytes: int = 0
+    max_bytes: int = 0
     stall_from: int = 0
     stall_for: int = 0
     seed: int = 1
@@ -54,8 +54,8 @@ class Misbehaviour:
         return before + message
 
     def _split(self, data: bytes, chance: np.random.Generator) -> Iterator[bytes]:
-        while self.most_bytes and data:
-            size = int(chance.integers(1, self.most_bytes + 1))
+        while self.max_bytes and data:
+            size = int(chance.integers(1, self.max_bytes + 1))
             yield data[:size]
             data = data[size:]
         if data:

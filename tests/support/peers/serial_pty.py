@@ -48,6 +48,6 @@ class SerialPty:
         while data:
             data = data[os.write(self._ours, data) :]
 
-    def heard(self, most_bytes: int = 4096) -> bytes:
+    def heard(self, max_bytes: int = 4096) -> bytes:
         """Return what was written to the path; wait for at least one byte."""
-        return os.read(self._ours, most_bytes)
+        return os.read(self._ours, max_bytes)

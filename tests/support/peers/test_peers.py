@@ -47,7 +47,7 @@ async def heard(port: int) -> bytes:
 def test_dvl_is_heard_over_tcp_by_each_client() -> None:
     async def work() -> None:
         messages = [Dvl().velocity() for _ in range(5)]
-        async with tcp_server(lambda: Misbehaviour(most_bytes=99).pieces(messages)) as port:
+        async with tcp_server(lambda: Misbehaviour(max_bytes=99).pieces(messages)) as port:
             for _ in range(2):
                 assert records(link("water_linked_json"), await heard(port)) == 5
 

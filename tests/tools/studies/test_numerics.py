@@ -14,7 +14,13 @@ from studies.numerics.single_places import Measured
 from studies.numerics.sources import MEASURED, NOT_MEASURED
 
 ROOT = Path(__file__).resolve().parents[3]
-MOST = {"log-odds": 0.05, "rad; part": 1e-13, "m": 1e-10, "s": 2e-3, "part of the weight": 1e-10}
+MAX_ERRORS = {
+    "log-odds": 0.05,
+    "rad; part": 1e-13,
+    "m": 1e-10,
+    "s": 2e-3,
+    "part of the weight": 1e-10,
+}
 
 
 @pytest.mark.parametrize("grow", GROWTHS, ids=lambda grow: grow.__name__)
@@ -25,7 +31,7 @@ def test_ours_stays_near_the_oracle(grow: object) -> None:
     ours, *others = panel.curves
     assert ours.ours
     assert not any(curve.ours for curve in others)
-    assert np.nanmax(ours.error) <= MOST.get(panel.unit, 1e-3)
+    assert np.nanmax(ours.error) <= MAX_ERRORS.get(panel.unit, 1e-3)
 
 
 def test_every_source_with_single_precision_is_measured_and_on_the_page() -> None:

@@ -45,7 +45,7 @@ def initial_request(sonar: SonarSettings, ping_rate_hz: float) -> FireRequest:
     flags = FireFlags.RANGE_IN_METRES | FireFlags.SIMPLE_RETURN
     flags |= FireFlags.FULL_BEAMS if sonar.beams > HALF_BEAMS else 0
     flags |= FireFlags.SIXTEEN_BIT if sonar.bits > 8 else 0  # noqa: PLR2004 bits of a byte
-    allowing = [rate for rate, most_hz in MAX_RATE_HZ.items() if most_hz >= ping_rate_hz]
+    allowing = [rate for rate, max_hz in MAX_RATE_HZ.items() if max_hz >= ping_rate_hz]
     return FireRequest(
         mode=sonar.mode,
         ping_rate=min(allowing, key=MAX_RATE_HZ.__getitem__, default=PingRate.HIGHEST),

@@ -104,9 +104,9 @@ def edges_of(
         fan.column,
         meshes.normals,
         meshes.smooth,
-        bent=BENT,
-        least_step_m=MIN_STEP_M,
-        turned=TURNED,
+        BENT,
+        MIN_STEP_M,
+        TURNED,
     )
     most = len(direction) // FINER_SHARE
     if len(edges) > most:

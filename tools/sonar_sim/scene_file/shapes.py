@@ -219,11 +219,11 @@ def _waves(relief: schema.Procedural) -> HeightOf:
     """
     if relief.shortest_m > relief.longest_m:
         raise SceneError("the shortest waves are longer than the longest")
-    least_m = relief.longest_m / 2.0**MAX_OCTAVES
-    if relief.shortest_m < least_m:
+    min_m = relief.longest_m / 2.0**MAX_OCTAVES
+    if relief.shortest_m < min_m:
         raise SceneError(
             f"shortest_m is {relief.shortest_m:g} m; with longest_m of {relief.longest_m:g} m it "
-            f"must be at least {least_m:g} m"
+            f"must be at least {min_m:g} m"
         )
     octaves = math.log2(relief.longest_m / relief.shortest_m)
     count = OCTAVE_WAVES * (math.floor(octaves) + 1)

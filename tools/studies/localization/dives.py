@@ -136,7 +136,7 @@ class Followed(msgspec.Struct, frozen=True):
     way_m: float
     median_m: float
     p95_m: float
-    most_m: float
+    max_m: float
     median_deg: float
     reckoned_m: float
     """Odometry alone at the end."""
@@ -178,7 +178,7 @@ def follow(
         round(last.way_m, 1),
         median_m=round(float(median), 3),
         p95_m=round(float(p95), 3),
-        most_m=round(float(most), 3),
+        max_m=round(float(most), 3),
         median_deg=round(float(np.median(turns)), 3),
         reckoned_m=round(last.reckoned_m, 3),
         cpu_s=round(time.process_time() - began_s, 1),

@@ -110,9 +110,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     return max(_scaling(out, handed_out.ms), int(not all(verdicts.values())))
 
 
-def kill_every_s(tasks: Sequence[TaskTime], least_s: float) -> float:
+def kill_every_s(tasks: Sequence[TaskTime], min_s: float) -> float:
     """Mean time between two kills of a worker with which the run comes to its end."""
-    return max(least_s, LONGEST_TASKS * max(task.cpu_s for task in tasks))
+    return max(min_s, LONGEST_TASKS * max(task.cpu_s for task in tasks))
 
 
 def _judged(

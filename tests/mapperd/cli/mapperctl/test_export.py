@@ -84,8 +84,8 @@ def export(
     return run
 
 
-def cells_of(mirror: MapMirror, least: float | None = None) -> list[tuple[float, ...]]:
-    centres_m = mirror.cells("occupied", min_probability=least).centres_m
+def cells_of(mirror: MapMirror, min_probability: float | None = None) -> list[tuple[float, ...]]:
+    centres_m = mirror.cells("occupied", min_probability=min_probability).centres_m
     return sorted(tuple(row) for row in centres_m.round(4).tolist())
 
 
@@ -120,12 +120,12 @@ def test_file_of_the_whole_map_is_that_of_its_mirror(
     assert (tmp_path / "live.map").read_bytes() == (tmp_path / "mirror.map").read_bytes()
 
 
-@pytest.mark.parametrize("least", [0.3, 0.9])
+@pytest.mark.parametrize("min_probability", [0.3, 0.9])
 def test_probability_decides_what_is_occupied(
-    tmp_path: Path, export: Call, watched: Watched, least: float
+    tmp_path: Path, export: Call, watched: Watched, min_probability: float
 ) -> None:
-    assert export(tmp_path / "live.xyz", "--min-probability", str(least))[0] == 0
-    assert centres_in(tmp_path / "live.xyz") == cells_of(watched.mirror(), least)
+    assert export(tmp_path / "live.xyz", "--min-probability", str(min_probability))[0] == 0
+    assert centres_in(tmp_path / "live.xyz") == cells_of(watched.mirror(), min_probability)
 
 
 def test_probabilities_are_calibrated(tmp_path: Path, export: Call) -> None:

@@ -75,8 +75,8 @@ def test_every_format_is_written(tmp_path: Path, call: Call, suffix: str) -> Non
 
 def test_probability_decides_what_is_occupied(tmp_path: Path, call: Call) -> None:
     source = files_of(map_of(OCCUPIED, FREE, UNSURE), tmp_path)[".map"]
-    for least, number in (("0.45", 4), ("0.7", 3), ("0.97", 0)):
-        assert call("convert", source, tmp_path / "a.ply", "--min-probability", least)[1][
+    for min_probability, number in (("0.45", 4), ("0.7", 3), ("0.97", 0)):
+        assert call("convert", source, tmp_path / "a.ply", "--min-probability", min_probability)[1][
             0
         ].startswith(f"{source}: {number} occupied, 3 free")
 

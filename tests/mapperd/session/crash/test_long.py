@@ -65,7 +65,7 @@ def test_nothing_grows_however_long_the_dive_is(tmp_path: Path) -> None:
     sonar_map, counters = SonarMap(CONFIG), PipelineCounters()
     poses = OdometryPoses(CONFIG)
     warm_files = 0
-    most_bytes = [0] * 10  # in each tenth of the dive
+    max_bytes = [0] * 10  # in each tenth of the dive
     with TileStore(tmp_path / "dive.map", sonar_map, tile_size_m=6.4, cache_tiles=2) as store:
         stored = StoredSession(store, sonar_map, "long", interval_s=0.2)
         steps = map_rest(stored, poses, Round(), Remarks(), counters=counters)
@@ -74,15 +74,15 @@ def test_nothing_grows_however_long_the_dive_is(tmp_path: Path) -> None:
                 warm_files = open_files()
             if chunk % 60 == 0:
                 tenth = min(chunk * 10 // (6 * PINGS), 9)
-                most_bytes[tenth] = max(most_bytes[tenth], resident_bytes())
+                max_bytes[tenth] = max(max_bytes[tenth], resident_bytes())
         assert open_files() == warm_files
         saves, loaded = store.counters.saves, store.counters.tiles_loaded
     assert counters.pings_mapped > 0.98 * PINGS
     assert loaded > PINGS / 40
     print(  # noqa: T201 for whoever asked for half a million
         f"{counters.pings_mapped} pings, {saves} saves, {loaded} tiles loaded; most RSS in each "
-        f"tenth, MB: {[round(size / 1e6, 1) for size in most_bytes]}"
+        f"tenth, MB: {[round(size / 1e6, 1) for size in max_bytes]}"
     )
     if PINGS >= LONG:
         warm = round(10 * WARM)
-        assert max(most_bytes[warm:]) < 1.05 * max(most_bytes[:warm])
+        assert max(max_bytes[warm:]) < 1.05 * max(max_bytes[:warm])

@@ -25,7 +25,7 @@ __all__ = ["FILE", "estimates_and_truth", "fit", "table"]
 FILE = PROFILE_FOLDER / "calibration" / "harbour.yaml"
 STEPS = 60
 FINE, FINE_TO = 0.2, 4.0
-LEAST = 50
+MIN_COUNT = 50
 """Groups of voxels that the curve begins from: so many of equal numbers, cut at steps of log-odds
 where probabilities differ, none with fewer voxels."""
 KEPT = 0.02
@@ -68,7 +68,7 @@ def _groups(log_odds: Floats) -> list[NDArray[np.int64]]:
     groups: list[NDArray[np.int64]] = []
     for i in np.unique(place):
         group = np.flatnonzero(place == i)
-        if groups and len(groups[-1]) < LEAST:
+        if groups and len(groups[-1]) < MIN_COUNT:
             group = np.concatenate([groups.pop(), group])
         groups.append(group)
     return groups

@@ -23,7 +23,7 @@ from studies.accuracy_cost.study import Dive
 
 Picture = NDArray[np.float64]
 
-LEAST = 1e-9
+MIN_AMPLITUDE = 1e-9
 """Of the expected amplitude: a cell of nothing has no level."""
 
 
@@ -103,7 +103,7 @@ class Ours:
         grained = _ping(engine, moments_of(self._dive)[0][0], physics).amplitude
         level_db = np.full(smooth.shape, np.nan)
         relative = grained[shows].astype(np.float64) / smooth[shows]
-        level_db[shows] = 20.0 * np.log10(np.maximum(relative, LEAST))
+        level_db[shows] = 20.0 * np.log10(np.maximum(relative, MIN_AMPLITUDE))
         return level_db
 
     def _planner(self) -> Planner:

@@ -79,11 +79,9 @@ class Link:
             self._used += len(message)
             self._acks.append((at_s + self._shape.delay_s, self._used))
             arrived.append(message)
-        least_s = 2 * self._shape.delay_s
-        in_network = int(max(self._free_s - now_s + least_s, 0.0) * self._shape.rate)
-        self._pacer.note_link(
-            self.unsent, least_s, self._round_trip_s, in_network, self._shape.rate
-        )
+        min_s = 2 * self._shape.delay_s
+        in_network = int(max(self._free_s - now_s + min_s, 0.0) * self._shape.rate)
+        self._pacer.note_link(self.unsent, min_s, self._round_trip_s, in_network, self._shape.rate)
         while self._acks and self._acks[0][0] <= now_s:
             if not self._pacer.note_ack(self._acks.popleft()[1], now_s):
                 raise AssertionError("more arrived than was sent")
