@@ -274,7 +274,7 @@ def decode_ping(message: Message, *, deliver_mismatched: bool = False) -> Ping |
 
 
 def decode_header(message: Message, *, deliver_mismatched: bool = False) -> PingHeader | Reject:
-    """Return the header of the ping in a message, or why there is none; arguments as `decode_ping`.
+    """Return the header of the ping in a message, or a `Reject`; arguments as `decode_ping`.
 
     It rejects the same messages as `decode_ping` and takes a fraction of its time.
     """

@@ -165,13 +165,13 @@ class Line:
             if heard["t"] != "status":
                 return heard
 
-    async def say(self, data: bytes) -> None:
+    async def send_bytes(self, data: bytes) -> None:
         self.writer.write(data)
         await self.writer.drain()
 
     async def send(self, message: dict[str, Any]) -> None:
         with contextlib.suppress(ConnectionError):  # what it has heard before counts
-            await self.say(message_of(message))
+            await self.send_bytes(message_of(message))
 
     async def ask(self, do: str, **more: Any) -> dict[str, Any]:
         self.number += 1

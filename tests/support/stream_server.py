@@ -114,7 +114,7 @@ class Connection:
         self.sent = self.acked = 0
         self.quiet = False
 
-    def say(self, *messages: FromServer) -> None:
+    def send(self, *messages: FromServer) -> None:
         output = b"".join(map(framed, messages))
         self.sent += len(output)
         self.served.sent += len(output)
@@ -123,7 +123,7 @@ class Connection:
     async def serve(self) -> None:
         served = self.served
         challenge = "" if served.token is None else "a challenge"
-        self.say(GreetingMessage(versions=served.versions, challenge=challenge))
+        self.send(GreetingMessage(versions=served.versions, challenge=challenge))
         beating: asyncio.Task[None] | None = None
         try:
             while data := await self.reader.read(65536):
@@ -142,17 +142,17 @@ class Connection:
         served = self.served
         served.hellos.append(hello)
         if served.token is not None and not is_proof(hello.proof, served.token, challenge):
-            self.say(ByeMessage(reason="wrong_token", message="that is not the token"))
+            self.send(ByeMessage(reason="wrong_token", message="that is not the token"))
             return False
         if served.refusal is not None:
-            self.say(served.refusal)
+            self.send(served.refusal)
             return False
         is_resumed = served.can_resume(hello)
         held = hello.resume.revision if hello.resume and is_resumed else 0
         self.reported = held or 0
         self.interest = hello.interest
-        self.say(self.welcomed(resumed=is_resumed, ticket=served.ticket))
-        self.tell()
+        self.send(self.welcomed(resumed=is_resumed, ticket=served.ticket))
+        self.publish()
         return True
 
     def welcomed(self, *, resumed: bool, ticket: str = "") -> WelcomeMessage:
@@ -176,30 +176,30 @@ class Connection:
         elif isinstance(message, ChangeMessage) and message.interest is not None:
             self.interest = message.interest
             self.reported = 0
-            self.say(
+            self.send(
                 ResetMessage(
                     map=self.served.facts,
                     revision=self.served.revision,
                     interest=self.interest,
                 )
             )
-            self.tell()
+            self.publish()
         elif isinstance(message, AskMessage):
             ask = msgspec.msgpack.decode(message.ask)
             self.served.asked.append(ask)
             if ask["do"] == "fail":
-                self.say(AnswerMessage(id=ask["id"], error={"reason": "refused", "message": "no"}))
+                self.send(AnswerMessage(id=ask["id"], error={"reason": "refused", "message": "no"}))
             elif ask["do"] != "wait":
-                self.say(AnswerMessage(id=ask["id"], result={"changed": ask.get("changes", {})}))
+                self.send(AnswerMessage(id=ask["id"], result={"changed": ask.get("changes", {})}))
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Send what changed, as a complete revision."""
         served = self.served
         blocks = served.since(self.reported)
         self.reported = served.revision
         if served.path is not None:
-            self.say(served.path)
-        self.say(
+            self.send(served.path)
+        self.send(
             BlocksMessage(
                 revision=served.revision,
                 stamp_ns=10**18,
@@ -210,7 +210,7 @@ class Connection:
 
     async def beat(self) -> None:
         while not self.quiet:
-            self.say(StatusMessage(stamp_ns=10**18, link=self.served.link))
+            self.send(StatusMessage(stamp_ns=10**18, link=self.served.link))
             await asyncio.sleep(self.served.status_s)
 
 
@@ -260,10 +260,10 @@ class Server:
         for connection in self.connections:
             connection.writer.transport.abort()
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Send the changes to all clients."""
         for connection in self.connections:
-            connection.tell()
+            connection.publish()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()

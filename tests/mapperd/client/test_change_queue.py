@@ -1,4 +1,4 @@
-"""A slow reader of changes is told what matters, in bounded memory."""
+"""A slow reader of changes gets what matters, in bounded memory."""
 
 import numpy as np
 import pytest

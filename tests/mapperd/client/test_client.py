@@ -79,7 +79,7 @@ def test_map_grows_with_the_daemons(short: Path) -> None:
                     reported.append(change.keys.tolist())
                     if len(reported) == 1:
                         served.put((-3, 4, 5), a_block(2))
-                        server.tell()
+                        server.publish()
                     elif [[-3, 4, 5]] in reported:
                         break
             assert reported[0] == [[0, 0, 0]]
@@ -216,7 +216,7 @@ def test_nonsense_is_counted_and_the_map_reported_again() -> None:
         async with pair(served) as (server, client):
             await client.complete(5)
             bad = msgspec.structs.replace(POSE, position_m=(float("nan"), 0.0, 0.0))
-            server.connections[0].say(POSE, bad)
+            server.connections[0].send(POSE, bad)
             await until(lambda: client.link.connects == 2)
             assert client.link.faults == 1
             assert client.pose == POSE
@@ -284,7 +284,7 @@ def test_reader_that_begins_late_is_reported_all_that_is_known() -> None:
     async def read() -> None:
         async with pair(with_blocks(3)) as (server, client):
             await client.complete(5)
-            server.connections[0].say(POSE)
+            server.connections[0].send(POSE)
             await until(lambda: client.pose)
             reported: list[object] = []
             async for change in client.changes():
@@ -321,7 +321,7 @@ def test_map_that_is_too_large_ends_it() -> None:
     ],
 )
 def test_what_nobody_can_want_is_refused_at_once(options: dict[str, Any]) -> None:
-    with pytest.raises(ValueError):  # noqa: PT011 each says something else
+    with pytest.raises(ValueError):  # noqa: PT011 each has its own message
         MapClient(**options)
 
 
@@ -349,7 +349,7 @@ def test_example_runs_as_it_is(tmp_path: Path) -> None:
                 stdout=subprocess.PIPE,
             )
             await until(lambda: server.connections)
-            server.connections[0].say(POSE)
+            server.connections[0].send(POSE)
             output, _ = await running.communicate()
         assert running.returncode == 0
         assert b"connected" in output

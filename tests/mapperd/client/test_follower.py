@@ -56,7 +56,7 @@ def test_changes_between_two_calls_are_not_lost() -> None:
         follower.complete(5)
         assert list(follower.changes(0.05))
         sent = [change for change in follower.changes(0.0) if isinstance(change, MapReset)]
-        assert sent == []  # and what was told is not told again
+        assert sent == []  # and what was reported is not reported again
 
     follow(served, work)
 
@@ -83,7 +83,7 @@ def test_threads_read_while_the_map_changes() -> None:
         loop = server.connections[0].writer.transport._loop  # type: ignore[attr-defined]
         for number in range(40):
             served.put((number % 7, 0, 0), a_block(number))
-            loop.call_soon_threadsafe(server.tell)
+            loop.call_soon_threadsafe(server.publish)
         while mirror.complete != served.revision:
             list(follower.changes(0.01))
         is_over.set()

@@ -34,7 +34,7 @@ class Foreign:
         self._address = (host, port)
 
     def follow_until_complete(self, *, detail: str = "log_odds") -> None:
-        """One connection, until all of the interest is told."""
+        """One connection, until all of the interest has arrived."""
         with socket.create_connection(self._address, 5) as self._socket:
             self._read_bytes = 0
             for message in self._messages():
@@ -147,7 +147,7 @@ def test_a_client_made_from_the_document_holds_the_same_cells() -> None:
             sent = served.sent
             await asyncio.to_thread(foreign.follow_until_complete)
             assert foreign.cells == cells_of(served)
-            assert served.sent - sent < sent / 5  # and not all of it anew
+            assert served.sent - sent < sent / 5  # and not all of it again
             served.start_again("map-2")
             await asyncio.to_thread(foreign.follow_until_complete)
             assert foreign.cells == cells_of(served)

@@ -1,4 +1,4 @@
-"""What no daemon would say costs a client its connection, and nothing else."""
+"""Messages that no daemon sends cost a client its connection, and nothing else."""
 
 import tracemalloc
 from typing import Any

@@ -37,7 +37,7 @@ class Known:
 
 @dataclass
 class SentState:
-    """A daemon, a client of it, and the changes that it was told of the kinds it waits for."""
+    """A daemon, its client, and the changes that the client got, of the kinds it waits for."""
 
     daemon: FakeDaemon
     known: Known

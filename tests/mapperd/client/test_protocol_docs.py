@@ -1,4 +1,4 @@
-"""docs/reference/map-stream.md says what the code does."""
+"""docs/reference/map-stream.md describes what the code does."""
 
 import re
 import typing

@@ -22,7 +22,7 @@ CUT_AFTER = 2_000
 class Relay:
     """Between a client and a daemon; cuts each connection after some bytes, wherever that is.
 
-    The daemon is told, or goes on as if nothing were.
+    The daemon sees the end of the connection, or goes on as if nothing were.
     """
 
     def __init__(self, to: Path, at: Path, *, reports: bool) -> None:

@@ -1,4 +1,4 @@
-"""What a client says that it holds, and by which interest it reads what it is told."""
+"""What a client reports that it holds, and by which interest it reads messages."""
 
 import msgspec
 import numpy as np

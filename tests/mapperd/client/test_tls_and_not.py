@@ -1,4 +1,4 @@
-"""Who speaks TLS where there is none, or none where there is, is told so."""
+"""TLS to a plain server, and plain bytes to a TLS server, give an error that names the cause."""
 
 import asyncio
 import ssl

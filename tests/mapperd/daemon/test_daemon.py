@@ -105,7 +105,7 @@ class Bench:
 
     async def mapped(self, pings: int) -> None:
         wanted = self.live.counters.pings_mapped + pings
-        while self.live.counters.pings_mapped < wanted:  # noqa: ASYNC110 counters tell nobody
+        while self.live.counters.pings_mapped < wanted:  # noqa: ASYNC110 no event to await
             await asyncio.sleep(0.01)
 
 

@@ -1,4 +1,4 @@
-"""A daemon that localizes, with a sonar and a vehicle on loopback: asked, told, restarted."""
+"""A daemon that localizes, with a sonar and a vehicle on loopback: requests, poses, restarts."""
 
 import asyncio
 import json
@@ -87,7 +87,7 @@ async def localizing(
 
 
 async def until(true: Callable[[], object]) -> None:
-    while not true():  # noqa: ASYNC110 facts tell nobody here
+    while not true():  # noqa: ASYNC110 no event to await
         await asyncio.sleep(0.01)
 
 

@@ -79,7 +79,7 @@ def test_localization_is_drawn_with_where_it_was(
 
     async def until(true: Callable[[], bool]) -> None:
         async with asyncio.timeout(60):
-            while not true():  # noqa: ASYNC110 nobody tells
+            while not true():  # noqa: ASYNC110 no event to await
                 await asyncio.sleep(0.005)
 
     async def run() -> None:
@@ -129,11 +129,11 @@ def test_pictures_are_drawn_while_the_setting_is_on(
         show = {"visualization.show_opencv_visualization": True}
         assert isinstance(store.apply(show, "test"), Applied)
         async with asyncio.timeout(60):
-            while events.last < 1 or drawn() < 3:  # noqa: ASYNC110 nobody tells
+            while events.last < 1 or drawn() < 3:  # noqa: ASYNC110 no event to await
                 await asyncio.sleep(0.005)
         for task in (good, bad):
             task.cancel()
         await asyncio.gather(good, bad, return_exceptions=True)
 
     asyncio.run(run())
-    assert [event.code for event in events.since(0)[0]] == ["debug_pictures"]  # said once
+    assert [event.code for event in events.since(0)[0]] == ["debug_pictures"]  # reported once

@@ -110,7 +110,7 @@ def test_events_are_numbered_kept_for_a_while_and_reported() -> None:
     for i in range(5):
         log.add(Severity.INFO, "code", f"text {i}", range_m=i)
     end()
-    log.add(Severity.ERROR, "code", "not told")
+    log.add(Severity.ERROR, "code", "not reported")
     kept, lost = log.since(1)
     assert reported == [1, 2, 3, 4, 5]
     assert [one.number for one in kept] == [4, 5, 6]

@@ -54,7 +54,7 @@ def reported(tmp_path: Path) -> SentState:
 
 def test_newest_estimate_is_saved(reported: SentState) -> None:
     reported.keeper.save()
-    assert reported.saved_x_m is None  # there is none yet
+    assert reported.saved_x_m is None  # nothing is saved yet
     reported.now_at(1.0, 1)
     reported.keeper.save()
     assert reported.saved_x_m == 1.0

@@ -65,7 +65,7 @@ async def send_odometry(port: int, make: Callable[..., bytes], **changes: Any) -
 
 
 async def mapped(live: Live, pings: int) -> None:
-    while live.counters.pings_mapped < pings:  # noqa: ASYNC110 counters tell nobody
+    while live.counters.pings_mapped < pings:  # noqa: ASYNC110 no event to await
         await asyncio.sleep(0.01)
 
 
@@ -149,7 +149,7 @@ def test_a_port_that_is_taken_is_reported_and_tried_again(ping_bytes: PingBytes)
                 )
 
                 async def freed() -> None:
-                    while live.links[0].status.losses == 0:  # noqa: ASYNC110 it tells nobody
+                    while live.links[0].status.losses == 0:  # noqa: ASYNC110 no event to await
                         await asyncio.sleep(0.01)
                     taken.close()
                     while live.links[0].status.opened == 0:  # noqa: ASYNC110

@@ -1,4 +1,4 @@
-"""What clients should have been told, worked out voxel by voxel, and a client that is told."""
+"""What clients should have been sent, worked out voxel by voxel, and a client of the map."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,5 +151,5 @@ def look_until_indexed(source: MapSource, now_ns: int = SECOND_NS) -> None:
 
 
 def assert_same(client: Client, sonar_map: SonarMap) -> None:
-    """What a client holds is what the map says of its interest."""
+    """Assert that a client holds what the map holds within its interest."""
     assert client.holds() == expected(sonar_map.core, client.mirror.facts, client.interest)

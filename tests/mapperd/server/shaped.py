@@ -72,7 +72,7 @@ class Link:
         self.carry(size)
 
     def carry(self, size: int) -> None:
-        """What the pacer was told of already."""
+        """Carry bytes that the pacer has noted already."""
         self._unsent.append((size, self.now_s))
 
     def step(self) -> None:
@@ -111,7 +111,7 @@ class Link:
             self._queue.append(([float(size), float(size), given_s], mark))
 
     def _measure(self, size: float, mark: "Mark") -> None:
-        """A packet leaves the narrowest place; its acknowledgement says so later."""
+        """A packet leaves the narrowest place; its acknowledgement reports it later."""
         trip_s = self.there_s + self.back_s
         round_trip_s = self.now_s - mark.sent_s + trip_s
         self._round_trip_s += (round_trip_s - self._round_trip_s) / 8

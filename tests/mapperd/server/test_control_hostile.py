@@ -42,7 +42,7 @@ def test_endless_message_is_cut(short: Path, tls: Contexts, kind: str, greeted: 
         sent = 0
         try:
             while sent < 64 << 20:
-                await line.say(b"x" * 65536)
+                await line.send_bytes(b"x" * 65536)
                 sent += 65536
         except ConnectionError:
             pass
@@ -73,7 +73,7 @@ async def _trickle(line: Line, data: bytes) -> int:
     """A byte now and then; each comes in time, all together do not. How many were taken."""
     for k in range(len(data)):
         try:
-            await line.say(data[k : k + 1])
+            await line.send_bytes(data[k : k + 1])
         except ConnectionError:
             return k
         await asyncio.sleep(0.02)
@@ -122,7 +122,7 @@ def test_client_that_never_reads_is_cut(short: Path, tls: Contexts, kind: str) -
         line.writer.transport.pause_reading()  # type: ignore[attr-defined]
         with contextlib.suppress(ConnectionError):
             while one.server.status()["clients"]:
-                await asyncio.wait_for(line.say(ASK), 60)
+                await asyncio.wait_for(line.send_bytes(ASK), 60)
                 await asyncio.sleep(0)
         await until(lambda: one.counters["cut_too_many_asks"] + one.counters["cut_unread"] == 1)
         line.close()
@@ -152,7 +152,7 @@ ASK = message_of({"t": "ask", "ask": {"id": 1, "do": "params"}})
 async def _flood(line: Line) -> None:
     with contextlib.suppress(ConnectionError):
         while True:
-            await line.say(ASK * 100)
+            await line.send_bytes(ASK * 100)
             await asyncio.sleep(0)
 
 
@@ -235,7 +235,7 @@ def test_guessing_the_token_is_slow_even_for_the_right_one(
         (wait_s,) = re.findall(r"wait (\d+) s", bye["message"])
         assert 0 < int(wait_s) <= 10
         line.close()
-        assert one.daemon.events.last == 5  # said as often as tried, not as often as asked
+        assert one.daemon.events.last == 5  # reported as often as tried, not as often as requested
         async with await one.line("unix") as good:
             assert "result" in await good.ask("status")
 
@@ -296,16 +296,16 @@ async def _misbehave(one: Served, kind: str, way: int) -> None:
     line = await one.line(kind)
     try:
         if way == 0:
-            await line.say(b"x" * 200_000)
+            await line.send_bytes(b"x" * 200_000)
         elif way == 1:
             for request in MALFORMED:
-                await line.say(message_of({"t": "ask", "ask": request}))
+                await line.send_bytes(message_of({"t": "ask", "ask": request}))
         elif way == 2:
             await _trickle(line, ASK * 3)
         elif way == 3:
-            await line.say(ASK * 60)
+            await line.send_bytes(ASK * 60)
         elif way == 4:
-            await line.say(ASK[:20])
+            await line.send_bytes(ASK[:20])
         else:
             await line.send({"t": "change", "wants": ["events"]})
         if way in (0, 1, 3):

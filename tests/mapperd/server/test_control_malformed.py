@@ -1,4 +1,4 @@
-"""Whatever a client says is answered or cut, and the next one is served."""
+"""Whatever a client sends is answered or cut, and the next one is served."""
 
 import math
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What clients ask is done, on every socket, and what cannot be done is said."""
+"""Requests are done, on every socket, and what cannot be done is reported."""
 
 import asyncio
 import ssl
@@ -192,7 +192,7 @@ def test_requests_may_be_sent_ahead_and_are_answered_in_order(short: Path) -> No
     async def work(one: Served) -> None:
         async with await one.line() as line:
             asks = [{"id": 10 + k, "do": ("status", "reset")[k % 2]} for k in range(8)]
-            await line.say(b"".join(message_of({"t": "ask", "ask": ask}) for ask in asks))
+            await line.send_bytes(b"".join(message_of({"t": "ask", "ask": ask}) for ask in asks))
             assert [(await line.hear())["id"] for _ in asks] == [ask["id"] for ask in asks]
 
     go(work, short)

@@ -69,7 +69,7 @@ def test_a_fault_of_one_clients_map_ends_its_connection_and_no_other(short: Path
             await asyncio.gather(*ends, return_exceptions=True)
             first = watchers[at]
             others = [watcher for watcher in watchers if watcher is not first]
-            assert first.complete == 10  # of what it was not told, nothing counts as told
+            assert first.complete == 10  # nothing counts as sent that was not sent
             for watcher in others:
                 await watcher.until(lambda watcher=watcher: watcher.complete == 21)  # type: ignore[misc]
                 assert watcher.cells == as_bytes(bed.source)
@@ -117,7 +117,7 @@ def test_tls_that_is_gone_before_its_client_knows_is_let_be(
             below._transport.abort()
             while below._transport is not None:  # from here on it has no socket  # noqa: ASYNC110
                 await asyncio.sleep(0)
-            client.is_over = False  # as it is until it is told, a turn of the loop later
+            client.is_over = False  # as it is until the next turn of the loop
             client.turn()
             client.is_over = True
             await watcher.leave()

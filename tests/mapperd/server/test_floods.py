@@ -1,4 +1,4 @@
-"""However much a client says at once, the event loop has its turns."""
+"""However much a client sends at once, the event loop has its turns."""
 
 import asyncio
 from pathlib import Path
@@ -34,7 +34,7 @@ def test_many_messages_are_heard_in_many_turns(
             output = 10_000 * framed(ChangeMessage()) + framed(ChangeMessage(bytes_per_s=77_777))
             watcher.writer.write(output)
             (client,) = bed.server._clients
-            while client.session.pacer.bytes_per_s != 77_777:  # noqa: ASYNC110 it tells nobody
+            while client.session.pacer.bytes_per_s != 77_777:  # noqa: ASYNC110 no event to await
                 await asyncio.sleep(0)
             assert max(taken) <= 8192
             await watcher.leave()
@@ -53,7 +53,7 @@ def test_of_many_changes_the_newest_is_heeded_in_its_time() -> None:
             session.view_request = None
 
     for n in range(100):
-        reported.say(ChangeMessage(interest=Interest(radius_m=float(n + 1))))
+        reported.send(ChangeMessage(interest=Interest(radius_m=float(n + 1))))
         look()
     assert heeded == [float(n + 1) for n in range(CHANGES_AT_ONCE)]
     for _ in range(8):
@@ -63,7 +63,7 @@ def test_of_many_changes_the_newest_is_heeded_in_its_time() -> None:
     assert heeded[CHANGES_AT_ONCE:] == [100.0]
     for n in range(400):
         reported.link.now_s += 0.01
-        reported.say(ChangeMessage(interest=Interest(radius_m=1000.0 + n)))
+        reported.send(ChangeMessage(interest=Interest(radius_m=1000.0 + n)))
         session.look(reported.now_s)
         look()
     assert 4 * CHANGES_PER_S - 1 <= len(heeded) - CHANGES_AT_ONCE - 1 <= 4 * CHANGES_PER_S + 2
@@ -84,7 +84,7 @@ def test_who_acknowledges_and_asks_but_never_reads_is_cut(
             while not client.is_over:
                 if not client.session.asks:
                     ask = msgspec.msgpack.encode({"do": "status", "id": 1})
-                    watcher.say(
+                    watcher.send(
                         AskMessage(ask=msgspec.Raw(ask)),
                         AckMessage(bytes=client.session.pacer.sent),
                     )

@@ -104,7 +104,7 @@ def test_a_request_that_is_invalid_is_answered(short: Path, ask: bytes, reason: 
         async with bed_of(short) as bed:
             watcher = await bed.welcomed(wants=[])
             watcher.writer.write(framed(AskMessage(ask=msgspec.Raw(ask))))
-            if reason is None:  # the message itself is none
+            if reason is None:  # the message itself is malformed
                 bye = await watcher.over()
                 assert bye is not None
                 assert bye.reason == "bad_message"
@@ -191,7 +191,7 @@ def test_no_hello_in_tls_costs_nothing(short: Path, tls: tuple[object, object]) 
             silent_reader, silent = await asyncio.open_connection(*address)
             assert await silent_reader.read() == b""
             silent.close()
-            while bed.counters["connections_lost"] < 2:  # noqa: ASYNC110 it tells nobody
+            while bed.counters["connections_lost"] < 2:  # noqa: ASYNC110 no event to await
                 await asyncio.sleep(0.01)
             assert bed.server.status()["newcomers"] == 0
 

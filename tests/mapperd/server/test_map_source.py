@@ -78,7 +78,7 @@ def test_a_block_that_changes_twice_before_it_is_reported_is_reported_once() -> 
 def test_what_was_reported_between_two_looks_and_is_as_before_is_sent_again(
     at_look: float | None,
 ) -> None:
-    """A block is told as it is; a look compares it with what it was at the look before."""
+    """A block is sent as it is; a look compares it with what it was at the look before."""
     sonar_map = SonarMap(CONFIG)
     source = source_of(sonar_map)
     point, beside = np.array([[0.05, 0.05, 0.05]]), np.array([[0.15, 0.05, 0.05]])

@@ -1,4 +1,4 @@
-"""The map is told in messages that are worth their heads."""
+"""The map is sent in messages that are worth their heads."""
 
 from types import SimpleNamespace
 from typing import Any

@@ -1,4 +1,4 @@
-"""Of pictures, one client is told newer ones only, however coarse they become."""
+"""A client gets only newer pictures, however coarse they become."""
 
 from collections.abc import Callable
 
@@ -13,7 +13,7 @@ from tests.mapperd.server.test_state_feed import feed_of, fused, treated
 
 
 class Choosing(ClientOutbox):
-    """A client with room for pictures that are as coarse as a test says."""
+    """A client with room for pictures that are as coarse as a test requires."""
 
     coarse = 0
 
@@ -30,7 +30,7 @@ def test_no_picture_is_older_than_the_one_before(ping: Callable[..., Ping]) -> N
     feed, _, _ = feed_of()
     now_s = 100.0
 
-    def tell(client: ClientOutbox) -> list[int]:
+    def deliver(client: ClientOutbox) -> list[int]:
         output = client_inbox().feed(b"".join(client.pieces(now_s, 1)))
         return [one.ping_id for one in output if isinstance(one, ImageMessage)]
 
@@ -49,10 +49,10 @@ def test_no_picture_is_older_than_the_one_before(ping: Callable[..., Ping]) -> N
         feed.refresh({"image"}, now_s)
         feed.draw({"image"}, drawn)
         one.coarse = coarse
-        sent += tell(one)
+        sent += deliver(one)
     assert sent == [1, 2, 4, 6]
     assert len(feed.image(0).frame) > len(feed.image(2).frame) > 0  # so large they are
     late = client()
-    assert tell(late) == []  # the fine one is of the fourth ping
+    assert deliver(late) == []  # the fine one is of the fourth ping
     late.coarse = 1
-    assert tell(late) == [7]
+    assert deliver(late) == [7]

@@ -106,7 +106,7 @@ def test_stalls_again_and_again_do_not_empty_it(stall_s: float, *, calm: bool) -
 
 @pytest.mark.parametrize("every_s", [0.1, 0.5])
 def test_little_to_report_reports_nothing_against_the_link(every_s: float) -> None:
-    """Whether all has arrived before more is said, or something is always under way."""
+    """Whether all has arrived before more is sent, or something is always under way."""
     link = Link(lambda _: 32_000)
     link.fill(10.0)
     rate = link.pacer.rate

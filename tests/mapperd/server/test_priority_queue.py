@@ -34,7 +34,7 @@ class Queue:
             self.since.setdefault(number, self.turn)
 
     def of_pass(self) -> list[tuple[float, ...]]:
-        """Near ones of the pass; another begins where there are none."""
+        """Near ones of the pass; another begins where none is left."""
         near = self.order(ALL, "near")
         if not any(one[0] <= self.pass_turn for one in near):
             self.pass_turn = self.turn

@@ -135,7 +135,7 @@ def test_what_changes_meanwhile_is_reported() -> None:
 
 
 def test_that_a_block_is_empty_is_sent_again() -> None:
-    """Beyond the radius blocks are told as empty: the client keeps those it was not told of."""
+    """Blocks beyond the radius are sent as empty: the client keeps those that were not sent."""
     sonar_map = mapped()
     source = source_of(sonar_map)
     parked = Parked(source, interest=Interest(radius_m=2.0), sent=0, used=0)
@@ -269,7 +269,7 @@ def test_what_is_remembered_is_bounded() -> None:
     for number in range(1, 100_000):
         ends.note(number, 10 * number)
     assert len(ends._ends) <= 4096
-    assert ends.number_at(10) == 0  # more is told again than need be
+    assert ends.number_at(10) == 0  # more is sent again than need be
     assert ends.number_at(999_990 - 5) == 99_998
 
 
@@ -279,7 +279,7 @@ def test_what_is_remembered_is_bounded() -> None:
 def test_who_is_lost_is_kept_and_who_is_cut_is_not(short: Path, how: str, parked: int) -> None:
     async def end(bed: Bed, client: Watcher) -> None:
         if how == "breaks the rules":
-            client.say(AckMessage(bytes=10**9))
+            client.send(AckMessage(bytes=10**9))
         elif how == "is silent":
             client.acks = False
             bed.source.put((5, 0, 0), 1)

@@ -1,4 +1,4 @@
-"""What is near is told in passes with rests, and the rest of the map in between."""
+"""The near map is sent in passes with pauses, and the rest of the map in between."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What one client is told, and when, in a time of its own."""
+"""What one client is sent, and when, in a time of its own."""
 
 from collections import Counter
 from types import SimpleNamespace
@@ -104,7 +104,7 @@ class SentState:
         self.heard: list[tuple[float, Any]] = []
         self.way = b""
         self._send(self.session.greeting(self.now_s))
-        self.say(HelloMessage(version=1, **hello))
+        self.send(HelloMessage(version=1, **hello))
         self.map: Any = None
         if has_map:
             self.map = LargeMap()
@@ -115,7 +115,7 @@ class SentState:
     def now_s(self) -> float:
         return self.link.now_s
 
-    def say(self, message: FromClient) -> None:
+    def send(self, message: FromClient) -> None:
         self.session.take(framed(message), self.now_s)
 
     def _send(self, data: bytes) -> None:
@@ -301,7 +301,7 @@ def points_of(reported: SentState) -> Any:
 def test_what_is_not_wanted_any_more_is_not_reported() -> None:
     reported = SentState(1e6, wants=["pose"])
     reported.tick(10, poses=True)
-    reported.say(ChangeMessage(wants=["robots"]))
+    reported.send(ChangeMessage(wants=["robots"]))
     reported.tick(5)
     reported.heard.clear()
     reported.feed.make("robots", RobotsMessage(seen=[(1, 2.0, 3.0, 4.0)]))

@@ -1,4 +1,4 @@
-"""What part of a map a client is told, in which order, and what it need not be told again."""
+"""What part of a map a client is sent, in which order, and what need not be sent again."""
 
 from typing import Any
 
@@ -98,7 +98,7 @@ def test_resuming_reports_what_changed_meanwhile_and_no_more() -> None:
     client.hear()
     sent = client.sent_blocks
     client.view.close()
-    for minute in (2, 3, 4):  # long enough that nobody remembers what was told
+    for minute in (2, 3, 4):  # long enough that nobody remembers what was sent
         source.look(minute * 60 * SECOND_NS)
     scatter(sonar_map, 4, 3, reach_m=1.0)
     client.reconnect(source)
@@ -210,7 +210,7 @@ def test_much_that_changed_is_found_in_pieces_nearest_first(
 def test_what_was_reported_before_its_turn_and_is_as_before_is_sent_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Its change was seen by a look, and not indexed yet, when it was told as it is."""
+    """Its change was seen by a look, and not indexed yet, when the block was sent."""
     sonar_map = SonarMap(CONFIG)
     source = source_of(sonar_map)
     near, far = np.array([[0.05, 0.05, 0.05]]), np.array([[9.05, 0.05, 0.05]])

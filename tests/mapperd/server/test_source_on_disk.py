@@ -214,7 +214,7 @@ def test_who_knows_what_was_never_saved_is_reported_all(tmp_path: Path) -> None:
         integrate(daemon.map, 11)
         daemon.look()
         ahead.hear()
-        between.hear(200, 1)  # it is told some of it, and not that this is all
+        between.hear(200, 1)  # it gets some of it, and not that this is all
     assert between.mirror.complete == behind.mirror.complete
     with daemon_of(tmp_path / "dive.map") as daemon:
         integrate(daemon.map, 12)  # that ping is gone: its revision means another map now

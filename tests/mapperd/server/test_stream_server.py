@@ -70,7 +70,7 @@ def test_twenty_clients_come_and_go_and_have_the_map(short: Path) -> None:
                 fill(bed, 100, layer)
                 await asyncio.sleep(0.02)
             await asyncio.gather(*watchers)
-            while bed.server.status()["clients"]:  # noqa: ASYNC110 it tells nobody
+            while bed.server.status()["clients"]:  # noqa: ASYNC110 no event to await
                 await asyncio.sleep(0.01)
             bed.shift_s = 121.0  # by then nobody comes back
             while bed.source.views:  # noqa: ASYNC110 those who left cost nothing
@@ -86,7 +86,7 @@ def test_a_client_that_never_reads_costs_the_others_nothing(short: Path) -> None
         async with bed_of(short) as bed:
             fill(bed, 2000)
             lazy = await bed.watcher(size=4096)
-            lazy.say(HelloMessage(version=1, wants=["map", "status", "events", "settings"]))
+            lazy.send(HelloMessage(version=1, wants=["map", "status", "events", "settings"]))
             watcher = await bed.welcomed()
             await watcher.until(lambda: watcher.complete == 2000)
             assert watcher.cells == as_bytes(bed.source)
@@ -156,15 +156,15 @@ def test_another_interest_is_reported_again(short: Path) -> None:
         async with bed_of(short) as bed:
             fill(bed, 30)
             watcher = await bed.welcomed(wants=["pose"])
-            watcher.say(ChangeMessage(wants=["map"]))
+            watcher.send(ChangeMessage(wants=["map"]))
             await watcher.until(lambda: watcher.complete == 30)
-            watcher.say(ChangeMessage(interest=Interest(radius_m=5.0)))
+            watcher.send(ChangeMessage(interest=Interest(radius_m=5.0)))
             resets = watcher.resets
             await watcher.until(lambda: watcher.resets > resets)
             await watcher.until(lambda: watcher.complete == 30)
             assert watcher.cells == as_bytes(bed.source)
-            watcher.say(ChangeMessage(wants=[]))
-            while bed.source.views:  # noqa: ASYNC110 it tells nobody
+            watcher.send(ChangeMessage(wants=[]))
+            while bed.source.views:  # noqa: ASYNC110 no event to await
                 await asyncio.sleep(0.01)
             fill(bed, 5)
             watcher.newest.clear()
@@ -321,7 +321,7 @@ def test_no_more_clients_than_allowed(short: Path) -> None:
             assert bye is not None
             assert bye.reason == "too_many_clients"
             await first.leave()
-            while bed.server.status()["clients"] == 2:  # noqa: ASYNC110 it tells nobody
+            while bed.server.status()["clients"] == 2:  # noqa: ASYNC110 no event to await
                 await asyncio.sleep(0.01)
             fourth = await bed.welcomed()
             assert fourth.welcome is not None

@@ -1,4 +1,4 @@
-"""What the system tells about real sockets."""
+"""What the system reports about real sockets."""
 
 import asyncio
 import socket
@@ -88,7 +88,7 @@ def test_a_tuned_one_waits_for_nothing_and_is_calm_where_the_system_can_be(pair:
 
 
 class Answering:
-    """A socket of a system that says what a test wants."""
+    """A socket of a system that reports what a test wants."""
 
     def __init__(self, name: bytes, family: int = socket.AF_INET) -> None:
         self.name, self.family = name, family
@@ -174,7 +174,7 @@ def test_the_pacer_knows_of_each_connection(
         if kind == "unix":
             assert pacer.round_trip_s is None
         else:
-            while pacer.round_trip_s is None:  # noqa: ASYNC110 it tells nobody
+            while pacer.round_trip_s is None:  # noqa: ASYNC110 no event to await
                 await asyncio.sleep(0.01)
             assert 0 < pacer.round_trip_s < 1
         client.session.pacer._unsent = 77

@@ -54,7 +54,7 @@ def run(work: Coroutine[Any, Any, None]) -> None:
 
 
 class PlainView:
-    """Tells the blocks that changed since it told them last, nearest first."""
+    """Sends the blocks that changed since it sent them last, nearest first."""
 
     def __init__(self, source: "PlainSource", resume: Resume | None) -> None:
         self._source = source
@@ -249,17 +249,17 @@ class Watcher:
         self.heard: list[FromServer] = []
         self.acks = True
 
-    def say(self, *messages: FromClient) -> None:
+    def send(self, *messages: FromClient) -> None:
         self.writer.write(b"".join(map(framed, messages)))
 
     async def hello(self, token: bytes | None = None, **fields: Any) -> None:
         assert self.greeting is not None
         proof = "" if token is None else proof_of(token, self.greeting.challenge)
-        self.say(HelloMessage(**{"version": 1, "proof": proof, "wants": ["map"], **fields}))
+        self.send(HelloMessage(**{"version": 1, "proof": proof, "wants": ["map"], **fields}))
         await self.until(lambda: self.welcome is not None or self.bye is not None)
 
     async def ask(self, **ask: Any) -> Any:
-        self.say(AskMessage(ask=msgspec.Raw(msgspec.msgpack.encode(ask))))
+        self.send(AskMessage(ask=msgspec.Raw(msgspec.msgpack.encode(ask))))
         await self.until(lambda: any(getattr(one, "id", None) == ask["id"] for one in self.heard))
         return next(one for one in self.heard if getattr(one, "id", None) == ask["id"])
 
@@ -281,7 +281,7 @@ class Watcher:
         for message in self.inbox.feed(data):
             self._take(message)
         if self.acks and data and self.welcome is not None:
-            self.say(AckMessage(bytes=self.inbox.received))
+            self.send(AckMessage(bytes=self.inbox.received))
         return bool(data)
 
     def _take(self, message: FromServer) -> None:

@@ -216,7 +216,7 @@ def test_sessions_of_a_folder_go_into_one_map(tmp_path: Path, ping_bytes: MakeBy
     config = config_from_text(settings_text(folder))
     sonar_map = SonarMap(config)
     for session, x_m in (("one", 0.0), ("two", 2.0)):
-        pings = [ping_bytes(k) for k in range(1, 4)]  # the sonar began anew as well
+        pings = [ping_bytes(k) for k in range(1, 4)]  # the sonar started again as well
         short_session(sonar_map, session, pings, pose_from_rpy((x_m, 0, 0), (0, 0, 30)))
     (folder / "dive_000099_20261122T000000Z.mcap").touch()  # who was killed before the first byte,
     RecordingWriter(folder / "dive_000100_20261122T000001Z.mcap", metadata={SESSION: "x"}).close()

@@ -1,4 +1,4 @@
-"""docs/guides/replay.md says what the program does."""
+"""docs/guides/replay.md describes what the program does."""
 
 import re
 from collections.abc import Callable

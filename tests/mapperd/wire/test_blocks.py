@@ -1,4 +1,4 @@
-"""Blocks as bytes and back, and bytes that are none."""
+"""Blocks as bytes and back, and malformed bytes."""
 
 import hypothesis.extra.numpy as arrays
 import numpy as np

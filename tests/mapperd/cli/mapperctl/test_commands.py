@@ -250,8 +250,7 @@ def test_command_that_makes_no_sense_exits_2(
 class Terminal:
     """A person at a terminal who runs `mapperctl`.
 
-    Whoever runs these tests in a shell's background has them ignore SIGINT, and all they start; a
-    person's terminal does not.
+    Background jobs of a shell, these tests among them, ignore SIGINT; those of a terminal do not.
     """
 
     def __init__(self, *words: str) -> None:

@@ -188,9 +188,9 @@ def test_map_that_does_not_come_whole_is_no_file(
         one = BlockSet(
             np.zeros((1, 3), np.int32), np.zeros(1, np.uint32), a_block(3).reshape(1, CELLS)
         )
-        self.say(BlocksMessage(revision=3, stamp_ns=10**18, left=3, body=encode_blocks(one)))
+        self.send(BlocksMessage(revision=3, stamp_ns=10**18, left=3, body=encode_blocks(one)))
 
-    monkeypatch.setattr(Connection, "tell", send)
+    monkeypatch.setattr(Connection, "publish", send)
     code, lines, output = export(tmp_path / f"live{suffix}", "--timeout", "0.3")
     assert (code, lines) == (75, [])
     assert re.search(r"0\.3 s: 25 %, 3 blocks left, 0\.0 MiB", output)

@@ -62,7 +62,7 @@ def test_a_recording_ends_cleanly_on_request(short: Path) -> None:
         program = await started("record", str(path), "--socket", server.address, "--json")
         await until(lambda: served.acked)
         served.put((1, 2, 3), a_block(2))
-        server.tell()
+        server.publish()
         sent_bytes = served.sent
         await until(lambda: served.acked >= sent_bytes)
         program.send_signal(signal.SIGTERM)
@@ -184,7 +184,7 @@ def test_viewers_are_served_until_stopped(short: Path) -> None:
 def test_settings_are_changed_only_where_that_is_allowed(
     host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The server cannot tell viewers apart: on this computer any page may connect."""
+    """The server cannot distinguish viewers: on this computer any page may connect."""
     allowed: list[bool] = []
 
     async def serve(*_: object, may_change: bool) -> None:

@@ -1,6 +1,6 @@
 """A program that starts daemons at once: it has imported everything, and forks.
 
-Reads command lines (JSON lists) from its standard input, and says the number of the process that
+Reads command lines (JSON lists) from its standard input, and prints the number of the process that
 carries each one out, and later how it ended: `began PID`, `ended PID STATUS`.
 """
 
@@ -19,7 +19,7 @@ def work(words: list[str]) -> None:
     code = 70
     try:
         code = int(cli.main(words))
-    except BaseException:  # noqa: BLE001 nobody else is there to say it
+    except BaseException:  # noqa: BLE001 nobody else could report it
         traceback.print_exc()
     finally:
         sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""The daemon dies while it maps where localization says; the map is that of the recordings.
+"""The daemon dies while it maps at poses of the localization; the map is that of the recordings.
 
 The vehicle stands in a room that is known, and its odometry thinks that it moves to and fro.
 """

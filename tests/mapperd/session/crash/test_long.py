@@ -79,7 +79,7 @@ def test_nothing_grows_however_long_the_dive_is(tmp_path: Path) -> None:
         saves, loaded = store.counters.saves, store.counters.tiles_loaded
     assert counters.pings_mapped > 0.98 * PINGS
     assert loaded > PINGS / 40
-    print(  # noqa: T201 for whoever asked for half a million
+    print(  # noqa: T201 for the person who runs half a million
         f"{counters.pings_mapped} pings, {saves} saves, {loaded} tiles loaded; most RSS in each "
         f"tenth, MB: {[round(size / 1e6, 1) for size in max_bytes]}"
     )

@@ -62,15 +62,15 @@ def record(config: Config, number: int, session: str, pings: range, **decided: A
             LINK: writer.add_link(LINK, DECISIONS),
         }
 
-        def say(decision: Any, t_ns: int) -> None:
+        def log(decision: Any, t_ns: int) -> None:
             writer.write(links[LINK], chunk_of(decision, t_ns).data, t_ns)
 
         settings = decided.get("settings", msgspec.to_builtins(config))
-        say(Session(session, "1", settings), START_NS)
+        log(Session(session, "1", settings), START_NS)
         for k in pings:
             t_ns = START_NS + k * S // 10
             if k == decided.get("at"):
-                say(decided["what"], t_ns)
+                log(decided["what"], t_ns)
             odometry = make_odometry(p=(0.3 * k, 0.0, 0.0))
             writer.write(links["vehicle"], odometry, t_ns)
             data = make_ping(k + 1)
@@ -120,7 +120,7 @@ def codes(events: EventLog) -> list[str]:
     codes = [event.code for event in events.since(0)[0]]
     return [
         code for code in codes if code != "map_continued"
-    ]  # which every start but the first says
+    ]  # which every start but the first reports
 
 
 def content(config: Config) -> tuple[str, Position]:
