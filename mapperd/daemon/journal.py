@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Protocol
 
 from mapperd.events import Event, Severity
@@ -18,9 +19,20 @@ PRIORITIES = {
 """Of syslog(3), as sd-daemon(3) writes them before a line."""
 
 REPEAT_S = 10.0
-"""The same code and text is written once in so long."""
+"""Minimum time between two lines with the same code and text; doubles while the event repeats."""
+
+MAX_REPEAT_S = 3600.0
 
 MAX_REMEMBERED = 256
+
+
+@dataclass(slots=True)
+class _Logged:
+    """The last line with one code and text: its time, the pause after it, repeats since."""
+
+    at_s: float
+    pause_s: float
+    repeats: int = 0
 
 
 class Writable(Protocol):
@@ -55,26 +67,28 @@ class Journal:
         self._clock = clock
         self._priorities = priorities
         self._max_priority = PRIORITIES[min_severity]
-        self._logged: dict[tuple[str, str], tuple[float, int]] = {}
+        self._logged: dict[tuple[str, str], _Logged] = {}
 
     def write(self, event: Event) -> None:
         """Write an event, unless the same was written just now."""
         if PRIORITIES[event.severity] > self._max_priority:
             return
         key, now_s = (event.code, event.text), self._clock()
-        logged_s, repeats = self._logged.get(key, (float("-inf"), 0))
-        if now_s - logged_s < REPEAT_S:
-            self._logged[key] = (logged_s, repeats + 1)
+        logged = self._logged.get(key)
+        if logged is not None and now_s - logged.at_s < logged.pause_s:
+            logged.repeats += 1
             return
-        again = f" (and {repeats} times more since)" if repeats else ""
-        self._remember(key, now_s)
+        self._remember(key, logged, now_s)
+        again = f" (and {logged.repeats} times more since)" if logged and logged.repeats else ""
         self._line(event.severity, f"{event.text}{again}")
 
-    def _remember(self, key: tuple[str, str], now_s: float) -> None:
+    def _remember(self, key: tuple[str, str], before: "_Logged | None", now_s: float) -> None:
+        goes_on = before is not None and before.repeats > 0
+        pause_s = min(2 * before.pause_s, MAX_REPEAT_S) if before and goes_on else REPEAT_S
         self._logged.pop(key, None)
         while len(self._logged) >= MAX_REMEMBERED:
             self._logged.pop(next(iter(self._logged)))
-        self._logged[key] = (now_s, 0)
+        self._logged[key] = _Logged(now_s, pause_s)
 
     def _line(self, severity: Severity, text: str) -> None:
         mark = f"<{PRIORITIES[severity]}>" if self._priorities else "mapperd: "

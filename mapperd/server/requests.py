@@ -99,10 +99,11 @@ async def _with_session(
 
 def _events(log: EventLog, since: int) -> dict[str, Any]:
     found, missed = log.since(min(since, log.last))
+    found = found[:EVENTS_AT_ONCE]
     return {
-        "events": [event.plain() for event in found[:EVENTS_AT_ONCE]],
+        "events": [event.plain() for event in found],
         "missed": missed,
-        "more": len(found) > EVENTS_AT_ONCE,
+        "more": bool(found) and found[-1].number < log.last,
     }
 
 

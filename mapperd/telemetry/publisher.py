@@ -113,7 +113,7 @@ class Reporter:
                     "facts": {"missed": missed},
                 }
             )
-            self._last_event += missed
+            self._last_event = events[0].number - 1 if events else self._operations.events.last
         for event in events[: max(self._outbox.room, 0)]:
             self._put_event(event.plain())
             self._last_event = event.number

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from mapperd.daemon.journal import Journal, goes_to_journal
-from mapperd.events import Event, EventLog, Severity
+from mapperd.events import SEPARATE, Event, EventLog, Severity
 
 
 def event(text: str, severity: Severity = Severity.NOTICE, code: str = "sonar_link") -> Event:
@@ -75,6 +75,14 @@ def test_repeats_are_counted_and_reported_once() -> None:
     ]
 
 
+def test_lines_of_an_event_that_goes_on_become_rare() -> None:
+    writer, stream, clock = journal()
+    for second in range(24 * 3600):
+        clock.now_s = float(second)
+        writer.write(event("odometry: backing off"))
+    assert len(stream.getvalue().splitlines()) < 40
+
+
 def test_ever_new_texts_take_no_memory() -> None:
     writer, _, _ = journal()
     for i in range(10_000):
@@ -125,4 +133,49 @@ def test_events_are_numbered_kept_for_a_while_and_reported() -> None:
         "code": "code",
         "text": "text 3",
         "facts": {"range_m": 3},
+        "count": 1,
+        "first_s": 5.0,
     }
+
+
+def test_repeated_events_are_one_entry_with_a_count_and_the_last_time() -> None:
+    clock = Clock()
+    log = EventLog(lambda: round(clock() * 1e9))
+    log.add(Severity.NOTICE, "sonar_link", "sonar: pinging")
+    for clock.now_s in range(0, 4 * 3600, 5):  # two links that nobody answers
+        for name in ("dvl", "imu"):
+            for phase in ("opening", "backing off"):
+                log.add(Severity.NOTICE, "odometry_link", f"{name}: {phase}")
+    events, discarded = log.since(0)
+    assert discarded == 0
+    assert len(events) == 1 + 4 * SEPARATE
+    assert [one.text for one in events[:2]] == ["sonar: pinging", "dvl: opening"]
+    assert [one.count for one in events[:-4]] == [1] * 17
+    for one in events[-4:]:
+        plain = one.plain()
+        assert (plain["count"], plain["first_s"], plain["t_s"]) == (2876, 20.0, 14395.0)
+    assert log.since(log.last - 1)[0][0].count == 2876  # who follows the log receives repeats
+
+
+def test_an_event_long_after_another_is_its_own_entry() -> None:
+    clock = Clock()
+    log = EventLog(lambda: round(clock() * 1e9))
+    for clock.now_s in (*range(10), 610):
+        log.add(Severity.WARNING, "behind", "pings come faster than they can be mapped")
+    assert [one.count for one in log.since(0)[0]] == [1, 1, 1, 1, 6, 1]
+
+
+def test_no_code_displaces_the_others() -> None:
+    log = EventLog(lambda: 0, kept=10)
+    log.add(Severity.ERROR, "store_damaged", "the map is damaged")
+    for i in range(1000):
+        log.add(Severity.WARNING, "lost", f"localization is lost at x {i} m")
+    log.add(Severity.NOTICE, "map_saved", "written")
+    found, missed, after = [], 0, 0
+    while after < log.last:  # as one that follows the log
+        events, discarded = log.since(after)
+        found += events
+        missed += discarded
+        after = events[-1].number
+    assert [one.code for one in found] == ["store_damaged", *["lost"] * 8, "map_saved"]
+    assert missed == 1002 - 10

@@ -149,6 +149,8 @@ def test_events_are_sent_as_they_happen(short: Path) -> None:
                 "code": "new",
                 "text": "then",
                 "facts": {"depth_m": 3.5},
+                "count": 1,
+                "first_s": 1_700_000_000.0,
             }
             assert (await line.ask("status"))["result"]["phase"] == "mapping"
             assert (await other.ask("events", since=1))["result"]["events"][0]["number"] == 2
