@@ -17,8 +17,9 @@ EPILOG = """\
 `mapperd doctor` checks every link and names a remedy for the first failure.
 
 exit codes: 0 the map is written; 2 the command cannot be done as given; 65 the file is no
-recording, or nothing in it or from the sonar could be mapped; 66 the file cannot be opened; 69 a
-link cannot be opened; 73 results cannot be written; 78 the settings are wrong; 130 interrupted"""
+recording, nothing in it or from the sonar could be mapped, or damage cost a part of it; 66 the file
+cannot be opened; 69 a link cannot be opened; 73 results cannot be written; 78 the settings are
+wrong; 130 interrupted"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,7 @@ class Arguments:
         pose: of the base in the map for every ping, None to take it from the odometry.
         integrator: instead of the one in the settings.
         start_s, duration_s: the part of the recording to map.
+        use_damaged: map data that fail their checksum, too.
     """
 
     replay: tuple[Path, ...]
@@ -45,6 +47,7 @@ class Arguments:
     integrator: str | None
     start_s: float
     duration_s: float | None
+    use_damaged: bool = False
 
 
 class _Parser(argparse.ArgumentParser):
@@ -67,6 +70,8 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
         parser.error("--start is of a recording: it needs --replay")
     if args.store is not None and (not args.replay or args.start or args.duration):
         parser.error("--store is of whole recordings: it needs --replay, without a part of it")
+    if args.use_damaged and not args.replay:
+        parser.error("--use-damaged is of recordings: it needs --replay")
     if args.as_recorded and (problem := _contradiction(args)) is not None:
         parser.error(problem)
     return Arguments(
@@ -79,6 +84,7 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
         integrator=args.integrator,
         start_s=args.start,
         duration_s=args.duration,
+        use_damaged=args.use_damaged,
     )
 
 
@@ -145,6 +151,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--start", metavar="S", type=_seconds, default=0.0, help="skip the first S seconds of it")
     add("--duration", metavar="S", type=_positive, help="map S seconds and stop")
+    add(
+        "--use-damaged",
+        action="store_true",
+        help="also map recorded data that fail their checksum",
+    )
     add("--version", action="version", version=f"mapperd {__version__}")
     return parser
 

@@ -44,6 +44,9 @@ __all__ = ["Exit", "main"]
 
 STDERR = 2
 
+MAX_PLACES = 3
+"""Number of damaged parts that a message names; the summary names more."""
+
 
 class Exit(IntEnum):
     """Exit codes; those above 64 are of sysexits.h."""
@@ -153,9 +156,10 @@ def _poses(arguments: Arguments, config: Config) -> FixedPose | OdometryPoses:
 
 
 def _verdict(arguments: Arguments, summary: dict[str, Any]) -> Exit:
-    """Print the result; a map without a ping is a failure, unless a user stopped it."""
+    """Print the result; a map without a ping or a part is a failure, unless a user stopped it."""
     dropped = ", ".join(f"{why} {count}" for why, count in summary["pings_dropped"].items())
-    damage = summary["recording"]["damage"] if "recording" in summary else None
+    recording = summary.get("recording", {})
+    damage = _damage(recording)
     source = _source(arguments)
     ended = "live" in summary and summary["live"]["told_to_stop"]
     nothing_asked = summary["config"]["localization"]["mapping"] == "off" and (
@@ -166,7 +170,7 @@ def _verdict(arguments: Arguments, summary: dict[str, Any]) -> Exit:
         damaged = f" (damaged: {damage})" if damage else ""
         return _fail(Exit.BAD_DATA, f"{source}: {_why_empty(summary, dropped)}{damaged}")
     if damage:
-        _print(f"{source}: damaged: {damage}")
+        _line(3 if recording["data_lost"] else 6, f"{source}: damaged: {damage}")
     lost = f" (dropped: {dropped})" if dropped else ""
     problem = _written(
         sys.stdout,
@@ -176,7 +180,20 @@ def _verdict(arguments: Arguments, summary: dict[str, Any]) -> Exit:
     )
     if problem is not None:
         return _fail(Exit.CANNOT_WRITE, f"standard output: cannot be written: {problem}")
-    return Exit.OK
+    return Exit.BAD_DATA if recording.get("data_lost") else Exit.OK
+
+
+def _damage(recording: dict[str, Any]) -> str:
+    """Return the first damage of the recordings, and how many of their bytes are not mapped."""
+    damage = recording.get("damage") or ""
+    if not recording.get("damaged_parts"):
+        return damage
+    parts, size = recording["damaged_parts"], recording["damaged_bytes"]
+    places = ", ".join(f"{part['file']} byte {part['offset']}" for part in parts[:MAX_PLACES])
+    more = ", …" if len(parts) > MAX_PLACES else ""
+    done = "were mapped all the same" if recording["damaged_used"] else "were not mapped"
+    text = f"{size} bytes in {len(parts)} parts fail their checksum and {done} ({places}{more})"
+    return f"{damage}; {text}" if damage else text
 
 
 def _source(arguments: Arguments) -> str:

@@ -17,7 +17,7 @@ from mapperd.errors import ReplayError
 from mapperd.geometry.frames import Pose
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import PipelineCounters
-from mapperd.session.recordings import RecordedSession, files_in, sessions_of
+from mapperd.session.recordings import DamagedData, RecordedSession, files_in, sessions_of
 from mapperd.session.replay import (
     Run,
     Window,
@@ -66,7 +66,8 @@ def map_recordings(
         ReplayError: the recordings cannot become a map with the options given.
         RecordingError: one is not a recording, or is empty.
     """
-    sessions = sessions_of(files_in(arguments.replay, begun=True))
+    damaged = DamagedData(use=arguments.use_damaged)
+    sessions = sessions_of(files_in(arguments.replay, begun=True), damaged)
     if not sessions:
         raise RecordingError(f"{arguments.replay[0]}: no recording with anything in it")
     if arguments.as_recorded:
@@ -113,7 +114,10 @@ def _stored(
     if len(sessions) > 1:
         raise ReplayError("--store takes one recording at a time, and these are several sessions")
     began_s = time.perf_counter()
-    whole, poses, counters = map_into_store(sessions[0].paths, config, pose, path)
+    [session] = sessions
+    whole, poses, counters = map_into_store(
+        session.paths, config, pose, path, damaged=session.damaged
+    )
     wall_s = time.perf_counter() - began_s
     return whole, summary_of(recording_facts(sessions), whole, poses, counters, wall_s)
 

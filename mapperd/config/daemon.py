@@ -62,6 +62,10 @@ class RecordingConfig(Struct, frozen=True, forbid_unknown_fields=True):
         rule("Of all files together, the oldest go; 0 has no limit.", "MiB", ge=0, le=1 << 30),
     ] = 32768
     free_floor: Annotated[int, rule("What stays free on the disk.", "MiB", ge=0, le=1 << 30)] = 1024
+    use_damaged: Annotated[
+        bool,
+        rule("Map recorded data that fail their checksum when a session is recovered or rebuilt."),
+    ] = False
 
 
 class BacklogConfig(Struct, frozen=True, forbid_unknown_fields=True):

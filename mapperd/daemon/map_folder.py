@@ -38,6 +38,9 @@ __all__ = [
     "write_results",
 ]
 
+MAX_PARTS = 1000
+"""Maximum number of damaged parts in a summary."""
+
 MAX_BYTES = 200
 """Of a name: what is being written has a longer one, and file systems take 255."""
 
@@ -249,6 +252,12 @@ def _poses(poses: FixedPose | OdometryPoses) -> dict[str, Any]:
 
 def recording_facts(sessions: Sequence[RecordedSession]) -> dict[str, Any]:
     """Summarize recordings that were read to the end of the chosen part."""
+    parts = [
+        {"file": path.name, "offset": part.offset, "bytes": part.bytes}
+        for session in sessions
+        for path in session.paths
+        for part in session.damaged.parts.get(path, ())
+    ]
     facts = {
         "format": sessions[0].format,
         "files": sum(len(session.paths) for session in sessions),
@@ -257,6 +266,13 @@ def recording_facts(sessions: Sequence[RecordedSession]) -> dict[str, Any]:
         "bytes_read": sum(session.bytes_read for session in sessions),
         "truncated": any(session.truncated for session in sessions),
         "damage": next((session.damage for session in sessions if session.damage), None),
+        "data_lost": any(session.data_lost for session in sessions)
+        or (bool(parts) and not sessions[0].damaged.use),
+        "damaged_bytes": sum(
+            session.damaged.bytes.get(path, 0) for session in sessions for path in session.paths
+        ),
+        "damaged_parts": parts[:MAX_PARTS],
+        "damaged_used": sessions[0].damaged.use,
     }
     return {"recording": facts}
 

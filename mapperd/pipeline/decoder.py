@@ -6,7 +6,7 @@ gives the same map as the live session.
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from mapperd.config.changes import with_values
@@ -42,8 +42,22 @@ __all__ = [
 ]
 
 
-Arrival = tuple[int | None, Ping | Reject]
-"""Arrival time of a ping message's first byte, ns or None, and the ping or why it is rejected."""
+class Arrival(NamedTuple):
+    """A ping message.
+
+    Attributes:
+        arrival_ns: arrival time of its first byte; None if unknown.
+        ping: the ping, or why it is rejected.
+        damaged: some of its bytes fail their checksum.
+    """
+
+    arrival_ns: int | None
+    ping: Ping | Reject
+    damaged: bool = False
+
+
+Parts = list[tuple[int, int]]
+"""Parts of a link's stream, by the offsets of their first byte and of the one behind them."""
 
 
 class PingStreamState(NamedTuple):
@@ -55,6 +69,7 @@ class PingStreamState(NamedTuple):
         owner: link whose pings are mapped; None before the first ping.
         unnumbered: rejected ping messages since the last ping.
         not_lost: missing ping numbers that these messages explain.
+        damaged: parts of each link that fail their checksum and are not parsed yet.
     """
 
     parsers: dict[str, StreamParserState]
@@ -62,6 +77,7 @@ class PingStreamState(NamedTuple):
     owner: str | None
     unnumbered: int
     not_lost: int
+    damaged: dict[str, Parts] | None = None
 
 
 class PingStream:
@@ -79,9 +95,16 @@ class PingStream:
         self._owner: str | None = None
         self._unnumbered = 0  # rejected ping messages since the last ping
         self._not_lost = 0  # missing ping numbers that these messages explain
+        self._damaged: dict[str, Parts] = {}
 
     def feed(
-        self, link: str, data: bytes, arrival_ns: int | None, *, gap_before: bool = False
+        self,
+        link: str,
+        data: bytes,
+        arrival_ns: int | None,
+        *,
+        gap_before: bool = False,
+        damaged: bool = False,
     ) -> Iterator[Arrival]:
         """Feed the next bytes of a link; yield the ping messages that they complete.
 
@@ -90,8 +113,12 @@ class PingStream:
             data: its bytes, in any fragmentation.
             arrival_ns: their arrival time.
             gap_before: bytes in front of them are missing.
+            damaged: they fail their checksum.
         """
         parser = self._parsers.setdefault(link, StreamParser(confirm=self._confirm))
+        if damaged:
+            start = parser.counters.bytes_total
+            self._damaged.setdefault(link, []).append((start, start + len(data)))
         yield from self._arrivals(link, parser.feed(data, arrival_ns, gap_before=gap_before))
 
     def state(self) -> PingStreamState:
@@ -102,6 +129,7 @@ class PingStream:
             self._owner,
             self._unnumbered,
             self._not_lost,
+            {link: list(parts) for link, parts in self._damaged.items()} or None,
         )
 
     def restore(self, state: PingStreamState) -> None:
@@ -112,6 +140,7 @@ class PingStream:
         self._sequence.restore(state.sequence)
         self._owner, self._unnumbered = state.owner, state.unnumbered
         self._not_lost = state.not_lost
+        self._damaged = {link: list(parts) for link, parts in (state.damaged or {}).items()}
 
     def finish(self) -> Iterator[Arrival]:
         """Yield the pending ping messages at the end of all links."""
@@ -132,9 +161,20 @@ class PingStream:
     def _arrivals(self, link: str, messages: Iterable[Message]) -> Iterator[Arrival]:
         for message in messages:
             if message.message_id == MessageId.PING_RESULT:
-                yield message.arrival_ns, self._ping_of(link, message)
+                damaged = self._is_damaged(link, message)
+                ping = self._ping_of(link, message, damaged=damaged)
+                yield Arrival(message.arrival_ns, ping, damaged)
 
-    def _ping_of(self, link: str, message: Message) -> Ping | Reject:
+    def _is_damaged(self, link: str, message: Message) -> bool:
+        """Return whether a damaged part reaches into a message; forget the parts before it."""
+        if link not in self._damaged:
+            return False
+        parts = [part for part in self._damaged.pop(link) if part[1] > message.offset]
+        if parts:
+            self._damaged[link] = parts
+        return any(start < message.offset + len(message.data) for start, _ in parts)
+
+    def _ping_of(self, link: str, message: Message, *, damaged: bool) -> Ping | Reject:
         ping = decode_ping(message)
         if not isinstance(ping, Ping):
             self._unnumbered += link == self._owner
@@ -143,7 +183,9 @@ class PingStream:
         self._owner = self._owner or link
         if link != self._owner:
             return Reject("other_link", f"pings of {link!r}; those of {self._owner!r} are mapped")
-        if not self._is_new(ping.ping_id):
+        if damaged:  # its number may be wrong
+            self._unnumbered += 1
+        elif not self._is_new(ping.ping_id):
             return Reject("duplicate", f"ping {ping.ping_id} came twice")
         return ping
 
@@ -191,6 +233,7 @@ class _Ticket:
     number: int
     complete_ns: int | None
     t_ns: int | None
+    damaged: bool = False
 
 
 class SessionDecoderState(NamedTuple):
@@ -203,6 +246,7 @@ class SessionDecoderState(NamedTuple):
         tickets: number, time of the last byte and time of each ping that waits for its pose.
         whole: pings that were complete so far.
         gaps: links of which bytes are missing before the next ones.
+        damaged: numbers of the pings that wait for their pose and are damaged.
     """
 
     pings: int
@@ -214,10 +258,17 @@ class SessionDecoderState(NamedTuple):
     tickets: list[tuple[int, int | None, int | None]]
     whole: int
     gaps: list[str]
+    damaged: tuple[int, ...] = ()
+
+
+DAMAGED = Reject("checksum", "bytes of the recording fail their checksum")
 
 
 class SessionDecoder:
     """Turns the chunks of one session into work: frames, decodes, and looks up poses.
+
+    Chunks that fail their checksum are not mapped: their pings keep their numbers and get no pose,
+    their odometry counts as missing. Their decisions are obeyed if they can be decoded.
 
     Args:
         config: the settings at the beginning of the session.
@@ -276,9 +327,10 @@ class SessionDecoder:
             {source_id: clock.state() for source_id, clock in self.clocks.items()},
             self.poses.state(),
             self._stream.state(),
-            [astuple(ticket) for ticket in self._tickets],
+            [(ticket.number, ticket.complete_ns, ticket.t_ns) for ticket in self._tickets],
             self._whole,
             sorted(self._gaps),
+            tuple(ticket.number for ticket in self._tickets if ticket.damaged),
         )
 
     def restore(self, state: SessionDecoderState) -> None:
@@ -293,7 +345,9 @@ class SessionDecoder:
             self._clock_of(source_id).restore(clock)
         self.poses.restore(state.poses)
         self._stream.restore(state.stream)
-        self._tickets = deque(_Ticket(*ticket) for ticket in state.tickets)
+        self._tickets = deque(
+            _Ticket(*ticket, damaged=ticket[0] in state.damaged) for ticket in state.tickets
+        )
         self._whole, self._gaps = state.whole, set(state.gaps)
 
     def feed(self, chunk: Chunk, *, late: bool = False) -> list[Work]:
@@ -311,7 +365,7 @@ class SessionDecoder:
             self._take_sonar(chunk)
         elif chunk.encoding.startswith(ENCODING_PREFIX) and not late:
             self._take_odometry(chunk)
-        return self._resolve(None if late else chunk.arrival_ns)
+        return self._resolve(None if late or chunk.damaged else chunk.arrival_ns)
 
     def end(self, *, cut: bool = False) -> list[Work]:
         """Return the work that is pending at the end of the session.
@@ -325,13 +379,21 @@ class SessionDecoder:
         self._stream.count(self.counters)
         return work
 
-    def offer(self, ping: Ping | Reject, t_ns: int | None, complete_ns: int | None) -> None:
+    def offer(
+        self,
+        ping: Ping | Reject,
+        t_ns: int | None,
+        complete_ns: int | None,
+        *,
+        damaged: bool = False,
+    ) -> None:
         """Count a ping and pass it to the pose lookup.
 
         Args:
             ping: the ping, or why it is rejected.
             t_ns: as for `PoseLookup.add_ping`.
             complete_ns: arrival of its last byte.
+            damaged: some of its bytes fail their checksum.
         """
         number, self.pings = self.pings, self.pings + 1
         self.counters.pings_total += 1
@@ -344,7 +406,7 @@ class SessionDecoder:
             self.counters.drop(Reject("frame_skip", f"every {skip}th ping is mapped"))
             return
         placed_ns = ping_time_ns(ping) if t_ns is None else t_ns
-        self._tickets.append(_Ticket(number, complete_ns, placed_ns))
+        self._tickets.append(_Ticket(number, complete_ns, placed_ns, damaged))
         self.poses.add_ping(ping, placed_ns)
 
     def reconfigure(self, config: Config) -> None:
@@ -375,6 +437,9 @@ class SessionDecoder:
         return gap
 
     def _take_odometry(self, chunk: Chunk) -> None:
+        if chunk.damaged:
+            self._gaps.add(chunk.link)
+            return
         self.poses.add_odometry(
             chunk.link,
             chunk.data,
@@ -385,15 +450,18 @@ class SessionDecoder:
 
     def _take_sonar(self, chunk: Chunk) -> None:
         gap = self._gap_before(chunk)
-        arrivals = self._stream.feed(chunk.link, chunk.data, chunk.arrival_ns, gap_before=gap)
+        arrivals = self._stream.feed(
+            chunk.link, chunk.data, chunk.arrival_ns, gap_before=gap, damaged=chunk.damaged
+        )
         self._offer_all(arrivals, chunk.arrival_ns)
 
     def _offer_all(self, arrivals: Iterable[Arrival], complete_ns: int | None) -> None:
-        for arrival_ns, ping in arrivals:
+        for arrival_ns, ping, damaged in arrivals:
             if self._within is not None and not self._within(arrival_ns):
                 self.counters.pings_outside += 1
             else:
-                self.offer(ping, self._time_ns(ping), complete_ns)
+                t_ns = None if damaged else self._time_ns(ping)
+                self.offer(ping, t_ns, complete_ns, damaged=damaged)
 
     def _time_ns(self, ping: Ping | Reject) -> int | None:
         """Return when the sound reached the middle of the image, by the sonar's own clock."""
@@ -411,5 +479,6 @@ class SessionDecoder:
         work: list[Work] = []
         for ping, pose in self.poses.resolved(now_ns, final=final):
             ticket = self._tickets.popleft()  # the lookup keeps the order of the pings
-            work.append(PosedPing(ticket.number, ping, pose, ticket.complete_ns, ticket.t_ns))
+            posed = DAMAGED if ticket.damaged else pose
+            work.append(PosedPing(ticket.number, ping, posed, ticket.complete_ns, ticket.t_ns))
         return work

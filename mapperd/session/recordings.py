@@ -2,20 +2,61 @@
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 
 from mapperd.session_log import DECISIONS, SESSION, Session, decision_of
 from mapperd.store.position import RecordingOffset
 from oculus_driver.errors import RecordingError
-from oculus_driver.recording import Chunk, open_recording
+from oculus_driver.recording import Chunk, DamagedPart, Recording, open_recording
 
-__all__ = ["RecordedSession", "Tail", "files_in", "files_of", "sessions_of"]
+__all__ = ["DamagedData", "RecordedSession", "Tail", "files_in", "files_of", "sessions_of"]
 
 SUFFIX = ".mcap"
 SIGNATURE_BYTES = 8
 """An MCAP file begins with them."""
+
+
+@dataclass(slots=True)
+class DamagedData:
+    """Data of recordings that fail their checksum.
+
+    Attributes:
+        use: whether they are mapped all the same.
+        bytes: of each file.
+        parts: of each file, the first 1000.
+    """
+
+    use: bool = False
+    bytes: dict[Path, int] = field(default_factory=dict)
+    parts: dict[Path, tuple[DamagedPart, ...]] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        """Return how much is damaged, and the first place."""
+        if not self.bytes:
+            return ""
+        path, parts = next(iter(self.parts.items()))
+        count = sum(map(len, self.parts.values()))
+        mapped = "mapped all the same" if self.use else "not mapped"
+        return (
+            f"{sum(self.bytes.values())} bytes in {count} parts fail their checksum and were "
+            f"{mapped}; the first part is at byte {parts[0].offset} of {path.name}"
+        )
+
+    def add(self, recording: Recording) -> None:
+        """Add what reading a file has found so far; reading it again counts once."""
+        if recording.damaged_bytes > self.bytes.get(recording.path, 0):
+            self.bytes[recording.path] = recording.damaged_bytes
+            self.parts[recording.path] = recording.damaged_parts
+
+    def read(self, recording: Recording) -> Iterator[Chunk]:
+        """Yield the chunks of a file; damaged ones count as good if they are to be used."""
+        try:
+            for chunk in recording:
+                yield replace(chunk, damaged=False) if self.use and chunk.damaged else chunk
+        finally:
+            self.add(recording)
 
 
 @dataclass(slots=True)
@@ -25,22 +66,32 @@ class _Seen:
     bytes_read: int = 0
     truncated: bool = False
     damage: str | None = None
+    data_lost: bool = False
     read_error: OSError | None = None
 
 
 class RecordedSession:
     """Files in order, read as one recording; only one is open at a time.
 
+    Args:
+        paths: of the files.
+        session: as the attribute.
+        damaged: as the attribute; by default such data are not used.
+
     Attributes:
         paths: of the files.
         session: id of the daemon's session; None where they are no recordings of a session.
         format: of the first file.
         size_bytes: of all files.
+        damaged: data that fail their checksum.
     """
 
-    def __init__(self, paths: Sequence[Path], session: str | None) -> None:
+    def __init__(
+        self, paths: Sequence[Path], session: str | None, damaged: DamagedData | None = None
+    ) -> None:
         self.paths = tuple(paths)
         self.session = session
+        self.damaged = damaged or DamagedData()
         self._seen = _Seen()
         self.size_bytes = 0
         with open_recording(self.paths[0]) as recording:
@@ -65,6 +116,11 @@ class RecordedSession:
         return self._seen.damage
 
     @property
+    def data_lost(self) -> bool:
+        """Whether damage, other than a missing end, may have cost data."""
+        return self._seen.data_lost
+
+    @property
     def read_error(self) -> OSError | None:
         """Error of the disk that prevented reading a file; a later attempt may succeed."""
         return self._seen.read_error
@@ -75,11 +131,12 @@ class RecordedSession:
         for path in self.paths:
             before = seen.bytes_read
             with open_recording(path) as recording:
-                for chunk in recording:
+                for chunk in self.damaged.read(recording):
                     seen.bytes_read = before + recording.bytes_read
                     yield chunk
                 seen.bytes_read = before + recording.bytes_read
                 seen.truncated = seen.truncated or recording.truncated
+                seen.data_lost = seen.data_lost or recording.data_lost
                 seen.read_error = seen.read_error or recording.read_error
                 if recording.damage is not None and seen.damage is None:
                     name = f"{path.name}: " if len(self.paths) > 1 else ""
@@ -111,14 +168,19 @@ def files_in(paths: Iterable[Path], *, begun: bool = False) -> list[Path]:
     return found
 
 
-def sessions_of(paths: Iterable[Path]) -> list[RecordedSession]:
+def sessions_of(paths: Iterable[Path], damaged: DamagedData | None = None) -> list[RecordedSession]:
     """Put files together that follow each other in one session.
+
+    Args:
+        paths: of the files, in order.
+        damaged: of all sessions; by default each has its own, and such data are not used.
 
     Raises:
         RecordingError: one cannot be read, or is not a recording.
     """
     return [
-        RecordedSession(list(group), session) for session, group in groupby(paths, key=_session_of)
+        RecordedSession(list(group), session, damaged)
+        for session, group in groupby(paths, key=_session_of)
     ]
 
 
@@ -174,20 +236,27 @@ class Tail:
     Args:
         files: of `files_of`.
         start: where to begin.
+        damaged: data that fail their checksum; by default they are not used.
 
     Attributes:
         place: behind the chunk that was read last.
     """
 
-    def __init__(self, files: dict[int, Path], start: RecordingOffset) -> None:
+    def __init__(
+        self,
+        files: dict[int, Path],
+        start: RecordingOffset,
+        damaged: DamagedData | None = None,
+    ) -> None:
         self._files = {number: path for number, path in files.items() if number >= start.file}
         self._start = start
+        self._damaged = damaged or DamagedData()
         self.place = start
 
     def __iter__(self) -> Iterator[Chunk]:
         for number, path in self._files.items():
             with open_recording(path) as recording:
-                for count, chunk in enumerate(recording, 1):
+                for count, chunk in enumerate(self._damaged.read(recording), 1):
                     if RecordingOffset(number, count) > self._start:
                         self.place = RecordingOffset(number, count)
                         yield chunk

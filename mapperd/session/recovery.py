@@ -27,7 +27,7 @@ from mapperd.pipeline.build import build_pipeline
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import SessionDecoder, SessionDecoderState, Work
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
-from mapperd.session.recordings import RecordedSession, Tail, files_in, files_of
+from mapperd.session.recordings import DamagedData, RecordedSession, Tail, files_in, files_of
 from mapperd.session.replay import Window, as_recorded
 from mapperd.session.store_session import SqlitePersistence
 from mapperd.session_log import SESSION, Remarks, remarks_in, without_skipped
@@ -117,7 +117,7 @@ def _restored(position: Position) -> tuple[Config, LocalizationSession | None]:
     return config, restored_session(config, position.localization)
 
 
-def _at_start(position: Position, files: dict[int, Path]) -> Position:
+def _at_start(position: Position, files: dict[int, Path], damaged: DamagedData) -> Position:
     """Return a position with a checkpoint at the start of the recording instead of its own.
 
     The decoder repeats all pieces of work from there; those that are in the map are skipped.
@@ -126,7 +126,8 @@ def _at_start(position: Position, files: dict[int, Path]) -> Position:
         CheckpointError: the start of the recording is missing.
         ConfigError: its settings or its known map cannot be used.
     """
-    recorded = RecordedSession(list(files.values()), position.session) if files else None
+    paths = list(files.values())
+    recorded = RecordedSession(paths, position.session, damaged) if files else None
     if recorded is None or recorded.beginning() is None:
         raise CheckpointError("the start of its recordings is missing")
     run = as_recorded(recorded)
@@ -140,7 +141,7 @@ def _at_start(position: Position, files: dict[int, Path]) -> Position:
         checkpoint=encode_state(decoder.state()),
         localization=b"" if localization is None else saved_state(localization),
     )
-    tail, done = Tail(files, RecordingOffset()), position.done
+    tail, done = Tail(files, RecordingOffset(), damaged), position.done
     for chunk in without_skipped(tail):
         if tail.place > position.place:
             break
@@ -149,7 +150,11 @@ def _at_start(position: Position, files: dict[int, Path]) -> Position:
 
 
 def recover(
-    store: TileStore, sonar_map: SonarMap, position: Position, folder: Path
+    store: TileStore,
+    sonar_map: SonarMap,
+    position: Position,
+    folder: Path,
+    damaged: DamagedData | None = None,
 ) -> Recovered | None:
     """Map the rest of the last session; its settings are then in force.
 
@@ -158,6 +163,7 @@ def recover(
         sonar_map: its map.
         position: of the store.
         folder: of the recordings.
+        damaged: data that fail their checksum; by default they are not mapped.
 
     Returns:
         None if nothing was missing.
@@ -169,6 +175,7 @@ def recover(
     if position.whole:
         return None
     began_s = time.monotonic()
+    damaged = damaged or DamagedData()
     files = files_of(folder, position.session)
     counters = PipelineCounters()
     problem, from_start = None, ""
@@ -176,7 +183,7 @@ def recover(
         try:
             config, localization = _restored(position)
         except CheckpointError as error:
-            from_start, position = str(error), _at_start(position, files)
+            from_start, position = str(error), _at_start(position, files, damaged)
             config, localization = _restored(position)
         sonar_map.reconfigure(config)
         if not any(number >= position.place.file for number in files):
@@ -184,8 +191,8 @@ def recover(
         rest = StoredSession(
             store, sonar_map, position.session, position, localization=localization
         )
-        poses, tail = _fresh_poses(position, config), Tail(files, position.place)
-        remarks = remarks_in(Tail(files, position.place))
+        poses, tail = _fresh_poses(position, config), Tail(files, position.place, damaged)
+        remarks = remarks_in(Tail(files, position.place, damaged))
         for _ in map_rest(rest, poses, tail, remarks, counters=counters):
             pass
     except (CheckpointError, ConfigError) as error:  # such as a known map that is gone
@@ -348,9 +355,20 @@ def _is_for(recorded: RecordedSession, config: Config) -> bool:
 
 
 def map_recorded_sessions(
-    store: TileStore, sonar_map: SonarMap, sessions: tuple[str, ...], folder: Path
+    store: TileStore,
+    sonar_map: SonarMap,
+    sessions: tuple[str, ...],
+    folder: Path,
+    damaged: DamagedData | None = None,
 ) -> int:
     """Map whole recorded sessions into an empty file, as recorded; return the mapped pings.
+
+    Args:
+        store: the file.
+        sonar_map: its map.
+        sessions: their ids.
+        folder: of the recordings.
+        damaged: data that fail their checksum; by default they are not mapped.
 
     Raises:
         StoreError: the file cannot be written.
@@ -359,7 +377,7 @@ def map_recorded_sessions(
     counters = PipelineCounters()
     for index, session in enumerate(sessions):
         files = files_of(folder, session)
-        recorded = RecordedSession(list(files.values()), session)
+        recorded = RecordedSession(list(files.values()), session, damaged)
         if recorded.beginning() is None:
             continue
         with contextlib.suppress(CheckpointError, ConfigError):  # a known map that is gone
@@ -369,34 +387,43 @@ def map_recorded_sessions(
             stored = StoredSession(
                 store, sonar_map, session, None, sessions[:index], localization=localization
             )
-            tail = Tail(files, RecordingOffset())
+            tail = Tail(files, RecordingOffset(), damaged)
             for _ in map_rest(stored, run.poses, tail, run.remarks, counters=counters):
                 pass
     return counters.pings_mapped
 
 
-def replay_sessions(sonar_map: SonarMap, sessions: tuple[str, ...], folder: Path) -> bool:
+def replay_sessions(
+    sonar_map: SonarMap,
+    sessions: tuple[str, ...],
+    folder: Path,
+    damaged: DamagedData | None = None,
+) -> bool:
     """Map whole sessions as recorded; return False if any part of them is missing.
 
     Args:
         sonar_map: the map, whose settings are restored afterwards.
         sessions: their ids.
         folder: of the recordings.
+        damaged: data that fail their checksum; by default they are not mapped.
     """
     complete = True
     own = sonar_map.config
     for session in sessions:
         files = files_of(folder, session)
         complete &= bool(files) and list(files) == list(range(min(files), max(files) + 1))
-        complete = _replay_session(sonar_map, list(files.values()), session) and complete
+        paths = list(files.values())
+        complete = _replay_session(sonar_map, paths, session, damaged) and complete
     sonar_map.reconfigure(own)
     return complete
 
 
-def _replay_session(sonar_map: SonarMap, paths: list[Path], session: str) -> bool:
+def _replay_session(
+    sonar_map: SonarMap, paths: list[Path], session: str, damaged: DamagedData | None
+) -> bool:
     if not paths:
         return False
-    recorded = RecordedSession(paths, session)
+    recorded = RecordedSession(paths, session, damaged)
     if recorded.beginning() is None:
         return next(iter(recorded), None) is None  # a crash before the first piece
     try:

@@ -193,19 +193,20 @@ def first_range_m(recording: Iterable[Chunk]) -> float:
 
 def _pings(recording: Iterable[Chunk]) -> Iterator[Ping]:
     stream = PingStream(confirm=True)
-    chunks = (chunk for chunk in recording if chunk.encoding == OCULUS)
+    chunks = (chunk for chunk in recording if chunk.encoding == OCULUS and not chunk.damaged)
     arrivals = chain.from_iterable(
         stream.feed(chunk.link, chunk.data, chunk.arrival_ns, gap_before=chunk.gap_before)
         for chunk in chunks
     )
-    for _, ping in chain(arrivals, stream.finish()):
-        if isinstance(ping, Ping):
-            yield ping
+    for arrival in chain(arrivals, stream.finish()):
+        if isinstance(arrival.ping, Ping):
+            yield arrival.ping
 
 
 def _first_sonar_ns(recording: Iterable[Chunk]) -> int | None:
     """Return the earliest plausible stamp of the sonar's first chunks; None without stamps."""
-    sonar = (chunk.arrival_ns for chunk in recording if chunk.encoding == OCULUS)
+    chunks = (chunk for chunk in recording if chunk.encoding == OCULUS and not chunk.damaged)
+    sonar = (chunk.arrival_ns for chunk in chunks)
     stamps = list(islice((stamp for stamp in sonar if stamp is not None), FIRST_CHUNKS))
     if not stamps:
         return None

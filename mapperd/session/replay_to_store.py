@@ -16,7 +16,7 @@ from mapperd.localization.session import (
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
-from mapperd.session.recordings import Tail
+from mapperd.session.recordings import DamagedData, Tail
 from mapperd.session.recovery import StoredSession, config_at, map_rest
 from mapperd.session_log import SESSION
 from mapperd.store.position import Position, RecordingOffset, position_in
@@ -35,6 +35,8 @@ def map_into_store(
     pose: Pose | None,
     path: Path,
     on_chunk: Callable[[PipelineCounters], None] = lambda _: None,
+    *,
+    damaged: DamagedData | None = None,
 ) -> tuple[SonarMap, FixedPose | OdometryPoses, PipelineCounters]:
     """Map a recording into a file, from its resume point; the file keeps its other content.
 
@@ -44,6 +46,7 @@ def map_into_store(
         pose: of a vehicle at rest; None uses the odometry.
         path: of the map's file.
         on_chunk: called after every chunk.
+        damaged: data that fail their checksum; by default they are not mapped.
 
     Returns:
         the whole map in memory, the poses, and the counters of this run.
@@ -77,7 +80,7 @@ def map_into_store(
                 _localization(config, resumed),
             )
             start = RecordingOffset() if resumed is None else resumed.place
-            tail = Tail(dict(enumerate(paths, 1)), start)
+            tail = Tail(dict(enumerate(paths, 1)), start, damaged)
             confirm = _is_foreign(paths[0])
             for _ in map_rest(stored, poses, tail, None, confirm=confirm, counters=counters):
                 on_chunk(counters)

@@ -11,8 +11,8 @@ from mapperd.events import EventLog, Severity
 from mapperd.io import make_folder
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.persistence import MapPersistence, MemoryPersistence
+from mapperd.session.recordings import DamagedData
 from mapperd.session.recovery import (
-    Recovered,
     headless_in,
     map_recorded_sessions,
     recover,
@@ -94,6 +94,7 @@ class _Startup:
         self._folder = folder
         self._events = events
         self._trouble: str | None = None
+        self._damaged = DamagedData(use=config.recording.use_damaged)
 
     def opened(self) -> tuple[SonarMap, TileStore, Position | None]:
         """Return the map, up to date and complete as far as the recordings reach."""
@@ -102,7 +103,7 @@ class _Startup:
         try:
             if position is not None:
                 if not position.whole:
-                    self._log_recovery(recover(store, sonar_map, position, self._folder))
+                    self._recover(store, sonar_map, position)
                     sonar_map, store = self._again(store)
                     position = position_in(store.position)
                 if store.lost and position is not None and position.whole:
@@ -111,6 +112,9 @@ class _Startup:
         except BaseException:
             store.close()
             raise
+        if self._damaged.bytes:
+            text = f"damaged recordings: {self._damaged}"
+            self._events.add(Severity.ERROR, "recording_damaged", text)
         return sonar_map, store, position
 
     def log_trouble(self, problem: str | None) -> None:
@@ -167,7 +171,7 @@ class _Startup:
             mark.unlink()
             return sonar_map, store
         try:
-            pings = map_recorded_sessions(store, sonar_map, sessions, self._folder)
+            pings = map_recorded_sessions(store, sonar_map, sessions, self._folder, self._damaged)
         except BaseException:
             store.close()
             raise
@@ -201,7 +205,9 @@ class _Startup:
         count = rebuild_lost(
             store,
             sonar_map,
-            lambda scratch: replay_sessions(scratch, position.sessions, self._folder),
+            lambda scratch: replay_sessions(
+                scratch, position.sessions, self._folder, self._damaged
+            ),
         )
         left = len(store.lost)
         if left:
@@ -211,7 +217,8 @@ class _Startup:
             text = f"{count} damaged bricks of the map were rebuilt from recordings"
             self._events.add(Severity.WARNING, "bricks_rebuilt", text, bricks=count)
 
-    def _log_recovery(self, recovered: Recovered | None) -> None:
+    def _recover(self, store: TileStore, sonar_map: SonarMap, position: Position) -> None:
+        recovered = recover(store, sonar_map, position, self._folder, self._damaged)
         if recovered is None:
             return
         session, pings = recovered.session, recovered.pings

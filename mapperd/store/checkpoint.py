@@ -1,8 +1,8 @@
 """States of estimators as bytes: a versioned MessagePack of named tuples, numbers and arrays.
 
 An object that a checkpoint holds has `state()`, which returns a named tuple, and `restore(state)`.
-Named tuples are written by position, so attributes may change their names. Another order, number or
-meaning of fields is another `FORMAT`.
+Named tuples are written by position, so attributes may change their names, and fields with a
+default may be added at the end. Another order, number or meaning of fields is another `FORMAT`.
 """
 
 import re

@@ -30,7 +30,7 @@ SUBCOMMANDS = (discover, watch, log, info, play, convert, render, fire, doctor)
 
 EPILOG = """\
 exit codes: 0 success; 1 the sonar or the link failed, see the message; 2 invalid arguments;
-65 the file is not a recording; 130 interrupted"""
+65 the file is not a recording, or a part of it is damaged and left out; 130 interrupted"""
 
 
 class _Parser(argparse.ArgumentParser):

@@ -39,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=sorted({*FORMATS.values()}),
         help="target format, regardless of the suffix",
     )
+    add("--use-damaged", action="store_true", help="also write data that fail their checksum")
     add("--overwrite", action="store_true", help="replace an existing OUT")
 
 
@@ -50,7 +51,13 @@ def run(args: argparse.Namespace, output: Output) -> Exit:
     if target_format is None:
         text = f"{args.out}: unknown format; use one of the suffixes {', '.join(FORMATS)}"
         return output.failure(text, Exit.USAGE)
-    done = convert(args.file, args.out, target_format, overwrite=args.overwrite)
+    done = convert(
+        args.file,
+        args.out,
+        target_format,
+        overwrite=args.overwrite,
+        use_damaged=args.use_damaged,
+    )
     lines = [f"{args.out}: {done.target_format}, {done.size_bytes} bytes, {done.chunks} chunks"]
     lines += [f"left out: {count} bytes, {reason}" for reason, count in done.left_out.items()]
     if done.stamps_lost:
@@ -60,4 +67,4 @@ def run(args: argparse.Namespace, output: Output) -> Exit:
     if done.damage is not None:
         lines.append(f"the source is damaged: {done.damage}")
     output.report({"file": args.file, "out": args.out, **asdict(done)}, "\n".join(lines))
-    return Exit.OK
+    return Exit.BAD_DATA if "checksum" in done.left_out else Exit.OK

@@ -48,6 +48,10 @@ def _lines(name: str, info: RecordingInfo, *, listed: bool) -> Iterator[str]:
         yield f"recorded {start} to {end}, {seconds:.3f} s"
     if info.damage is not None:
         yield f"damage: {info.damage} ({info.faults} in total)"
+    if info.damaged_bytes:
+        yield f"fail their checksum: {info.damaged_bytes} bytes"
+    if info.link_losses:
+        yield f"gaps marked while recording: {info.link_losses} (link lost, or no room)"
     yield f"messages: {info.messages}, valid pings: {info.pings}"
     if info.statuses:
         yield f"statuses: {info.statuses}"

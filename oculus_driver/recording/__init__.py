@@ -1,7 +1,13 @@
 """Recordings: received bytes with arrival times, in files that survive a crash."""
 
 from oculus_driver.recording.background_log import BackgroundLog
-from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, ODOMETRY_NATIVE, Chunk
+from oculus_driver.recording.chunk import (
+    OCULUS,
+    OCULUS_STATUS,
+    ODOMETRY_NATIVE,
+    Chunk,
+    DamagedPart,
+)
 from oculus_driver.recording.convert import WRITABLE, Conversion, convert
 from oculus_driver.recording.info import PingInfo, RecordingInfo, describe
 from oculus_driver.recording.log_files import LogPolicy
@@ -32,6 +38,7 @@ __all__ = [
     "BackgroundLog",
     "Chunk",
     "Conversion",
+    "DamagedPart",
     "LogCounters",
     "LogPolicy",
     "LogPosition",

@@ -6,7 +6,7 @@ import os
 import struct
 from collections import Counter
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final, Protocol
 
@@ -27,7 +27,7 @@ from oculus_driver.stream import Message, StreamParser
 from oculus_driver.wire import STATUS_PORT, TCP_PORT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from oculus_driver.recording.chunk import Chunk
     from oculus_driver.recording.recording import Recording
@@ -43,10 +43,10 @@ class Conversion:
 
     Attributes:
         source_format, target_format: see `oculus_driver.recording.recording`.
-        chunks: read from the source.
+        chunks: copied from the source.
         size_bytes: of the target file.
         left_out: bytes missing in the target, by reason: other_link (the format cannot represent
-            the link), no_message (bytes outside messages).
+            the link), no_message (bytes outside messages), checksum (bytes that fail theirs).
         stamps_lost: chunks with a stamp, if the target has no stamps.
         damage: the first problem of the source, or None.
     """
@@ -72,12 +72,20 @@ def convert(
     target_format: str = MCAP,
     *,
     overwrite: bool = False,
+    use_damaged: bool = False,
 ) -> Conversion:
     """Write the recording in `source` to `target`. The target appears once it is complete.
 
     MCAP represents everything. Other formats contain the data of sonars: pcap any number of sonars
     and their statuses; `.oculus` logs and raw streams the complete messages of the first sonar, raw
     streams without stamps.
+
+    Args:
+        source: any recording.
+        target: file to write.
+        target_format: one of `WRITABLE`.
+        overwrite: replace an existing file.
+        use_damaged: write data that fail their checksum, too; they are then no longer marked.
 
     Raises:
         RecordingError: the source cannot be read, the target cannot be written, exists without
@@ -92,7 +100,8 @@ def convert(
         left_out: Counter[str] = Counter()
         try:
             with _writing(part):
-                chunks, stamped = _copy(recording, part, target_format, left_out)
+                good = recording if use_damaged else _without_damaged(recording, left_out)
+                chunks, stamped = _copy(recording, good, part, target_format, left_out)
                 size = part.stat().st_size
                 part.replace(path)
         finally:
@@ -126,26 +135,44 @@ def _writing(path: Path) -> Iterator[None]:
         raise RecordingError(f"{path}: cannot be written: {reason}; check the disk") from error
 
 
+def _without_damaged(recording: Recording, left_out: Counter[str]) -> Iterator[Chunk]:
+    """Yield the good chunks; a damaged one leaves a gap."""
+    gaps: set[str] = set()
+    for chunk in recording:
+        if chunk.damaged:
+            gaps.add(chunk.link)
+            left_out["checksum"] += len(chunk.data)
+        elif chunk.link in gaps:
+            gaps.remove(chunk.link)
+            yield replace(chunk, gap_before=True)
+        else:
+            yield chunk
+
+
 def _copy(
-    recording: Recording, path: Path, target_format: str, left_out: Counter[str]
+    recording: Recording,
+    chunks: Iterable[Chunk],
+    path: Path,
+    target_format: str,
+    left_out: Counter[str],
 ) -> tuple[int, int]:
     """Write all chunks; return their number and the number of stamped ones."""
     if target_format == MCAP:
         metadata = recording.metadata | {"converted_from": recording.format}
         with RecordingWriter(path, metadata=metadata, overwrite=True) as writer:
-            return _drain(recording, _McapSink(writer))
+            return _drain(chunks, _McapSink(writer))
     with path.open("wb") as file:
-        return _drain(recording, _SINKS[target_format](file, left_out))
+        return _drain(chunks, _SINKS[target_format](file, left_out))
 
 
-def _drain(recording: Recording, sink: _Sink) -> tuple[int, int]:
-    chunks = stamped = 0
-    for chunk in recording:
+def _drain(chunks: Iterable[Chunk], sink: _Sink) -> tuple[int, int]:
+    count = stamped = 0
+    for chunk in chunks:
         sink.put(chunk)
-        chunks += 1
+        count += 1
         stamped += chunk.arrival_ns is not None
     sink.finish()
-    return chunks, stamped
+    return count, stamped
 
 
 class _McapSink:

@@ -62,7 +62,7 @@ class RecordingInfo:
     Attributes:
         format: see `oculus_driver.recording.recording`.
         size_bytes: of the file.
-        truncated, damage, faults: problems of the file, see `Recording`.
+        truncated, damage, faults, damaged_bytes, link_losses: see `Recording`.
         start_ns, end_ns: earliest and latest stamp, None without stamps.
         metadata: of the recording.
         links: by name.
@@ -86,6 +86,8 @@ class RecordingInfo:
     truncated: bool = False
     damage: str | None = None
     faults: int = 0
+    damaged_bytes: int = 0
+    link_losses: int = 0
     start_ns: int | None = None
     end_ns: int | None = None
     metadata: dict[str, str] = field(default_factory=dict)
@@ -156,6 +158,7 @@ def describe(recording: Recording) -> RecordingInfo:
         recording.damage,
         recording.faults,
     )
+    info.damaged_bytes, info.link_losses = recording.damaged_bytes, recording.link_losses
     info.start_ns, info.end_ns = recording.start_ns, recording.end_ns
     info.metadata = recording.metadata
     return info

@@ -9,6 +9,9 @@ the bytes are read.
 If bytes of a link are missing, its next chunk reports a gap. `RecordingWriter` numbers the messages
 of a link, so damage elsewhere does not cause a gap and a completely missing chunk is detected. In
 other files any damage is a gap in all links.
+
+The checksum of a complete chunk is checked before its messages are yielded. If it fails, they are
+yielded as damaged: nobody can know which of their bytes are wrong.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ from oculus_driver.recording import mcap_records as mcap
 from oculus_driver.recording.chunk import OCULUS, Chunk, Progress
 from oculus_driver.recording.mcap_records import Opcode, channel_of, read_summary
 from oculus_driver.recording.salvage import MAX_RECORD, find_record
-from oculus_driver.recording.writer import METADATA_NAME
+from oculus_driver.recording.writer import GAP_STEP, METADATA_NAME
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
@@ -34,7 +37,11 @@ _STREAMS: Final = frozenset({OCULUS})
 _NUMBERED: Final = "format_version"
 """Metadata key of `RecordingWriter`, which numbers the messages of each link without gaps."""
 
+_SEQUENCES: Final = 1 << 32
 _SMALL_RECORD: Final = 1 << 20
+_MAX_CHECKED: Final = 1 << 30
+"""Larger chunks are not checked: reading them twice would take too long."""
+
 _MAX_NAME: Final = 64
 _PRIVATE: Final = 0x80
 _LIKELY_LENGTH: Final = 1 << 40
@@ -60,16 +67,6 @@ class _CutError(Exception):
 def read_mcap(file: BinaryIO, size: int, progress: Progress) -> Iterator[Chunk]:
     """Yield the chunks of an MCAP file of `size` bytes in recorded order; update `progress`."""
     return iter(_Reader(file, size, progress))
-
-
-@dataclass(slots=True)
-class _Checksum:
-    """The rest of an uncompressed chunk whose checksum is being computed."""
-
-    offset: int
-    left: int
-    expected: int
-    value: int = 0
 
 
 @dataclass(slots=True)
@@ -110,7 +107,7 @@ class _Reader:
     last: dict[int, _Last] = field(default_factory=dict)
     losses: int = 0
     stamp_ns: int | None = None
-    checksum: _Checksum | None = None
+    damaged_to: int = 0
     summary_read: bool = False
     finished: bool = False
 
@@ -119,8 +116,6 @@ class _Reader:
         data = self.file.read(min(size, self.size - self.position))
         self.position += len(data)
         self.progress.bytes_read = max(self.progress.bytes_read, self.position)
-        if self.checksum is not None:
-            self._sum(data)
         return data
 
     def __iter__(self) -> Generator[Chunk]:
@@ -181,13 +176,14 @@ class _Reader:
         if not self._declared(number):
             raise _DamagedError(f"a message of undeclared link {number}")
         self.stamp_ns = self.stamp_ns or log_time_ns or None
+        damaged = self.position <= self.damaged_to
         data, fault = self._content(source, length - mcap.MESSAGE_HEAD.size)
         link, encoding = self.channels[number]
         if fault is None or (data and encoding in _STREAMS):
             self.stamp_ns = log_time_ns or None
             self.progress.note_stamp(self.stamp_ns)
             gap = self._gap_before(number, sequence, broken=fault is not None)
-            yield Chunk(link, encoding, self.stamp_ns, data, gap)
+            yield Chunk(link, encoding, self.stamp_ns, data, gap, damaged)
         if fault is not None:
             raise fault
 
@@ -198,13 +194,27 @@ class _Reader:
         lost = self.losses != last.losses
         if _NUMBERED not in self.progress.metadata:
             return lost or last.broken
-        missing = sequence - last.sequence
-        if missing > 0 and not lost:
+        skipped = (sequence - last.sequence) % _SEQUENCES
+        if skipped >= _SEQUENCES // 2:
+            return last.broken  # the number went back
+        missing = self._without_marks(skipped, lost=lost)
+        if missing and not lost:
             link, _ = self.channels[number]
             self.progress.report(
                 f"damaged before byte {self.position}: {missing} pieces of link {link!r} missing"
             )
-        return missing > 0 or last.broken
+        return skipped > 0 or last.broken
+
+    def _without_marks(self, skipped: int, *, lost: bool) -> int:
+        """Return how many of the skipped numbers are missing; count the gaps that are marked."""
+        if self.progress.metadata[_NUMBERED] != "1":
+            marked, missing = divmod(skipped, GAP_STEP)
+        elif skipped == 1 and not lost:  # version 1 skips one number for a marked gap
+            marked, missing = 1, 0
+        else:
+            marked, missing = 0, skipped
+        self.progress.link_losses += marked
+        return missing
 
     def _declared(self, number: int) -> bool:
         """Return whether a link is declared; if its record was lost, look in the summary."""
@@ -252,11 +262,33 @@ class _Reader:
         (size,) = mcap.U64.unpack(_exactly(self, mcap.U64.size))
         if self.position - start + size != length:
             raise _DamagedError("a chunk with contradicting sizes")
-        if compression == "":
-            if crc:
-                self.checksum = _Checksum(self.position, size, crc)
+        self._check(compression, size, inflated_size, crc)
+        if compression != "":
+            yield from self._inflated(compression, size, inflated_size)
+
+    def _check(self, compression: str, size: int, inflated_size: int, expected: int) -> None:
+        """Compare the checksum of the next `size` bytes, a whole chunk; the position is kept.
+
+        A checksum of 0 means that there is none. A chunk that is cut has none either.
+        """
+        start = self.position
+        if not expected or start + size > self.size or inflated_size > _MAX_CHECKED:
             return
-        yield from self._inflated(compression, size, inflated_size)
+        source: ByteSource = _Limited(self, size)
+        if compression != "":
+            source = ChunkDecompressor(compression, source)
+        value, left = 0, size if compression == "" else inflated_size
+        while left and (part := source.read(min(left, _SMALL_RECORD))):
+            value = zlib.crc32(part, value)
+            left -= len(part)
+        self.position = start
+        self.file.seek(start)
+        fault = source.fault if isinstance(source, ChunkDecompressor) else None
+        if left == inflated_size and fault is not None:
+            return  # nothing of it can be read
+        if left or value != expected:
+            self.damaged_to = start + size
+            self.progress.report_damaged(start, size, fault or "wrong checksum")
 
     def _inflated(self, compression: str, size: int, inflated_size: int) -> Generator[Chunk]:
         """Read the records of a compressed chunk, then skip to its end."""
@@ -277,7 +309,8 @@ class _Reader:
             source.fault = str(damage)
         if source.fault is not None and start + size <= self.size:
             self.losses += 1
-            self.progress.report(f"damaged chunk at byte {start}: {source.fault}")
+            if start >= self.damaged_to:
+                self.progress.report(f"damaged chunk at byte {start}: {source.fault}")
         if start + size > self.size:
             raise _CutError(self.size)  # compressed bytes could look like messages
         self._skip(start + size - self.position)
@@ -324,16 +357,11 @@ class _Reader:
     def _skip(self, length: int) -> None:
         if length > self.size - self.position:
             raise _CutError
-        if self.checksum is not None:
-            for left in range(length, 0, -_SMALL_RECORD):
-                _exactly(self, min(left, _SMALL_RECORD))
-            return
         self.position += length
         self.file.seek(self.position)
 
     def _lose(self, start: int, damage: str, end: str) -> None:
         """Continue with the next record at or after `start` (`damage`), or stop (`end`)."""
-        self.checksum = None
         found = self._next_record(start, self.size)
         if found is None:
             self.progress.report_truncation(end)
@@ -349,20 +377,6 @@ class _Reader:
         found = find_record(self.file, (start, stop), self.size, self.channels, self.stamp_ns)
         self.file.seek(self.position)
         return found
-
-    def _sum(self, data: bytes) -> None:
-        """Add bytes to the checksum of a chunk; compare at its end."""
-        check = self.checksum
-        if check is None:
-            return
-        part = data if len(data) <= check.left else data[: check.left]
-        check.value = zlib.crc32(part, check.value)
-        check.left -= len(part)
-        if check.left == 0:
-            self.checksum = None
-            if check.value != check.expected:
-                text = f"wrong checksum of the chunk at byte {check.offset}: some bytes changed"
-                self.progress.report(text)
 
 
 def _exactly(source: ByteSource, size: int) -> bytes:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final, Self
 
 from oculus_driver.errors import RecordingError
 from oculus_driver.framing import header_fault, read_header
-from oculus_driver.recording.chunk import OCULUS, Chunk, Progress
+from oculus_driver.recording.chunk import OCULUS, Chunk, DamagedPart, Progress
 from oculus_driver.recording.mcap_reader import read_mcap
 from oculus_driver.recording.mcap_records import MAGIC, read_summary
 from oculus_driver.recording.network_capture import read_network_capture
@@ -177,6 +177,26 @@ class Recording:
         return self._progress.faults
 
     @property
+    def damaged_parts(self) -> tuple[DamagedPart, ...]:
+        """The first 1000 parts of the file whose checksum fails; their chunks are damaged."""
+        return tuple(self._progress.damaged_parts)
+
+    @property
+    def damaged_bytes(self) -> int:
+        """Size of all parts whose checksum fails."""
+        return self._progress.damaged_bytes
+
+    @property
+    def link_losses(self) -> int:
+        """Number of gaps that the recorder marked, as after a lost connection; no damage."""
+        return self._progress.link_losses
+
+    @property
+    def data_lost(self) -> bool:
+        """Whether damage of an MCAP file, other than a missing end, may have cost data."""
+        return self.format == MCAP and self._progress.data_lost
+
+    @property
     def metadata(self) -> dict[str, str]:
         """Metadata written by the recorder, such as format_version."""
         return dict(self._progress.metadata)
@@ -191,6 +211,7 @@ class Recording:
             yield from READERS[self.format](self._file, self.size_bytes, progress)
         except OSError as error:
             progress.read_error = error
+            progress.data_lost = True
             progress.report_truncation(f"read error: {error.strerror or error}")
 
     def _look_ahead(self) -> None:

@@ -25,9 +25,13 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from types import TracebackType
 
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 2
 METADATA_NAME: Final = "oculus_driver.recording"
 LIBRARY: Final = "oculus_driver"
+
+GAP_STEP: Final = 1 << 16
+"""Sequence numbers that a marked gap skips; damage skips fewer: a chunk has no room for so many."""
+
 CHUNK_SIZE: Final = 1 << 20
 _MAX_LINKS: Final = 1 << 15
 _U64_END: Final = 1 << 64
@@ -147,8 +151,8 @@ class RecordingWriter:
             data: any number of bytes.
             arrival_ns: arrival time; None if unknown.
             gap_before: bytes of this link are missing before these. The sequence number of the link
-                skips one value, so that readers detect it. Ignored before the first bytes of a
-                link.
+                skips `GAP_STEP` values, so that readers detect it. Ignored before the first bytes
+                of a link.
 
         Raises:
             RecordingError: the disk is full or fails (the file stays as before this call), or
@@ -159,7 +163,8 @@ class RecordingWriter:
             raise RecordingError(f"{self.path}: invalid link {link} or time {stamp_ns} ns")
         whole = bytes(data)
         gaps = self._gaps[link] + (gap_before and self._counts[link] > 0)
-        head = mcap.message_head(link, self._counts[link] + gaps, stamp_ns, len(whole))
+        sequence = self._counts[link] + GAP_STEP * gaps
+        head = mcap.message_head(link, sequence, stamp_ns, len(whole))
         size = len(head) + len(whole)
         if self._chunk is not None and self._chunk.size + size > CHUNK_SIZE:
             self._close_chunk()
@@ -170,7 +175,15 @@ class RecordingWriter:
         self._gaps[link] = gaps
 
     def sync(self) -> None:
-        """Flush everything to the disk; may take a while."""
+        """Flush everything to the disk; may take a while.
+
+        The chunk ends here: a power failure may cost bytes that are written later, and the checksum
+        of their chunk does not cover these.
+
+        Raises:
+            RecordingError: the disk is full or fails.
+        """
+        self._close_chunk()
         os.fdatasync(self._file)
 
     def close(self) -> None:

@@ -82,6 +82,9 @@ def bag_of_recordings(
         _mapped(runs, sonar_map, writer)
         writer.end()
     yield from _report(path, bag)
+    for session in sessions:
+        if session.damaged.bytes:
+            yield f"damaged: {session.damaged}"
     if writer.unstamped:
         yield f"{writer.unstamped} pings without a time were left out"
 

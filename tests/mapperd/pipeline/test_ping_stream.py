@@ -10,7 +10,7 @@ PingBytes = Callable[..., bytes]
 
 
 def outcome(arrival: Arrival) -> int | str:
-    _, ping = arrival
+    ping = arrival.ping
     return ping.reason if isinstance(ping, Reject) else ping.ping_id
 
 
@@ -19,7 +19,7 @@ def test_pings_come_out_with_their_arrival(ping_bytes: PingBytes) -> None:
     stream = PingStream()
     arrivals = [*stream.feed("sonar", data[:5000], 10), *stream.feed("sonar", data[5000:], 20)]
     assert [outcome(each) for each in arrivals] == [1, 2]
-    assert [t_ns for t_ns, _ in arrivals] == [10, 20]
+    assert [arrival.arrival_ns for arrival in arrivals] == [10, 20]
     assert isinstance(arrivals[0][1], Ping)
 
 

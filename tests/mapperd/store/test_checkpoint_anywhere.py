@@ -62,7 +62,7 @@ class Estimators:
                 gap_before=chunk.gap_before,
             )
         else:
-            for _, ping in self.stream.feed(chunk.link, chunk.data, chunk.arrival_ns):
+            for _, ping, _ in self.stream.feed(chunk.link, chunk.data, chunk.arrival_ns):
                 assert isinstance(ping, Ping)
                 clock = self.clocks.setdefault(ping.source_id, SonarClock())
                 self.poses.add_ping(ping, ping_time_ns(ping, clock))

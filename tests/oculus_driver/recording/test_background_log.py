@@ -90,10 +90,7 @@ def test_a_disk_that_hangs_costs_the_newest_bytes_and_the_loop_goes_on(
     assert asyncio.run(run()) > 0
     info = described(tmp_path)
     assert info.ping_list[0].id == 7
-    assert (info.ping_list[-1].id, info.faults) == (
-        99,
-        1,
-    )  # the gap is noted
+    assert (info.ping_list[-1].id, info.faults, info.link_losses) == (99, 0, 1)  # the gap
 
 
 def test_what_goes_wrong_in_the_thread_is_raised_when_the_block_is_left(

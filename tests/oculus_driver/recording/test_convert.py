@@ -106,6 +106,28 @@ def test_formats_for_several_links_keep_sonars_stamps_statuses_and_gaps(
     assert after.rejects == before.rejects == {"bad_magic": 1}
 
 
+@pytest.mark.parametrize("kind", [MCAP, OCULUS_RAW])
+def test_data_that_fail_their_checksum_are_left_out_unless_asked_for(
+    tmp_path: Path, make_ping: MakePing, kind: str
+) -> None:
+    source, target, all_of_it = (tmp_path / name for name in ("source", "target", "all"))
+    with RecordingWriter(source) as writer:
+        link = writer.add_link("sonar", OCULUS)
+        for number in range(6):
+            if number % 2 == 0:
+                writer.sync()
+            writer.write(link, make_ping(ping_id=number), 10**18 + number)
+    data = bytearray(source.read_bytes())
+    ping = make_ping(ping_id=2)
+    data[data.index(ping) + len(ping) - 1] ^= 1
+    source.write_bytes(data)
+    done = convert(source, target, kind)
+    assert done.left_out == {"checksum": 2 * len(ping)}
+    assert [ping.id for ping in described(target).ping_list] == [0, 1, 4, 5]
+    assert convert(source, all_of_it, kind, use_damaged=True).left_out == {}
+    assert [ping.id for ping in described(all_of_it).ping_list] == list(range(6))
+
+
 @pytest.mark.parametrize("kind", [OCULUS_LOG, OCULUS_RAW])
 def test_formats_for_messages_keep_those_of_the_first_sonar(
     tmp_path: Path, dive: Path, kind: str
@@ -114,7 +136,7 @@ def test_formats_for_messages_keep_those_of_the_first_sonar(
     done = convert(dive, target, kind)
     assert set(done.left_out) == {"other_link", "no_message"}
     assert done.left_out["no_message"] == 907
-    assert done.damage is not None  # the gap
+    assert done.damage is None  # the gap is none
     first = [ping for ping in described(dive).ping_list if ping.link == "left"]
     info = described(target)
     assert [ping.id for ping in info.ping_list] == [ping.id for ping in first]

@@ -12,11 +12,17 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from oculus_driver import Ping, StreamParser, bearing_table_cdeg, decode_ping, encode_ping
-from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, RecordingWriter, open_recording
+from oculus_driver.recording import (
+    OCULUS,
+    ODOMETRY_NATIVE,
+    RecordingWriter,
+    mcap_records,
+    open_recording,
+)
 from oculus_driver.recording.chunk import Chunk, Progress
 from oculus_driver.recording.mcap_reader import read_mcap
 from oculus_driver.recording.mcap_records import Opcode
-from oculus_driver.recording.writer import CHUNK_SIZE
+from oculus_driver.recording.writer import CHUNK_SIZE, METADATA_NAME
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -208,7 +214,7 @@ def test_a_raw_stream_with_missing_bytes_is_reported(tmp_path: Path) -> None:
         assert (recording.damage or "").startswith(f"{size} bytes")
 
 
-def test_a_gap_that_the_recorder_knows_of_is_in_the_recording(tmp_path: Path) -> None:
+def test_a_gap_that_the_recorder_knows_of_is_a_link_loss_and_no_damage(tmp_path: Path) -> None:
     path = tmp_path / "gap.mcap"
     with RecordingWriter(path) as writer:
         sonar, dvl = writer.add_link("sonar", OCULUS), writer.add_link("dvl", ODOMETRY_NATIVE)
@@ -218,5 +224,28 @@ def test_a_gap_that_the_recorder_knows_of_is_in_the_recording(tmp_path: Path) ->
         assert writer.messages == 12
     with open_recording(path) as recording:
         assert gaps(list(recording)) == [("sonar", b"2"), ("sonar", b"5")]
-        assert recording.faults == 2
-        assert re.search(r"\b1 piece.*'sonar'", recording.damage or "")
+        assert (recording.faults, recording.damage, recording.link_losses) == (0, None, 2)
+
+
+def test_a_lost_piece_behind_a_link_loss_is_damage(tmp_path: Path) -> None:
+    path = tmp_path / "gap.mcap"
+    with RecordingWriter(path) as writer:
+        sonar = writer.add_link("sonar", OCULUS)
+        for number in range(6):
+            writer.sync()
+            writer.write(sonar, b"%d" % number, number, gap_before=number in (2, 3))
+    chunks, progress = read(without_chunk(path.read_bytes(), 3))
+    assert gaps(chunks) == [("sonar", b"2"), ("sonar", b"4")]
+    assert (progress.link_losses, progress.faults) == (2, 1)
+    assert re.search(r"\b1 piece.*'sonar'", progress.damage or "")
+
+
+def test_recordings_of_format_1_skip_one_number_at_a_link_loss() -> None:
+    note = mcap_records.metadata(METADATA_NAME, {"format_version": "1"})
+    link = mcap_records.channel(1, "sonar", OCULUS)
+    numbers = (0, 1, 3, 4, 7)
+    rows = [mcap_records.message_head(1, number, 10**18, 1) + b"x" for number in numbers]
+    chunks, progress = read(b"".join((mcap_records.MAGIC, note, link, *rows)))
+    assert [chunk.gap_before for chunk in chunks] == [False, False, True, False, True]
+    assert progress.link_losses == 1
+    assert "2 pieces of link 'sonar' missing" in (progress.damage or "")

@@ -15,12 +15,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
-from oculus_driver.recording import OCULUS, Chunk, mcap_records
+from oculus_driver.recording import (
+    OCULUS,
+    Chunk,
+    RecordingWriter,
+    mcap_records,
+    open_recording,
+)
 from oculus_driver.recording.chunk import Progress
 from oculus_driver.recording.mcap_reader import read_mcap
 from oculus_driver.recording.mcap_records import MAGIC, Opcode
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tests.oculus_driver.recording.conftest import Row, Written
 
 LINK = mcap_records.channel(1, "sonar", OCULUS)
@@ -140,6 +148,70 @@ def test_a_changed_byte_inside_is_reported(written: Written) -> None:
     assert progress.damage is not None
     assert "wrong checksum" in progress.damage
     assert not progress.truncated
+
+
+def parts_of(rows: list[Chunk]) -> tuple[list[bytes], list[bytes]]:
+    """Return the data of good chunks, and of damaged ones."""
+    return [c.data for c in rows if not c.damaged], [c.data for c in rows if c.damaged]
+
+
+def test_a_changed_byte_marks_the_messages_of_its_chunk(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path) as writer:
+        link = writer.add_link("sonar", OCULUS)
+        for number in range(9):
+            if number in {3, 6}:
+                writer.sync()
+            writer.write(link, bytes([number]) * 1000, 10**18 + number)
+    data = bytearray(path.read_bytes())
+    data[data.index(b"\4" * 1000) + 500] ^= 1
+    path.write_bytes(data)
+    with open_recording(path) as recording:
+        good, damaged = parts_of(list(recording))
+        assert good == [bytes([number]) * 1000 for number in (0, 1, 2, 6, 7, 8)]
+        assert [part[0] for part in damaged] == [3, 4, 5]
+        [part] = recording.damaged_parts
+        assert (part.bytes, recording.damaged_bytes) == (3 * 1031, 3 * 1031)
+        assert part.offset < data.index(b"\3" * 1000) < part.offset + 32
+        assert recording.faults == 1
+
+
+def test_each_message_of_a_damaged_chunk_is_marked_even_if_its_head_is_damaged(
+    written: Written,
+) -> None:
+    data = bytearray(written.data)
+    start = written.ends[20]
+    assert data[start] == Opcode.MESSAGE
+    data[start] ^= 0x81
+    progress = Progress()
+    chunks = list(read_mcap(io.BytesIO(data), len(data), progress))
+    [(offset, size)] = progress.damaged_parts
+    assert offset < start < offset + size
+    good, damaged = parts_of(chunks)
+    whole = [row[3] for row in written.rows]
+    assert good == [
+        one for k, one in enumerate(whole) if not offset < written.ends[k] <= offset + size
+    ]
+    assert len(damaged) >= len(whole) - len(good) - 2
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_a_changed_byte_marks_the_messages_of_a_chunk_of_another_tool(
+    compression: CompressionType,
+) -> None:
+    data = bytearray(foreign(compression))
+    position = len(MAGIC)
+    while data[position] != Opcode.CHUNK:
+        position += 9 + struct.unpack_from("<Q", data, position + 1)[0]
+    data[position + 5000] ^= 1
+    progress = Progress()
+    chunks = list(read_mcap(io.BytesIO(data), len(data), progress))
+    good, damaged = parts_of(chunks)
+    assert progress.damaged_parts
+    assert damaged or compression is not CompressionType.NONE
+    whole = read(foreign(compression))[0]
+    assert good == [row[3] for row in whole[-len(good) :]]
+    assert 60 <= len(good) < len(whole)
 
 
 def test_a_piece_missing_in_the_middle_costs_that_piece(written: Written) -> None:

@@ -35,7 +35,7 @@ def test_an_mcap_file_is_known_by_its_content(written: Written) -> None:
         assert recording.path == written.path
         assert recording.size_bytes == len(written.data)
         assert (recording.start_ns, recording.end_ns) == (written.rows[0][2], written.rows[-1][2])
-        assert recording.metadata["format_version"] == "1"
+        assert recording.metadata["format_version"] == "2"
         assert recording.bytes_read == 0
         iterator = iter(recording)
         for _ in range(60):

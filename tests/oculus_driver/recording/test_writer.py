@@ -40,7 +40,7 @@ def test_other_readers_find_index_and_messages(written: Written) -> None:
         ]
         (note,) = reader.iter_metadata()
     assert found == written.rows
-    assert note.metadata == {"format_version": "1", "monotonic_to_unix_ns": "0"}
+    assert note.metadata == {"format_version": "2", "monotonic_to_unix_ns": "0"}
 
 
 def test_other_readers_can_seek_in_time(written: Written) -> None:
@@ -108,7 +108,7 @@ def test_stamps_become_unix_time(tmp_path: Path) -> None:
         assert [chunk.arrival_ns for chunk in recording] == [10**18 + 5, None]
         assert recording.metadata == {
             "site": "dock",
-            "format_version": "1",
+            "format_version": "2",
             "monotonic_to_unix_ns": str(10**18),
         }
 

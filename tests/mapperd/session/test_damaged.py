@@ -1,0 +1,249 @@
+"""Recorded data that fail their checksum are not mapped, and everyone reports what is missing."""
+
+import asyncio
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mapperd.cli.mapperd import Exit
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
+from mapperd.daemon.session import Live
+from mapperd.errors import Reject
+from mapperd.events import EventLog
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import PosedPing, SessionDecoder
+from mapperd.pipeline.ingest import SONAR
+from mapperd.pipeline.pose_lookup import FixedPose
+from mapperd.session.recordings import DamagedData, files_in, sessions_of
+from mapperd.session.recovery import map_recorded_sessions, replay_sessions
+from mapperd.session.startup import open_map
+from mapperd.store.checkpoint import decode_state, encode_state
+from mapperd.store.tile_store import TileStore
+from oculus_driver.recording import OCULUS, Chunk, RecordingWriter
+
+PingBytes = Callable[..., bytes]
+Survey = Callable[..., list[Any]]
+Run = Callable[..., Any]
+START_NS = 1_700_000_000_000_000_000
+PINGS = 60
+STILL = pose_from_rpy((0, 0, 0), (0, 0, 30))
+
+pytestmark = pytest.mark.usefixtures("no_picture")
+
+
+def recorded(path: Path, events: Iterable[Any], *, per_chunk: int = 4) -> None:
+    """Write pings in chunks of a few, and odometry in chunks of its own."""
+    kinds = {"ping": OCULUS, "odometry": "odometry-native"}
+    before, left = "", 0
+    with RecordingWriter(path) as writer:
+        links = {kind: writer.add_link(kind, encoding) for kind, encoding in kinds.items()}
+        for kind, data, seconds in events:
+            if kind != before or left == 0:
+                writer.sync()
+                before, left = kind, per_chunk
+            left -= 1
+            writer.write(links[kind], data, START_NS + round(seconds * 1e9))
+
+
+def altered(path: Path, pings: Iterable[bytes]) -> Path:
+    """Return a copy with a changed sample in each of these pings."""
+    data = bytearray(path.read_bytes())
+    for ping in pings:
+        data[data.index(ping) + len(ping) - 1] ^= 0x40
+    copy = path.with_name("altered")
+    copy.write_bytes(data)
+    return copy
+
+
+def track(survey: Survey) -> list[Any]:
+    """Odometry first, then the pings: one chunk of pings holds no odometry."""
+    return sorted(survey(PINGS), key=lambda event: event[0])
+
+
+def test_altered_pings_are_not_mapped(
+    tmp_path: Path, run: Run, survey: Survey, ping_bytes: PingBytes
+) -> None:
+    recorded(tmp_path / "whole", track(survey))
+    ran = run(tmp_path / "whole")
+    assert (ran.code, ran.summary["pings_mapped"]) == (Exit.OK, PINGS)
+    every = [ping_bytes(k + 1) for k in range(PINGS)]
+    ran = run(altered(tmp_path / "whole", every))
+    assert ran.code == Exit.BAD_DATA
+    assert ran.summary["pings_dropped"] == {"checksum": PINGS}
+    assert "fail their checksum" in ran.output
+
+
+def test_the_rest_of_a_damaged_recording_is_mapped_and_the_loss_is_listed(
+    tmp_path: Path, run: Run, survey: Survey, ping_bytes: PingBytes
+) -> None:
+    events = track(survey)
+    recorded(tmp_path / "whole", events)
+    whole = run(tmp_path / "whole").summary
+    changed = [ping_bytes(9), ping_bytes(10), ping_bytes(30)]
+    damaged = altered(tmp_path / "whole", changed)
+    ran = run(damaged)
+    summary, facts = ran.summary, ran.summary["recording"]
+    assert ran.code == Exit.BAD_DATA
+    assert (summary["pings_mapped"], summary["pings_dropped"]) == (PINGS - 8, {"checksum": 8})
+    assert summary["pings_lost"] == 0
+    assert [part["file"] for part in facts["damaged_parts"]] == ["altered"] * 2
+    assert facts["damaged_bytes"] == sum(part["bytes"] for part in facts["damaged_parts"])
+    offset = facts["damaged_parts"][0]["offset"]
+    assert 0 < damaged.read_bytes().index(ping_bytes(11)) - offset < 3 * len(ping_bytes(9))
+    assert f"altered byte {offset}" in ran.output
+    assert "were not mapped" in ran.output
+
+    lost = {ping_bytes(k) for k in (*range(9, 13), *range(29, 33))}
+    recorded(tmp_path / "rest", [event for event in events if event[1] not in lost])
+    assert run(tmp_path / "rest").summary["map_sha256"] == summary["map_sha256"]
+
+    ran = run(damaged, "--use-damaged")
+    assert (ran.code, ran.summary["pings_mapped"]) == (Exit.OK, PINGS)
+    assert ran.summary["map_sha256"] not in (whole["map_sha256"], summary["map_sha256"])
+    assert "were mapped all the same" in ran.output
+
+
+def test_a_replay_into_a_store_leaves_altered_pings_out(
+    tmp_path: Path, run: Run, survey: Survey, ping_bytes: PingBytes
+) -> None:
+    recorded(tmp_path / "whole", track(survey))
+    damaged = altered(tmp_path / "whole", [ping_bytes(9)])
+    ran = run(damaged, "--store", str(tmp_path / "map.db"))
+    assert ran.code == Exit.BAD_DATA
+    assert ran.summary["pings_dropped"] == {"checksum": 4}
+    assert ran.summary["map_sha256"] == run(damaged).summary["map_sha256"]
+
+
+def test_altered_odometry_is_not_used(
+    tmp_path: Path, run: Run, survey: Survey, odometry_bytes: PingBytes
+) -> None:
+    recorded(tmp_path / "whole", track(survey), per_chunk=1)
+    data = bytearray((tmp_path / "whole").read_bytes())
+    record = odometry_bytes(p=(0.05 * 20, 0.0, 0.0))
+    data[data.index(record) + 15] ^= 1
+    (tmp_path / "altered").write_bytes(data)
+    ran = run(tmp_path / "altered")
+    assert ran.code == Exit.BAD_DATA
+    assert ran.summary["poses"]["odometry_received"] == PINGS
+    assert ran.summary["pings_mapped"] == PINGS
+
+
+def test_pings_keep_their_numbers_through_damage_and_a_checkpoint(ping_bytes: PingBytes) -> None:
+    config = Config()
+    chunks = [
+        Chunk(SONAR, OCULUS, START_NS + k, data, damaged=k in {3, 4})
+        for k, data in enumerate(
+            ping[part]
+            for ping in map(ping_bytes, range(1, 7))
+            for part in (slice(0, 1000), slice(1000, None))
+        )
+    ]
+
+    def works(cut: int | None) -> list[PosedPing]:
+        counters = PipelineCounters()
+        decoder = SessionDecoder(config, FixedPose(STILL), counters, confirm=False, obey=True)
+        found: list[Any] = []
+        for k, chunk in enumerate(chunks):
+            if k == cut:
+                state = decode_state(encode_state(decoder.state()), type(decoder.state()))
+                poses = FixedPose(STILL)
+                decoder = SessionDecoder(config, poses, counters, confirm=False, obey=True)
+                decoder.restore(state)
+            found += decoder.feed(chunk)
+        found += decoder.end()
+        assert counters.pings_lost == 0
+        return found
+
+    for cut in (None, *range(len(chunks))):
+        came = works(cut)
+        assert [work.number for work in came] == list(range(6))
+        bad = [work.number for work in came if isinstance(work.pose, Reject)]
+        assert bad == [1, 2]
+
+
+def test_checkpoints_written_before_damage_was_marked_are_read() -> None:
+    decoder = SessionDecoder(
+        Config(), FixedPose(STILL), PipelineCounters(), confirm=False, obey=True
+    )
+    state = decoder.state()
+    before = (*state[:5], state.stream[:-1], *state[6:-1])
+    assert state[5] is state.stream
+    assert decode_state(encode_state(before), type(state)).stream == state.stream
+
+
+def dive(folder: Path, map_path: Path, pings: list[bytes]) -> Config:
+    """Map a session live, with its map in memory; the recording has a chunk for each ping."""
+    config = config_from_text(
+        "octree: {voxel_resolution: 0.2}\nmounting: {orientation: {pitch: 0}}\n"
+        "device: {address: 127.0.0.1}\n"
+        f"outofcore: {{use: true, map_path: '{map_path}'}}\n"
+        f"recording: {{folder: '{folder}', free_floor: 0}}\n"
+    )
+    live = Live(SonarMap(config), FixedPose(STILL), session="one", clock=lambda: START_NS)
+
+    async def work() -> None:
+        async with live.recorder:
+            live.ingest.order(live._beginning())
+            live.mapping.start()
+            for k, data in enumerate(pings):
+                live.ingest.receive(SONAR, data, START_NS + 100_000_000 * k, gap=False)
+            live.queue.close()
+            await asyncio.to_thread(live.mapping.join)
+
+    asyncio.run(work())
+    return config
+
+
+def damage(folder: Path, ping: bytes) -> None:
+    [path] = folder.iterdir()
+    path.write_bytes(altered(path, [ping]).read_bytes())
+    (folder / "altered").unlink()
+
+
+@pytest.mark.parametrize("use", [False, True])
+def test_a_rebuild_leaves_altered_pings_out_unless_asked(
+    use: bool,  # noqa: FBT001 a parameter of the test
+    tmp_path: Path,
+    ping_bytes: PingBytes,
+) -> None:
+    folder, path = tmp_path / "recordings", tmp_path / "map.db"
+    pings = [ping_bytes(k + 1) for k in range(5)]
+    config = dive(folder, path, pings)
+    damage(folder, pings[2])
+    damaged = DamagedData(use=use)
+    sonar_map = SonarMap(config)
+    with TileStore(path, sonar_map, tile_size_m=8.0, cache_tiles=8) as store:
+        mapped = map_recorded_sessions(store, sonar_map, ("one",), folder, damaged)
+    assert mapped == (5 if use else 0)  # the whole dive is one chunk
+    assert len(damaged.parts) == 1
+    assert not replay_sessions(SonarMap(config), ("one",), folder, DamagedData(use=use))
+
+
+def test_the_daemon_reports_damaged_recordings_when_it_rebuilds_its_map(
+    tmp_path: Path, ping_bytes: PingBytes
+) -> None:
+    folder, path = tmp_path / "recordings", tmp_path / "map.db"
+    pings = [ping_bytes(k + 1) for k in range(5)]
+    config = dive(folder, path, pings)
+    damage(folder, pings[2])
+    path.with_name(f"{path.name}.rebuilding").touch()  # a rebuild was interrupted
+    events = EventLog(lambda: START_NS)
+    open_map(config, "two", events, {}, lambda: 5.0).close()
+    [event] = [one for one in events.since(0)[0] if one.code == "recording_damaged"]
+    assert "fail their checksum and were not mapped" in event.text
+
+
+def test_a_session_whose_beginning_is_damaged_is_still_one(
+    tmp_path: Path, ping_bytes: PingBytes
+) -> None:
+    folder = tmp_path / "recordings"
+    pings = [ping_bytes(k + 1) for k in range(5)]
+    dive(folder, tmp_path / "map.db", pings)
+    damage(folder, pings[2])
+    [session] = sessions_of(files_in([folder]))
+    assert session.beginning() is not None
