@@ -74,7 +74,8 @@ class BacklogConfig(Struct, frozen=True, forbid_unknown_fields=True):
     max_wait: Annotated[
         float,
         rule(
-            "A ping whose pose is known waits at most this long for its turn; then it is dropped.",
+            "A ping is dropped if newer ones wait and this long ago its last byte, or the odometry "
+            "for its pose, arrived.",
             "s",
             gt=0,
             le=60,

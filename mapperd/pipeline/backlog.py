@@ -38,26 +38,36 @@ class Backlog:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def put(self, work: Work, now_ns: int) -> None:
-        """Append work."""
-        self._waiting.append((work, now_ns))
+    def put(self, work: Work, arrival_ns: int) -> None:
+        """Append work.
+
+        Args:
+            work: the next piece.
+            arrival_ns: of the bytes that completed it: the ping's own, or the odometry's for its
+                pose. The time that they waited to be decoded counts.
+        """
+        self._waiting.append((work, arrival_ns))
         self._count(work, 1)
+
+    def rest(self) -> None:
+        """Note that no input waits: an empty backlog is not late."""
+        self.late = self.late and bool(self._waiting)
 
     def next(self, now_ns: int, *, patient: bool = False) -> tuple[Work, bool]:
         """Remove the oldest piece of work; return it and whether it is a ping to drop.
 
         Args:
-            now_ns: on the clock of `put`.
+            now_ns: on the clock of the arrivals.
             patient: no more pings arrive, so none is dropped.
 
         Raises:
             IndexError: nothing waits.
         """
-        work, since_ns = self._waiting.popleft()
+        work, arrival_ns = self._waiting.popleft()
         self._count(work, -1)
         if patient or not _is_mappable(work):
             return work, False
-        wait_ns = now_ns - since_ns
+        wait_ns = now_ns - arrival_ns
         if self.pings and (wait_ns > self._max_wait_ns or self._bytes > MAX_BYTES):
             self.dropped += 1
             self.late = True

@@ -136,11 +136,11 @@ class MappingThread:
             while (chunks := self._queue.take(self._timeout_s())) is not None:
                 for chunk, number in chunks:
                     self._number = number
-                    self._enqueue(decoder.feed(chunk))
+                    self._enqueue(decoder.feed(chunk), chunk.arrival_ns)
                 self._do_one(patient=False)
                 self._persistence.between(self._number, len(self.backlog))
                 self._publish(news=bool(chunks))
-            self._enqueue(decoder.end())
+            self._enqueue(decoder.end(), None)
             late_ns = self._clock() + FINISH_TIMEOUT_NS
             while self.backlog:
                 self._do_one(patient=self._clock() < late_ns)
@@ -153,10 +153,11 @@ class MappingThread:
             self._persistence.stop()
             self.on_end()
 
-    def _enqueue(self, works: list[Work]) -> None:
-        now_ns = self._clock()
+    def _enqueue(self, works: list[Work], arrival_ns: int | None) -> None:
+        """Queue work that the bytes of this arrival completed; None: the end of the input."""
+        arrival_ns = self._clock() if arrival_ns is None else arrival_ns
         for work in works:
-            self.backlog.put(work, now_ns)
+            self.backlog.put(work, arrival_ns)
 
     def _do_one(self, *, patient: bool) -> None:
         """Do the next piece of work and drop the late pings in front of it."""
@@ -209,6 +210,8 @@ class MappingThread:
         """Publish a snapshot: at intervals while busy, and once when the input pauses."""
         self._unpublished = self._unpublished or news
         is_idle = not news and not self.backlog
+        if not self._queue.waiting_bytes:
+            self.backlog.rest()
         is_due = self._clock() - self._published_ns >= SNAPSHOT_INTERVAL_NS
         if self._unpublished and (is_idle or is_due):
             self._publish_now()
