@@ -236,6 +236,7 @@ class Live:
                 partial(self.ingest.receive, source.name),
                 self._clock,
                 self._log_link_state,
+                decoded=partial(self._poses.decoded, source.name),
             )
             for source in self._config.odometry.sources
         ]

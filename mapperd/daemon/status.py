@@ -73,6 +73,7 @@ def _link(link: Link) -> dict[str, Any]:
         "state": str(status.phase),
         "reason": status.reason,
         "bytes": status.bytes_received,
+        "bytes_dropped": link.limit.bytes_dropped,
         "opened": status.opened,
         "losses": status.losses,
     }
@@ -175,6 +176,7 @@ class Watch:
         self._late = False
         self._dropped = 0
         self._recording: object = None
+        self._limits: dict[str, str] = {}
         self._localization = LocalizationWatch(events)
 
     def update(self, facts: StatusSnapshot) -> None:
@@ -199,6 +201,7 @@ class Watch:
         while True:
             await asyncio.sleep(LOOK_S)
             self._look_at_recording()
+            self._look_at_limits()
             now_heard = self._heard()
             silent_s = 0.0 if now_heard != heard else silent_s + LOOK_S
             heard = now_heard
@@ -208,6 +211,20 @@ class Watch:
 
     def _heard(self) -> int:
         return sum(link.status.bytes_received for link in self._live.links)
+
+    def _look_at_limits(self) -> None:
+        """Report links that start or stop to bring more than they may."""
+        for link in self._live.links:
+            before = self._limits.get(link.name, "")
+            reason = self._limits[link.name] = link.limit.reason
+            if reason and not before:
+                text = f"{link.name}: bytes are neither decoded nor recorded: {reason}"
+                self._events.add(Severity.WARNING, "odometry_limited", text, link=link.name)
+            elif before and not reason:
+                text = f"{link.name}: all bytes are decoded again"
+                dropped = link.limit.bytes_dropped
+                facts = {"link": link.name, "bytes_dropped": dropped}
+                self._events.add(Severity.NOTICE, "odometry_limited", text, **facts)
 
     def _look_at_recording(self) -> None:
         status = self._live.recorder.status()

@@ -1,4 +1,4 @@
-"""Links to the vehicle: opened, read, and opened again when they are lost.
+"""Links to the vehicle: opened, read within limits, and opened again when they are lost.
 
 What a link does, as a state machine with names that a person can read; no I/O, no clock.
 
@@ -22,11 +22,15 @@ if TYPE_CHECKING:
 
 __all__ = ["Link", "LinkPhase", "LinkState", "LinkStatus", "OnBytes", "listen_to"]
 
-OnBytes = Callable[[bytes], None]
+OnBytes = Callable[[bytes], bool]
+"""Gets what arrived; returns whether more may come at once."""
+
 OnOpen = Callable[[], None]
 
 LARGEST_READ = 1 << 16
 CONNECT_S = 5.0
+PAUSE_S = 0.05
+"""A port that receives more than its limit is read after such pauses; the system drops the rest."""
 
 
 async def listen_to(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) -> NoReturn:
@@ -48,34 +52,56 @@ async def listen_to(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) ->
     await _read_serial(address, on_open, on_bytes)
 
 
-class _Datagrams(asyncio.DatagramProtocol):
-    def __init__(self, on_bytes: OnBytes, lost: "asyncio.Future[None]") -> None:
-        self._on_bytes = on_bytes
-        self._lost = lost
-
-    def datagram_received(self, data: bytes, _: object) -> None:
-        self._on_bytes(data)
-
-    def connection_lost(self, error: Exception | None) -> None:
-        if not self._lost.done():
-            self._lost.set_exception(error or ConnectionAbortedError("the port was closed"))
-
-
 async def _listen_udp(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) -> NoReturn:
     loop = asyncio.get_running_loop()
     lost: asyncio.Future[None] = loop.create_future()
-    transport: asyncio.DatagramTransport | None = None
-    try:
-        transport, _ = await loop.create_datagram_endpoint(
-            lambda: _Datagrams(on_bytes, lost), local_addr=(address.host, address.port)
-        )
-        on_open()
-        await lost
-    finally:
-        lost.cancel()  # also where it was cancelled while it was being opened
-        if transport is not None:
-            transport.close()
+    with await _bound(address) as port:
+
+        def read() -> None:
+            try:
+                wants_more = on_bytes(port.recv(LARGEST_READ))
+            except BlockingIOError:
+                return
+            except OSError as error:
+                loop.remove_reader(port)
+                lost.set_exception(error)
+                return
+            if not wants_more:
+                loop.remove_reader(port)
+                pauses.append(loop.call_later(PAUSE_S, go_on))
+
+        def go_on() -> None:
+            pauses.clear()
+            loop.add_reader(port, read)
+
+        pauses: list[asyncio.TimerHandle] = []
+        loop.add_reader(port, read)
+        try:
+            on_open()
+            await lost
+        finally:
+            lost.cancel()
+            loop.remove_reader(port)
+            for pause in pauses:
+                pause.cancel()
     raise ConnectionAbortedError("the port was closed")
+
+
+async def _bound(address: LinkAddress) -> socket.socket:
+    """Return a bound UDP socket that does not block."""
+    loop = asyncio.get_running_loop()
+    found = await loop.getaddrinfo(
+        address.host, address.port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
+    )
+    family, kind, protocol, _, where = found[0]
+    port = socket.socket(family, kind, protocol)
+    try:
+        port.setblocking(False)  # noqa: FBT003 its only argument
+        port.bind(where)
+    except OSError:
+        port.close()
+        raise
+    return port
 
 
 async def _read_tcp(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) -> NoReturn:
@@ -258,6 +284,74 @@ class LinkState:
         self._phase, self._since_ns, self._reason = phase, now_ns, reason
 
 
+KIB = 1024
+RATE = 256 * KIB
+"""Bytes per second that a link may bring; no vehicle sends as much odometry."""
+BURST = 128 * KIB
+RESUME = 64 * KIB
+"""Room in which a link that was over its limit is read again: a run holds whole frames."""
+GARBAGE_RATE = KIB
+"""The same for a link that brings nothing but garbage: its recording must not displace others."""
+GARBAGE_BURST = 4 * KIB
+GARBAGE = 64 * KIB
+"""Bytes without a valid frame after which a link brings garbage."""
+MIN_PIECE = 32
+"""Minimum accounted size of a piece: the work that it makes."""
+LIMITED_NS = 10 * SECOND_NS
+"""A link is within its limit again when nothing was dropped for this time."""
+
+
+class InputLimit:
+    """Limits the bytes of one link, in runs long enough to hold whole frames; reads no clock.
+
+    Attributes:
+        bytes_dropped: bytes beyond the limit.
+        reason: why bytes are dropped lately; empty while none are.
+    """
+
+    def __init__(self) -> None:
+        self.bytes_dropped = 0
+        self.reason = ""
+        self._room: float = BURST
+        self._is_open = True
+        self._frames = self._valid_bytes = 0
+        self._since_ns: int | None = None
+        self._dropped_ns = 0
+
+    def passed(self, data: bytes, now_ns: int, decoded: tuple[int, int] = (0, 0)) -> bytes:
+        """Return the part of a piece that is within the limit; the rest is dropped.
+
+        Args:
+            data: the received piece.
+            now_ns: clock of the arrivals.
+            decoded: bytes and valid frames that the link's decoder has counted so far.
+        """
+        is_garbage = self._is_garbage(*decoded)
+        rate, burst = (GARBAGE_RATE, GARBAGE_BURST) if is_garbage else (RATE, BURST)
+        since_ns = now_ns if self._since_ns is None else self._since_ns
+        self._since_ns = now_ns
+        self._room = min(self._room + rate * (now_ns - since_ns) / SECOND_NS, burst)
+        self._is_open = self._room >= (0 if self._is_open else min(RESUME, burst))
+        kept = (data[:GARBAGE_BURST] if is_garbage else data) if self._is_open else b""
+        if self._is_open:
+            self._room -= max(len(kept), MIN_PIECE)
+        self._count(len(data) - len(kept), now_ns, is_garbage=is_garbage)
+        return kept
+
+    def _is_garbage(self, total_bytes: int, frames: int) -> bool:
+        if frames != self._frames:
+            self._frames, self._valid_bytes = frames, total_bytes
+        return total_bytes - self._valid_bytes > GARBAGE
+
+    def _count(self, dropped: int, now_ns: int, *, is_garbage: bool) -> None:
+        if dropped:
+            self.bytes_dropped += dropped
+            self._dropped_ns = now_ns
+            self.reason = "no valid frame" if is_garbage else f"over {RATE // KIB} KiB/s"
+        elif now_ns - self._dropped_ns > LIMITED_NS:
+            self.reason = ""
+
+
 LOOK_S = 1.0
 """So often the state is looked at where nothing is due: it may have been opened meanwhile."""
 
@@ -280,6 +374,11 @@ class Link:
         take: gets what comes.
         clock: the host's, nanoseconds.
         on_status: called with each new state.
+        decoded: returns how many bytes and valid frames of the link were decoded so far.
+
+    Attributes:
+        name, address: as given.
+        limit: of what it may bring.
     """
 
     def __init__(
@@ -289,9 +388,13 @@ class Link:
         take: TakeBytes,
         clock: Callable[[], int],
         on_status: Callable[[str, LinkStatus], None] | None = None,
+        *,
+        decoded: Callable[[], tuple[int, int]] = lambda: (0, 0),
     ) -> None:
         self.name = name
         self.address = address
+        self.limit = InputLimit()
+        self._decoded = decoded
         self._take = take
         self._clock = clock
         self._on_status = on_status
@@ -342,11 +445,17 @@ class Link:
     def _opened(self) -> None:
         self._change(self._state.opened)
 
-    def _received(self, data: bytes) -> None:
-        # What was under way when the link broke will not be completed.
-        gap, self._broken = self._broken, False
+    def _received(self, data: bytes) -> bool:
+        now_ns = self._clock()
         self._change(lambda now_ns: self._state.received(len(data), now_ns))
-        self._take(data, self._clock(), gap=gap)
+        kept = self.limit.passed(data, now_ns, self._decoded())
+        if kept or not data:
+            # What was under way when the link broke, or bytes were dropped, will not be completed.
+            self._take(kept, now_ns, gap=self._broken)
+            self._broken = False
+        is_whole = len(kept) == len(data)
+        self._broken |= not is_whole
+        return is_whole
 
     def _change(self, change: "Callable[[int], T]") -> "T":
         """Change the state, and report a new one."""

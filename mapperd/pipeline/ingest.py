@@ -1,7 +1,7 @@
 """Passes the bytes of all links, in one order, to the recorder and to the mapping thread."""
 
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from threading import Condition
 
@@ -13,16 +13,24 @@ from oculus_driver.stream import MessageBounds
 __all__ = ["MAX_BYTES", "SONAR", "ChunkQueue", "Ingest"]
 
 MAX_BYTES = 64 * 1024 * 1024
+"""Room of the sonar in the queue."""
+
+MAX_OTHER_BYTES = 8 * 1024 * 1024
+"""Room of each other link: none takes the sonar's."""
 
 MIN_SIZE = 512
 """Minimum accounted size of an entry: its own memory."""
 
 
+SONAR = "sonar"
+"""Name of the sonar's link."""
+
+
 class ChunkQueue:
-    """A queue of chunks with a bounded size; thread-safe.
+    """A queue of chunks with a bounded size for each link; thread-safe.
 
     Args:
-        max_bytes: maximum size of the waiting chunks.
+        max_bytes: maximum size of the waiting chunks of one link.
 
     Attributes:
         chunks_refused, bytes_refused: input without room.
@@ -33,18 +41,20 @@ class ChunkQueue:
         self.bytes_refused = 0
         self._limit = max_bytes
         self._chunks: deque[tuple[Chunk, int]] = deque()
-        self._bytes = 0
+        self._bytes: Counter[str] = Counter()
+        self._total = 0
         self._closed = self._woken = False
         self._changed = Condition()
 
     @property
     def waiting_bytes(self) -> int:
         """Size of the waiting chunks."""
-        return self._bytes
+        return self._total
 
     def has_room(self, chunk: Chunk) -> bool:
         """Return whether a chunk fits; count it as refused if not. For the only producer."""
-        if self._bytes + _size(chunk) <= self._limit:
+        most = self._limit if chunk.link == SONAR else min(self._limit, MAX_OTHER_BYTES)
+        if self._bytes[chunk.link] + _size(chunk) <= most:
             return True
         self.chunks_refused += 1
         self.bytes_refused += len(chunk.data)
@@ -59,7 +69,8 @@ class ChunkQueue:
         """
         with self._changed:
             self._chunks.append((chunk, number))
-            self._bytes += _size(chunk)
+            self._bytes[chunk.link] += _size(chunk)
+            self._total += _size(chunk)
             self._changed.notify()
 
     def wake(self) -> None:
@@ -81,7 +92,8 @@ class ChunkQueue:
                 return None
             chunks = list(self._chunks)
             self._chunks.clear()
-            self._bytes = 0
+            self._bytes.clear()
+            self._total = 0
         return chunks
 
     def close(self) -> None:
@@ -93,10 +105,6 @@ class ChunkQueue:
 
 def _size(chunk: Chunk) -> int:
     return max(len(chunk.data), MIN_SIZE)
-
-
-SONAR = "sonar"
-"""Name of the sonar's link."""
 
 
 class Ingest:

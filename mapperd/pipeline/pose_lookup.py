@@ -97,6 +97,9 @@ class PoseLookup(Protocol):
     ) -> None:
         """Feed bytes of odometry, as for `OdometryBridge.feed`."""
 
+    def decoded(self, link: str) -> tuple[int, int]:
+        """Return how many bytes and valid frames of a link were decoded; any thread."""
+
     def resolved(
         self, now_ns: int | None, *, final: bool = False
     ) -> Iterator[tuple[Ping, FusedPose | Reject]]:
@@ -181,6 +184,10 @@ class FixedPose:
         """Count a piece of odometry and ignore it."""
         self.ignored += 1
 
+    def decoded(self, link: str) -> tuple[int, int]:  # noqa: ARG002 nothing is decoded
+        """As `PoseLookup.decoded`."""
+        return 0, 0
+
     def resolved(
         self,
         now_ns: int | None,  # noqa: ARG002 nothing to wait for
@@ -256,6 +263,13 @@ class OdometryPoses:
     ) -> None:
         """Feed bytes of odometry, as for `OdometryBridge.feed`."""
         self.odometry.feed(link, data, arrival_ns, encoding=encoding, gap_before=gap_before)
+
+    def decoded(self, link: str) -> tuple[int, int]:
+        """As `PoseLookup.decoded`."""
+        decoder = self.odometry.decoder_of(link)
+        return (
+            (0, 0) if decoder is None else (decoder.counters.bytes_total, decoder.counters.frames)
+        )
 
     def resolved(
         self, now_ns: int | None, *, final: bool = False

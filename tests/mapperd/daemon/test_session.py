@@ -282,6 +282,62 @@ def test_what_comes_in_is_recorded_and_can_be_replayed(
     assert again.sha256() == recorded[0].sha256()
 
 
+async def flood(writer: asyncio.StreamWriter) -> None:
+    """Write 8 MB/s of NMEA with wrong checksums until it is cancelled."""
+    lines = b"$GPGGA,101112.00,4717.11,N,00833.91,E,1,08,0.9,499.6,M,48.0,M,,*00\r\n" * 1200
+    try:
+        while True:
+            writer.write(lines)
+            await writer.drain()
+            await asyncio.sleep(len(lines) / 8e6)
+    finally:
+        writer.close()
+
+
+def test_garbage_on_one_link_costs_neither_pings_nor_recordings(
+    tmp_path: Path, ping_bytes: PingBytes, odometry_bytes: Callable[..., bytes]
+) -> None:
+    async def work() -> None:
+        pings = [ping_bytes(k, start_time=100 + 0.05 * k) for k in range(1, 60)]
+        garbage: list[asyncio.Task[None]] = []
+        async with (
+            PlaybackSonar(pings, standby=True, loops=None) as sonar,
+            await asyncio.start_server(
+                lambda _, writer: garbage.append(asyncio.create_task(flood(writer))), "127.0.0.1"
+            ) as bad,
+        ):
+            port, bad_port = free_port(), bad.sockets[0].getsockname()[1]
+            sources = f"{{name: good, link: 'udp://127.0.0.1:{port}'}}"
+            sources += f", {{name: bad, format: nmea, link: 'tcp://127.0.0.1:{bad_port}'}}"
+            sonar_map = SonarMap(
+                config_from_text(
+                    "octree: {voxel_resolution: 0.2}\nmounting: {orientation: {pitch: 0}}\n"
+                    "behind: {max_wait: 5}\n"
+                    f"device: {{address: {sonar.host}, port: {sonar.port}, ping_rate: highest}}\n"
+                    f"odometry: {{sources: [{sources}]}}\n"
+                    f"recording: {{folder: {tmp_path}, free_floor: 0}}\n"
+                )
+            )
+            live = Live(sonar_map, OdometryPoses(sonar_map.config))
+            vehicle = asyncio.create_task(send_odometry(port, odometry_bytes))
+            await live.run(asyncio.sleep(4))
+            for task in (vehicle, *garbage):
+                task.cancel()
+            await asyncio.gather(vehicle, *garbage, return_exceptions=True)
+            good, link = live.links
+            assert link.status.bytes_received > 8e6
+            assert link.limit.reason == "no valid frame"
+            assert good.limit.bytes_dropped == live.queue.bytes_refused == 0
+            assert live.counters.pings_mapped > 40
+            assert live.counters.pings_dropped["too_slow"] == 0
+
+    run(work())
+    (path,) = tmp_path.iterdir()
+    with open_recording(path) as recording:
+        sizes = sum(len(chunk.data) for chunk in recording if chunk.link == "bad")
+    assert sizes < 1 << 20
+
+
 def test_two_sources_cannot_share_a_link() -> None:
     text = "odometry: {sources: [{name: a}, {name: b}]}"
     config = config_from_text(text)
