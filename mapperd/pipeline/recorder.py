@@ -89,7 +89,7 @@ class Recorder:
         return None if place is None else RecordingOffset(place.file, place.messages)
 
     def wait_for(self, number: int, timeout_s: float) -> bool:
-        """Wait until a piece is with the operating system; return False on a timeout."""
+        """Wait until a piece is on the disk, for power cuts; return False on a timeout."""
         return self._log is None or self._log.wait_for(number, timeout_s)
 
     def record(self, chunk: Chunk, *, gap: bool, bounds: MessageBounds | None = None) -> int:

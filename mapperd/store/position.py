@@ -31,7 +31,7 @@ class RecordingOffsets(Protocol):
         """Where the recording goes on behind a piece; None while that is not written."""
 
     def wait_for(self, number: int, timeout_s: float) -> bool:
-        """Wait until a piece is written."""
+        """Wait until a piece is on the disk, where it survives a power cut."""
 
 
 class Position(Struct, frozen=True):

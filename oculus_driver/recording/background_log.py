@@ -61,6 +61,7 @@ class BackgroundLog:
         offered: number of the newest piece.
         written: number of the last piece that is with the operating system; earlier pieces are
             written, or dropped.
+        synced: number of the last piece that is on the disk, where it survives a power cut.
     """
 
     def __init__(
@@ -73,6 +74,8 @@ class BackgroundLog:
         self.bytes_dropped = 0
         self.offered = 0
         self.written = 0
+        self.synced = 0
+        self._sync_wanted = 0
         self._runs: deque[_Run] = deque(maxlen=_MAX_RUNS)
         self._log = log
         self._limit = max_waiting_bytes
@@ -152,9 +155,11 @@ class BackgroundLog:
         return None
 
     def wait_for(self, number: int, timeout_s: float) -> bool:
-        """Wait until a piece is written; return False on a timeout. Not for the event loop."""
+        """Have a piece flushed to the disk; return False on a timeout. Not for the event loop."""
         with self._changed:
-            return self._changed.wait_for(lambda: self.written >= number, timeout_s)
+            self._sync_wanted = max(self._sync_wanted, number)
+            self._changed.notify_all()
+            return self._changed.wait_for(lambda: self.synced >= number, timeout_s)
 
     def _offer(self, entry: _Entry) -> bool:
         size = max(len(entry.data), _MIN_SIZE)
@@ -178,7 +183,9 @@ class BackgroundLog:
                 self._record(entry)
                 self._retry_held()
                 self._remember_position(entry.number)
+                self._sync_if_wanted()
             self._log.close()
+            self._note_synced(self.written)
         except BaseException as error:  # noqa: BLE001 - raised at the end of the block
             self._error = error
 
@@ -195,6 +202,7 @@ class BackgroundLog:
                 if self._closing:
                     return None
             self._log.tick(self._clock())
+            self._sync_if_wanted()
 
     def _record(self, entry: _Entry) -> None:
         if entry.bounds is not None:
@@ -212,6 +220,15 @@ class BackgroundLog:
                     self._log.drop_held()
                 else:
                     self._changed.wait_for(lambda: self._closing, _RETRY_S)
+
+    def _sync_if_wanted(self) -> None:
+        if self.synced < self._sync_wanted <= self.written and self._log.sync(self._clock()):
+            self._note_synced(self.written)
+
+    def _note_synced(self, number: int) -> None:
+        with self._changed:
+            self.synced = number
+            self._changed.notify_all()
 
     def _remember_position(self, number: int) -> None:
         """Remember the position of a piece."""

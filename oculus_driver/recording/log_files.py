@@ -149,7 +149,7 @@ class LogFolder:
         self._prefix = prefix
         self._pattern = re.compile(rf"{prefix}_(\d{{6,}})_\d{{8}}T\d{{6}}Z\.mcap")
         try:
-            self.path.mkdir(parents=True, exist_ok=True)
+            _make_folder(self.path)
             for entry in os.scandir(self.path):
                 match = self._pattern.fullmatch(entry.name)
                 if match is not None and entry.is_file(follow_symlinks=False):
@@ -190,8 +190,22 @@ class LogFolder:
 
     def sync(self) -> None:
         """Flush the names of new files to the disk."""
-        number = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            os.fsync(number)
-        finally:
-            os.close(number)
+        _sync_folder(self.path)
+
+
+def _make_folder(path: Path) -> None:
+    """Create a folder and its parents, and flush their names to the disk."""
+    if path.is_dir():
+        return
+    if path.parent != path:
+        _make_folder(path.parent)
+    path.mkdir(exist_ok=True)
+    _sync_folder(path.parent)
+
+
+def _sync_folder(path: Path) -> None:
+    number = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(number)
+    finally:
+        os.close(number)

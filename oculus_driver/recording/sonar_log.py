@@ -225,7 +225,27 @@ class SonarLog:
         full = self._full(now_ns)
         if full is not None and not self._pending:
             self._finish(full)
-        self._sync(now_ns)
+        self._sync_if_due(now_ns)
+
+    def sync(self, now_ns: int) -> bool:
+        """Flush all written data to the disk, where they survive a power cut.
+
+        Args:
+            now_ns: present time, on the clock of the arrivals.
+
+        Returns:
+            False if the disk failed; the log pauses.
+        """
+        if self._writer is None:  # files are flushed before they are closed
+            return True
+        try:
+            self._writer.sync()
+        except OSError as error:
+            self._fail(error, now_ns)
+            return False
+        self._synced_ns = now_ns
+        self.counters.syncs += 1
+        return True
 
     def close(self) -> None:
         """Close the current file. May be called again; writing opens another file."""
@@ -264,10 +284,7 @@ class SonarLog:
         self._retry_at_ns, self.reason = None, None
         self._gap = self._gap and link != _SONAR
         self.counters.bytes_written += len(data)
-        try:
-            self._sync(now_ns)
-        except OSError as error:  # the data have been written
-            self._fail(error, now_ns)
+        self._sync_if_due(now_ns)
         return True
 
     def _write(self, piece: _Piece, now_ns: int) -> None:
@@ -344,13 +361,10 @@ class SonarLog:
             self._folder.sync()
         return writer
 
-    def _sync(self, now_ns: int) -> None:
+    def _sync_if_due(self, now_ns: int) -> None:
         interval_ns = self.policy.sync_interval_ns
-        if self._writer is None or interval_ns is None or now_ns - self._synced_ns < interval_ns:
-            return
-        self._writer.sync()
-        self._synced_ns = now_ns
-        self.counters.syncs += 1
+        if interval_ns is not None and now_ns - self._synced_ns >= interval_ns:
+            self.sync(now_ns)
 
     def _finish(self, why: str | None) -> None:
         """Close the file. A file without room for its index is still readable."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
 import threading
 from typing import TYPE_CHECKING
 
@@ -152,6 +154,48 @@ def test_what_comes_while_the_disk_is_full_is_written_when_there_is_room(
     info = described(tmp_path)
     assert [ping.id for ping in info.ping_list] == list(range(50))
     assert info.damage is None
+
+
+def test_waiting_for_a_piece_flushes_it_to_the_disk(
+    tmp_path: Path, make_ping: MakePing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flushed = 0  # bytes
+
+    def flush(file: int) -> None:
+        nonlocal flushed
+        flushed = os.fstat(file).st_size
+
+    monkeypatch.setattr(os, "fdatasync", flush)
+    ping = make_ping()
+
+    async def run() -> None:
+        async with BackgroundLog(SonarLog(tmp_path, POLICY)) as log:
+            for number in range(1, 4):
+                log.write(ping, number, whole(ping))
+                assert await asyncio.to_thread(log.wait_for, number, 30)
+                assert log.synced >= number
+                assert flushed > number * len(ping)
+
+    asyncio.run(run())
+
+
+def test_a_disk_that_cannot_flush_pauses_the_log(
+    tmp_path: Path, make_ping: MakePing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: int) -> None:
+        raise OSError(errno.EIO, "the disk failed")
+
+    monkeypatch.setattr(os, "fdatasync", fail)
+    ping = make_ping()
+
+    async def run() -> None:
+        log = SonarLog(tmp_path, POLICY)
+        async with BackgroundLog(log) as background:
+            background.write(ping, 1, whole(ping))
+            assert not await asyncio.to_thread(background.wait_for, 1, 0.2)
+            assert (log.state, background.synced) == ("paused", 0)
+
+    asyncio.run(run())
 
 
 def test_what_cannot_be_held_any_more_is_counted_and_leaves_a_gap(
