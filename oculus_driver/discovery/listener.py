@@ -36,7 +36,8 @@ class Discovery:
     """Receives the status broadcasts of all sonars within an `async with` block.
 
     Other programs can listen on the same port at the same time if they share it, too. New sonars
-    and each new problem of a sonar are logged once.
+    and each new problem of a sonar are logged once. A client that uses a sonar is no problem here:
+    it may be this program.
 
     Attributes:
         state: the discovered sonars, and counters of rejected datagrams.
@@ -142,7 +143,7 @@ class Discovery:
             self._reported = {
                 key: self._reported[key] for key in self.state.sonars if key in self._reported
             }
-        findings = status_findings(found.status)
+        findings = status_findings(found.status, connected=True)
         before = self._reported.get(found.key, frozenset())
         self._reported[found.key] = frozenset(finding.code for finding in findings)
         for finding in findings:

@@ -9,7 +9,7 @@ from oculus_driver.errors import RecordingError
 from oculus_driver.framing import header_fault, read_header
 from oculus_driver.recording.chunk import OCULUS, Chunk, DamagedPart, Progress
 from oculus_driver.recording.mcap_reader import read_mcap
-from oculus_driver.recording.mcap_records import MAGIC, read_summary
+from oculus_driver.recording.mcap_records import HEAD, MAGIC, read_summary, strings
 from oculus_driver.recording.network_capture import read_network_capture
 from oculus_driver.recording.oculus_log import (
     CONVERTED_MAGIC,
@@ -18,7 +18,7 @@ from oculus_driver.recording.oculus_log import (
     read_oculus_log,
 )
 from oculus_driver.recording.pcap_files import PCAP_MAGICS, PCAPNG_MAGIC
-from oculus_driver.recording.viewpoint_log import read_viewpoint_log
+from oculus_driver.recording.viewpoint_log import is_ros_bag, read_viewpoint_log
 from oculus_driver.stream import StreamParser
 from oculus_driver.wire import HEADER, MAX_MESSAGE_SIZE, PAYLOAD_LIMITS
 
@@ -47,6 +47,7 @@ READERS: Final[dict[str, Callable[[BinaryIO, int, Progress], Iterator[Chunk]]]] 
 
 _PROBE: Final = 1 << 16
 _MIN_MAGIC: Final = 6
+_MAX_HEADER: Final = 1 << 10
 
 _MAGICS: Final = {
     FILE_MAGIC.to_bytes(4, "little"): OCULUS_LOG,
@@ -56,8 +57,13 @@ _MAGICS: Final = {
     PCAPNG_MAGIC: PCAPNG,
 }
 
+_ROS_BAG: Final = (
+    "it holds ROS messages, not the bytes of the sonar; record those with `oculus log` or mapperd, "
+    "or write raw Oculus messages from it one after the other into a file"
+)
+
 _FOREIGN: Final = {
-    b"#ROSBAG": "a ROS 1 bag",
+    b"#ROSBAG": f"a ROS 1 bag: {_ROS_BAG}",
     b"\x1f\x8b": "compressed with gzip",
     b"\x28\xb5\x2f\xfd": "compressed with zstd",
     b"PK\x03\x04": "a zip archive",
@@ -76,11 +82,15 @@ def detect_format(path: Path, file: BinaryIO, size: int) -> str:
     probe = file.read(_PROBE)
     alike = sum(a == b for a, b in zip(probe, MAGIC, strict=False))
     if alike >= min(_MIN_MAGIC, size):
+        if _is_ros_mcap(file, probe, size):
+            raise RecordingError(f"{path}: unsupported file: a ROS bag: {_ROS_BAG}")
         return MCAP
     for magic, kind in _MAGICS.items():
         if probe.startswith(magic):
             if kind == OCULUS_LOG and is_encrypted(probe):
                 raise RecordingError(f"{path}: file is encrypted; export it without encryption")
+            if kind == VIEWPOINT_LOG and is_ros_bag(path):
+                raise RecordingError(f"{path}: unsupported file: a ROS 2 bag: {_ROS_BAG}")
             return kind
     if is_raw_stream(file):
         return OCULUS_RAW
@@ -88,6 +98,14 @@ def detect_format(path: Path, file: BinaryIO, size: int) -> str:
         f"{path}: {_description(probe)}; expected MCAP, a raw Oculus stream, an .oculus log, "
         "or a pcap or pcapng capture"
     )
+
+
+def _is_ros_mcap(file: BinaryIO, probe: bytes, size: int) -> bool:
+    """Return whether an MCAP file is a ROS bag without any link of a sonar. Moves the position."""
+    start = len(MAGIC) + HEAD.size
+    profile = next(iter(strings(probe[:_MAX_HEADER], start)), "")
+    encodings = {encoding for _, encoding in read_summary(file, size).channels.values()}
+    return profile.startswith("ros") and bool(encodings) and OCULUS not in encodings
 
 
 def _description(probe: bytes) -> str:

@@ -65,6 +65,20 @@ def read_viewpoint_log(file: BinaryIO, size: int, progress: Progress) -> Iterato
     progress.bytes_read = size
 
 
+def is_ros_bag(path: Path) -> bool:
+    """Return whether an SQLite file is a ROS 2 bag; a file that cannot be read is none."""
+    import sqlite3  # noqa: PLC0415 - only these files need it
+
+    try:
+        connection = _open(path)
+        try:
+            return all(_has(connection, table) for table in ("topics", "messages"))
+        finally:
+            connection.close()
+    except (sqlite3.Error, UnicodeDecodeError):
+        return False
+
+
 def _is_refused(error: Exception) -> bool:
     """Return whether a disk, a lock or permissions kept SQLite from reading: not a damaged file."""
     import sqlite3  # noqa: PLC0415 - only these files need it

@@ -149,6 +149,21 @@ def test_what_needs_somebody_is_logged_once(caplog: pytest.LogCaptureFixture) ->
     assert len(messages) == 4
 
 
+def test_the_client_of_a_sonar_is_not_logged_as_a_problem(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def work() -> None:
+        async with Discovery(port=0, host="127.0.0.1") as discovery:
+            status = encode_status(device_id=7, part_number=1032, client_address="127.0.0.1")
+            discovery._take(status, "127.0.0.1")
+            [sonar] = discovery.present()
+            assert sonar.status.busy
+
+    with caplog.at_level(logging.INFO, "oculus_driver.discovery.listener"):
+        run(work())
+    assert not [record for record in caplog.records if "in use" in record.getMessage()]
+
+
 def test_leaving_while_a_reader_waits_leaks_nothing(recwarn: pytest.WarningsRecorder) -> None:
     async def work() -> None:
         async with Discovery(port=0, host="127.0.0.1") as discovery:

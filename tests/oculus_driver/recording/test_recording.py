@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import os
+import sqlite3
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from oculus_driver.encode import encode_dummy
 from oculus_driver.errors import RecordingError
-from oculus_driver.recording import MCAP, OCULUS, OCULUS_RAW, open_recording
+from oculus_driver.recording import MCAP, OCULUS, OCULUS_RAW, convert, open_recording
 from oculus_driver.stream import StreamParser
 
 if TYPE_CHECKING:
@@ -137,6 +143,45 @@ def test_what_is_no_recording_is_reported_in_one_line(
         open_recording(path)
     assert str(path) in str(failure.value)
     assert "\n" not in str(failure.value)
+
+
+def ros_bag(kind: str) -> bytes:
+    file = io.BytesIO()
+    writer = Writer(file)
+    writer.start(profile=kind)
+    schema = writer.register_schema("sensor_msgs/msg/Image", "ros2msg", b"")
+    link = writer.register_channel("/image", "cdr", schema)
+    writer.add_message(link, 1, b"image", 1)
+    writer.finish()  # type: ignore[no-untyped-call]
+    return file.getvalue()
+
+
+def test_a_ros_bag_is_named_with_a_remedy(tmp_path: Path) -> None:
+    (tmp_path / "one.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(9000))
+    (tmp_path / "two.mcap").write_bytes(ros_bag("ros2"))
+    with closing(sqlite3.connect(tmp_path / "two.db3")) as database:
+        database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT)")
+        database.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, data BLOB)")
+        database.commit()
+    for name in ("one.bag", "two.mcap", "two.db3"):
+        with pytest.raises(RecordingError, match=r"ROS( 1| 2)? bag: .*`oculus log`") as failure:
+            open_recording(tmp_path / name)
+        assert "\n" not in str(failure.value)
+    (tmp_path / "other.mcap").write_bytes(ros_bag("other"))
+    open_recording(tmp_path / "other.mcap").close()
+
+
+def test_a_recording_cut_by_a_kill_becomes_one_for_every_reader(
+    tmp_path: Path, written: Written
+) -> None:
+    cut, whole = tmp_path / "cut.mcap", tmp_path / "whole.mcap"
+    cut.write_bytes(written.data[: written.ends[70]])
+    with cut.open("rb") as file, pytest.raises(McapError):
+        list(make_reader(file).iter_messages())
+    convert(cut, whole)
+    with whole.open("rb") as file:
+        messages = [message.data for _, _, message in make_reader(file).iter_messages()]
+    assert messages == [row[3] for row in written.rows[:71]]
 
 
 def test_what_is_no_file_is_reported(tmp_path: Path) -> None:
