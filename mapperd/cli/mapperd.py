@@ -19,7 +19,7 @@ from mapperd.config.layers import Layered, load_settings
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
 from mapperd.daemon.journal import goes_to_journal
-from mapperd.daemon.map_folder import write_results
+from mapperd.daemon.map_folder import lost_bricks, write_results
 from mapperd.daemon.run import LiveRun, map_live
 from mapperd.daemon.supervisor import graceful_stop
 from mapperd.daemon.systemd import Notifier
@@ -180,6 +180,13 @@ def _verdict(arguments: Arguments, summary: dict[str, Any]) -> Exit:
     )
     if problem is not None:
         return _fail(Exit.CANNOT_WRITE, f"standard output: cannot be written: {problem}")
+    if bricks := lost_bricks(summary):
+        path = summary["store"]["path"]
+        return _fail(
+            Exit.BAD_DATA,
+            f"{path}: {bricks} bricks are damaged, and their space is unknown: map.bt, map.ply and "
+            "map.png are not written. `mapperctl convert --allow-damaged` writes the rest",
+        )
     return Exit.BAD_DATA if recording.get("data_lost") else Exit.OK
 
 

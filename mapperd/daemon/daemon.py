@@ -228,10 +228,10 @@ class Daemon:
         """The map as it is now, to be written as a file; a file with holes would show water."""
         keep = self._live.persistence
         keep.save()  # what is not in the file is not in a file's copy
-        lost = (keep.status() or {}).get("bricks_lost")
+        whole, lost = keep.whole()
         if lost:
             raise MapError(f"{lost} bricks of the map are damaged and not rebuilt", "bricks_lost")
-        return keep.whole()
+        return whole
 
     def _take(self, config: Config) -> None:
         """Follow the settings, and log changes."""

@@ -33,6 +33,7 @@ __all__ = [
     "MapFolder",
     "checked_name",
     "localization_summary",
+    "lost_bricks",
     "recording_facts",
     "summary_of",
     "write_results",
@@ -131,12 +132,18 @@ def write_results(folder: Path, sonar_map: SonarMap, summary: dict[str, Any]) ->
     """Write the summary, then the map in every form; each file is whole or as it was.
 
     Without matplotlib there is no picture. What the map cannot give is removed from the folder,
-    so that no result of an earlier run stands beside the new ones.
+    so that no result of an earlier run stands beside the new ones. Of a map with lost bricks only
+    the summary is written: holes would look like water.
 
     Raises:
         ExportError: files cannot be written, or the map does not fit into OctoMap's format; the
             other files are there.
     """
+    if lost_bricks(summary):
+        for name in ("map.bt", "map.ply", "map.png"):
+            remove(folder / name)
+        _write_summary(folder / "summary.json", summary)
+        return
     occupied = sonar_map.voxels("occupied")
     resolution_m = sonar_map.resolution_m
     problems = [
@@ -147,6 +154,11 @@ def write_results(folder: Path, sonar_map: SonarMap, summary: dict[str, Any]) ->
     ]
     if problems:
         raise ExportError("; ".join(problems))
+
+
+def lost_bricks(summary: dict[str, Any]) -> int:
+    """Return the number of damaged bricks that are missing in the map of a summary."""
+    return int(summary.get("store", {}).get("bricks_lost", 0))
 
 
 def _problem(write: Callable[[], None]) -> list[str]:

@@ -145,7 +145,9 @@ async def _served(
         source = {"live": _live_facts(daemon, stop_requested=stop.is_set())}
         if (facts := live.mapping.snapshot.localization) is not None:
             source |= localization_summary(facts)
-        whole = await asyncio.to_thread(opened.persistence.whole)
+        whole, lost = await asyncio.to_thread(opened.persistence.whole)
+        if (stored := opened.persistence.status()) is not None:
+            source["store"] = {"path": stored["path"], "bricks_lost": lost}
     return whole, summary_of(source, whole, live.poses, live.counters, wall_s)
 
 

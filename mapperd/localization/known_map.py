@@ -105,7 +105,10 @@ def _voxels_in(path: Path, config: Config) -> SonarMap:
             begin = file.read(len(SQLITE))
         if begin == SQLITE:
             with StoreReader(path) as reader:
-                reader.load(sonar_map)
+                lost = reader.load(sonar_map).lost
+            if lost:
+                text = f"{path}: {len(lost)} bricks of it are damaged; holes would look like water"
+                raise MapError(text, "bricks_lost")
         elif path.suffix.lower() in (".bt", ".ot"):
             _load_octomap(sonar_map, path)
         else:

@@ -1,7 +1,7 @@
 """Interface of the map's persistence, and the one that keeps the map in memory only."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from mapperd.localization.session import LocalizationSession
 from mapperd.mapping.sonar_map import SonarMap
@@ -12,7 +12,19 @@ from mapperd.store.position import RecordingOffsets
 if TYPE_CHECKING:
     from mapperd.store.tile_store import TileStore
 
-__all__ = ["MapPersistence", "MemoryPersistence"]
+__all__ = ["MapPersistence", "MemoryPersistence", "WholeMap"]
+
+
+class WholeMap(NamedTuple):
+    """A whole map in memory.
+
+    Attributes:
+        sonar_map: the map.
+        bricks_lost: bricks of the map file that are damaged: their space is unknown in the map.
+    """
+
+    sonar_map: SonarMap
+    bricks_lost: int = 0
 
 
 class MapPersistence(Protocol):
@@ -69,7 +81,7 @@ class MapPersistence(Protocol):
             StoreError: the file cannot be written.
         """
 
-    def whole(self) -> SonarMap:
+    def whole(self) -> WholeMap:
         """Return the whole map, as last saved, in memory. Blocks.
 
         Raises:
@@ -124,9 +136,9 @@ class MemoryPersistence:
         """Return None: there is no file."""
         return None
 
-    def whole(self) -> SonarMap:
+    def whole(self) -> WholeMap:
         """Return the map itself."""
-        return self._map
+        return WholeMap(self._map)
 
     def worker(self) -> Worker:
         """Return an idle worker."""

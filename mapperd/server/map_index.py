@@ -120,9 +120,13 @@ class StoredBricks:
 
     Raises:
         StoreError: it cannot be opened.
+
+    Attributes:
+        damaged: keys of the bricks that were found damaged.
     """
 
     def __init__(self, path: Path, config: Config) -> None:
+        self.damaged: set[Key] = set()
         self._path = path
         self._unpacker = zstandard.ZstdDecompressor()
         self._scratch = _core.VoxelMap(config.octree.voxel_resolution, iwlo_params(config))
@@ -201,7 +205,9 @@ class StoredBricks:
             try:
                 self._scratch.put_bricks([(row.key, unpack(self._unpacker, row))])
             except (DamagedBrickError, ValueError):
-                continue  # whoever needs it for mapping says so
+                self.damaged.add(row.key)
+                continue
+            self.damaged.discard(row.key)
             revisions[row.key] = row.revision
         return self._scratch, revisions
 

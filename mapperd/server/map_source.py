@@ -242,6 +242,7 @@ class MapSource:
                 view.work_on_file(self._files, position_m, BRICKS_AT_ONCE)
             if calm and not view.left:
                 view.settled = self._revision
+        self._notice_damage()
 
     def _changes(self) -> "tuple[ChangedRows | None, _Changed, bool]":
         """What changed in the file and in memory since it was looked at.
@@ -271,11 +272,27 @@ class MapSource:
         self._file_version = None
         return rows, changed, False
 
+    def _notice_damage(self) -> None:
+        """Report to the clients and to the mapping thread what is damaged in the file."""
+        if self._files is None or self._store is None:
+            return
+        if found := self._files.damaged - self._store.lost:
+            self._store.suspect(found)
+        if self._facts.bricks_lost != self._bricks_lost():
+            self._start_again()
+
+    def _bricks_lost(self) -> int:
+        if self._files is None or self._store is None:
+            return 0
+        return len(self._store.lost | self._files.damaged)
+
     def _notice_another_map(self) -> None:
         """All is told anew of another map, and of this one when it is told in another way."""
         if self._store is not None:
             self._identity, before = self._store.identity, self._identity
             if before.map != self._identity.map:
+                if self._files is not None:
+                    self._files.damaged.clear()
                 self._start_again()
         if self._facts != self._facts_now():
             self._start_again()
@@ -302,6 +319,7 @@ class MapSource:
             free_log_odds=free,
             frame=self._map.config.frames.map,
             origin_deg=self._origin_deg(),
+            bricks_lost=self._bricks_lost(),
         )
 
     def _why_not(self, resume: Resume, interest: Interest) -> str:

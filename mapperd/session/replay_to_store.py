@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from mapperd.config.tree import Config
-from mapperd.errors import ReplayError
+from mapperd.errors import ReplayError, StoreError
 from mapperd.geometry.frames import Pose
 from mapperd.localization.session import (
     LocalizationSession,
@@ -16,9 +16,11 @@ from mapperd.localization.session import (
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
-from mapperd.session.recordings import DamagedData, Tail
+from mapperd.session.recordings import DamagedData, RecordedSession, Tail
 from mapperd.session.recovery import StoredSession, config_at, map_rest
+from mapperd.session.replay import Run, Window
 from mapperd.session_log import SESSION
+from mapperd.store.maintenance import rebuild_lost
 from mapperd.store.position import Position, RecordingOffset, position_in
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
@@ -53,17 +55,16 @@ def map_into_store(
 
     Raises:
         ReplayError: the file holds a part of another recording, or of this one with other settings.
-        StoreError: the file cannot be used.
+        StoreError: the file cannot be used, or bricks of it are damaged and cannot be rebuilt from
+            this recording (`bricks_lost`).
         CheckpointError: the resume point cannot be restored.
         MapError: nothing can be saved, so nothing more can be mapped.
     """
     session = _identity(paths)
     sonar_map, counters = SonarMap(config), PipelineCounters()
     poses = OdometryPoses(config) if pose is None else FixedPose(pose)
-    settings = config.outofcore
-    with TileStore(
-        path, sonar_map, tile_size_m=settings.tile_size, cache_tiles=settings.cache_size
-    ) as store:
+    with _open(path, sonar_map) as store:
+        store.check()
         position = position_in(store.position)
         if position is not None and not position.whole and position.session != session:
             raise ReplayError(f"{path} holds a part of another recording: map that one first")
@@ -84,10 +85,46 @@ def map_into_store(
             confirm = _is_foreign(paths[0])
             for _ in map_rest(stored, poses, tail, None, confirm=confirm, counters=counters):
                 on_chunk(counters)
+    _rebuild(path, paths, config, pose, damaged)
     whole = SonarMap(config)
     with StoreReader(path) as reader:
-        reader.load(whole)
+        lost = reader.load(whole).lost
+    if lost:
+        text = f"{path}: {len(lost)} bricks are damaged, and this recording does not restore them"
+        raise StoreError(text, "bricks_lost")
     return whole, poses, counters
+
+
+def _open(path: Path, sonar_map: SonarMap) -> TileStore:
+    settings = sonar_map.config.outofcore
+    return TileStore(
+        path, sonar_map, tile_size_m=settings.tile_size, cache_tiles=settings.cache_size
+    )
+
+
+def _rebuild(
+    path: Path,
+    paths: Sequence[Path],
+    config: Config,
+    pose: Pose | None,
+    damaged: DamagedData | None,
+) -> None:
+    """Rebuild lost bricks of a file that holds this recording alone."""
+    sonar_map = SonarMap(config)
+    with _open(path, sonar_map) as store:
+        position = position_in(store.position)
+        if not store.lost or position is None or len(position.sessions) > 1:
+            return
+
+        def map_again(scratch: SonarMap) -> bool:
+            session = None if _is_foreign(paths[0]) else position.session
+            recorded = RecordedSession(paths, session, damaged)
+            run = Run(recorded, config, pose, None, _localization(config, None))
+            for _ in run.replay(scratch, Window()).run(recorded):
+                pass
+            return recorded.damage is None or recorded.truncated
+
+        rebuild_lost(store, sonar_map, map_again)
 
 
 def _is_foreign(path: Path) -> bool:

@@ -1,5 +1,6 @@
 """Opens the map's file when the daemon starts, brings it up to date and repairs it."""
 
+import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,8 +24,12 @@ from mapperd.session.store_session import SqlitePersistence
 from mapperd.store.maintenance import put_aside, rebuild_lost
 from mapperd.store.position import Position, position_in
 from mapperd.store.tile_store import TileStore
+from mapperd.store.verification import Verification
 
 __all__ = ["OpenMap", "open_map"]
+
+VERIFIED_FIRST_BYTES = 64 << 20
+"""A map file up to this size is verified before the session, a larger one during it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +80,13 @@ def open_map(
     sessions = () if position is None else position.sessions
 
     persistence = SqlitePersistence(
-        store, sonar_map, session, sessions, interval_s=interval_s, on_trouble=startup.log_trouble
+        store,
+        sonar_map,
+        session,
+        sessions,
+        interval_s=interval_s,
+        on_trouble=startup.log_trouble,
+        on_damage=startup.log_damage,
     )
     if sessions:
         text = (
@@ -84,7 +95,7 @@ def open_map(
         )
         events.add(Severity.NOTICE, "map_continued", text, sessions=len(sessions))
     origin_deg = None if position is None else position.origin_deg
-    return OpenMap(sonar_map, persistence, store.close, origin_deg)
+    return OpenMap(sonar_map, persistence, startup.verify(store), origin_deg)
 
 
 class _Startup:
@@ -95,20 +106,22 @@ class _Startup:
         self._events = events
         self._trouble: str | None = None
         self._damaged = DamagedData(use=config.recording.use_damaged)
+        self._is_verified = False
 
     def opened(self) -> tuple[SonarMap, TileStore, Position | None]:
         """Return the map, up to date and complete as far as the recordings reach."""
         sonar_map, store = self._open()
         position = position_in(store.position)
         try:
-            if position is not None:
-                if not position.whole:
-                    self._recover(store, sonar_map, position)
-                    sonar_map, store = self._again(store)
-                    position = position_in(store.position)
-                if store.lost and position is not None and position.whole:
-                    self._rebuild(store, sonar_map, position)
-                    sonar_map, store = self._again(store)
+            if position is not None and not position.whole:
+                self._recover(store, sonar_map, position)
+                sonar_map, store = self._again(store)
+                position = position_in(store.position)
+            if store.lost and position is not None and position.whole:
+                self._rebuild(store, sonar_map, position)
+                sonar_map, store = self._again(store)
+            elif store.lost:
+                self._log_lost(len(store.lost), "no recording restores them")
         except BaseException:
             store.close()
             raise
@@ -116,6 +129,22 @@ class _Startup:
             text = f"damaged recordings: {self._damaged}"
             self._events.add(Severity.ERROR, "recording_damaged", text)
         return sonar_map, store, position
+
+    def verify(self, store: TileStore) -> Callable[[], None]:
+        """Verify a file in the background if that is still to be done; return what closes it."""
+        if self._is_verified:
+            return store.close
+        verification = Verification(store, self._log_verification)
+
+        def close() -> None:
+            verification.stop()
+            store.close()
+
+        return close
+
+    def log_damage(self, count: int) -> None:
+        """Log bricks that were found damaged during the session."""
+        self._log_lost(count, "the next start rebuilds them from the recordings")
 
     def log_trouble(self, problem: str | None) -> None:
         """Log when saving starts to fail, and when it works again."""
@@ -134,9 +163,8 @@ class _Startup:
         try:
             if self._rebuilding.exists():
                 self._at_path()[1].close()  # fails if another mapperd uses the file
-                return self._rebuild_file(
-                    StoreError(f"{self.path}: rebuilding was interrupted", "damaged")
-                )
+                text = f"{self.path}: it was found damaged, and is not rebuilt yet"
+                return self._rebuild_file(StoreError(text, "damaged"))
             return self._checked()
         except StoreError as error:
             if error.reason != "damaged":
@@ -144,11 +172,13 @@ class _Startup:
             return self._rebuild_file(error)
 
     def _checked(self) -> tuple[SonarMap, TileStore]:
-        """Open the file; check it after an interrupted session."""
+        """Open the file and verify it; a large one only after an interrupted session."""
         sonar_map, store = self._at_path()
         position = position_in(store.position)
+        is_interrupted = position is not None and not position.whole
+        self._is_verified = is_interrupted or self.path.stat().st_size <= VERIFIED_FIRST_BYTES
         try:
-            if position is not None and not position.whole:
+            if self._is_verified:
                 store.check()
         except BaseException:
             store.close()
@@ -158,10 +188,8 @@ class _Startup:
     def _rebuild_file(self, error: StoreError) -> tuple[SonarMap, TileStore]:
         """Put the damaged file aside and map the recordings into a new one."""
         mark = self._rebuilding
-        try:
-            mark.touch()
-        except OSError as problem:
-            raise StoreError(f"{mark}: {problem.strerror}", "read_only") from problem
+        self._mark()
+        self._is_verified = True
         aside = put_aside(self.path)
         text = f"{error}; it was renamed to {aside.name}, and a new file was created"
         self._events.add(Severity.ERROR, "store_damaged", text, path=str(aside))
@@ -185,6 +213,13 @@ class _Startup:
             )
             self._events.add(Severity.ERROR, "sessions_lost", text, sessions=headless)
         return self._again(store)
+
+    def _mark(self) -> None:
+        try:
+            self._rebuilding.touch()
+        except OSError as problem:
+            text = f"{self._rebuilding}: {problem.strerror}"
+            raise StoreError(text, "read_only") from problem
 
     def _at_path(self) -> tuple[SonarMap, TileStore]:
         sonar_map = SonarMap(self._config)
@@ -211,11 +246,26 @@ class _Startup:
         )
         left = len(store.lost)
         if left:
-            text = f"{left} of {count} damaged bricks of the map could not be rebuilt completely"
-            self._events.add(Severity.ERROR, "bricks_lost", text, bricks=left)
+            self._log_lost(left, f"of {count}, these could not be rebuilt from the recordings")
         else:
             text = f"{count} damaged bricks of the map were rebuilt from recordings"
             self._events.add(Severity.WARNING, "bricks_rebuilt", text, bricks=count)
+
+    def _log_lost(self, count: int, why: str) -> None:
+        text = f"{count} bricks of the map file are damaged, their space is unknown: {why}"
+        self._events.add(Severity.ERROR, "bricks_lost", text, bricks=count)
+
+    def _log_verification(self, problem: StoreError | None) -> None:
+        """Log the end of the verification; the next start rebuilds a file with a bad structure."""
+        if problem is None:
+            self._events.add(Severity.INFO, "map_verified", "the map file was verified")
+            return
+        text = f"{problem}; the map may have holes"
+        if problem.reason == "damaged":
+            with contextlib.suppress(StoreError):
+                self._mark()
+            text += " until the next start rebuilds it from the recordings"
+        self._events.add(Severity.ERROR, "store_damaged", text, path=str(self.path))
 
     def _recover(self, store: TileStore, sonar_map: SonarMap, position: Position) -> None:
         recovered = recover(store, sonar_map, position, self._folder, self._damaged)

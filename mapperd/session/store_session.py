@@ -19,6 +19,7 @@ from mapperd.errors import StoreError
 from mapperd.localization.session import LocalizationSession, saved_state
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.decoder import SessionDecoder, Work
+from mapperd.pipeline.persistence import WholeMap
 from mapperd.pipeline.pose_lookup import FixedPose, origin_of
 from mapperd.pipeline.watchdog import Worker
 from mapperd.store.checkpoint import encode_state
@@ -62,6 +63,7 @@ class SqlitePersistence:
         interval_s: returns the time between saves.
         resumed: position of the file within this session.
         on_trouble: called with why saving fails, and with None when it works again.
+        on_damage: called with the number of bricks that were found damaged since the last call.
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class SqlitePersistence:
         interval_s: Callable[[], float] = lambda: 5.0,
         resumed: Position | None = None,
         on_trouble: Callable[[str | None], None] = lambda _: None,
+        on_damage: Callable[[int], None] = lambda _: None,
     ) -> None:
         self.store = store
         self._map = sonar_map
@@ -82,6 +85,8 @@ class SqlitePersistence:
         self._interval_s = interval_s
         self._resumed = resumed
         self._on_trouble = on_trouble
+        self._on_damage = on_damage
+        self._damage_reported = store.counters.bricks_damaged
         self._done = 0
         self._next: _Point | None = None
         self._wanted: _Request | None = None
@@ -141,6 +146,7 @@ class SqlitePersistence:
             self._checked_s = time.monotonic()
             self._pause_s = COST * (self._checked_s - now_s)
         self._settle()
+        self._report_damage()
         request = self._wanted
         if request is not None:
             self._wanted = None
@@ -168,6 +174,7 @@ class SqlitePersistence:
     def end(self) -> None:
         """Save the whole session, in the mapping thread."""
         self.stop()
+        self._report_damage()
         position = Position(
             self._session, whole=True, sessions=self._all_sessions, origin_deg=self._origin_deg()
         )
@@ -193,7 +200,7 @@ class SqlitePersistence:
                 self.store.write(self._request_snapshot())
             return self.store.bytes_written - before
 
-    def whole(self) -> SonarMap:
+    def whole(self) -> WholeMap:
         """Return the whole map, as last saved, in memory.
 
         Raises:
@@ -201,8 +208,9 @@ class SqlitePersistence:
         """
         whole = SonarMap(self._map.config)
         with StoreReader(self.store.path) as reader:
-            reader.load(whole)
-        return whole
+            lost = reader.load(whole).lost
+        self.store.suspect(lost)
+        return WholeMap(whole, len(lost))
 
     def worker(self) -> Worker:
         """Return the progress of the saving thread for the watchdog."""
@@ -226,6 +234,17 @@ class SqlitePersistence:
     @property
     def _all_sessions(self) -> tuple[str, ...]:
         return (*self._sessions, self._session)
+
+    def _report_damage(self) -> None:
+        """Take over what other readers of the file found, and report new damage."""
+        try:
+            self.store.settle_suspects()
+        except StoreError as error:
+            self._on_trouble(str(error))
+        found = self.store.counters.bricks_damaged
+        if found != self._damage_reported:
+            self._on_damage(found - self._damage_reported)
+            self._damage_reported = found
 
     def _try_to_save(self) -> None:
         try:

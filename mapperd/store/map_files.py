@@ -36,14 +36,20 @@ class SourcedMap:
     Attributes:
         map: in memory as a whole, with the settings that its voxels came about by.
         origin: geographic position of the map's origin, if the file has one.
+        bricks_lost: damaged bricks, whose space is unknown in the map.
     """
 
     map: SonarMap
     origin: Origin | None
+    bricks_lost: int = 0
 
 
 def map_in(
-    path: Path, config: Config, values: Mapping[str, Any] = MappingProxyType({})
+    path: Path,
+    config: Config,
+    values: Mapping[str, Any] = MappingProxyType({}),
+    *,
+    allow_damaged: bool = False,
 ) -> SourcedMap:
     """Read a map: a daemon's file, a `.map`, or a tree of OctoMap, recognized by content.
 
@@ -51,6 +57,7 @@ def map_in(
         path: of the file.
         config: settings that the file does not contain.
         values: more of them, by name.
+        allow_damaged: read what is left of a daemon's file with damaged bricks.
 
     Raises:
         MapError: it cannot be read, or is no whole map.
@@ -59,7 +66,7 @@ def map_in(
     """
     begin = _beginning(path)
     if begin.startswith(SQLITE):
-        return _stored(path, config, values)
+        return _stored(path, config, values, allow_damaged=allow_damaged)
     if begin.startswith(_core.MAP_FILE_MAGIC):
         sonar_map = SonarMap(_settings(path, config, _kind_of_map(path, begin), values))
         sonar_map.load(path)
@@ -105,19 +112,21 @@ def _settings(
     return with_values(of_file, values)
 
 
-def _stored(path: Path, config: Config, values: Mapping[str, Any]) -> SourcedMap:
+def _stored(
+    path: Path, config: Config, values: Mapping[str, Any], *, allow_damaged: bool
+) -> SourcedMap:
     with StoreReader(path) as reader:
         sonar_map = SonarMap(_settings(path, config, reader.kind(), values))
         loaded = reader.load(sonar_map)
-    if loaded.lost:
+    lost = len(loaded.lost)
+    if lost and not allow_damaged:
         raise MapError(
-            f"{path}: {len(loaded.lost)} bricks of it are damaged; holes would look like water",
-            "bricks_lost",
+            f"{path}: {lost} bricks of it are damaged; holes would look like water", "bricks_lost"
         )
     position = position_in(loaded.position)
     if position is None or position.origin_deg is None:
-        return SourcedMap(sonar_map, None)
-    return SourcedMap(sonar_map, Origin.of_degrees(*position.origin_deg))
+        return SourcedMap(sonar_map, None, lost)
+    return SourcedMap(sonar_map, Origin.of_degrees(*position.origin_deg), lost)
 
 
 def _kind_of_map(path: Path, begin: bytes) -> dict[str, Any]:

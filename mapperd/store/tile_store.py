@@ -55,7 +55,8 @@ def tile_bricks(tile_size_m: float, resolution_m: float) -> int:
 class TileStore:
     """The file of one map, `with`; leaving it in good order saves.
 
-    One thread, that of the pings, calls everything but `write` and `status`.
+    One thread, that of the pings, calls everything but `write`, `suspect`, `lost` and
+    `status`.
 
     Args:
         path: of the file; made if it is not there.
@@ -86,6 +87,8 @@ class TileStore:
         self._limit = cache_tiles
         self._tiles = ResidentTiles(cache_tiles)
         self._damaged: dict[Key, str] = {}
+        self._suspects: set[Key] = set()
+        self._rewritten: set[Key] = set()
         self._writing = threading.Lock()
         self._numbers = self._written = 0
         self._open = ExitStack()
@@ -147,7 +150,10 @@ class TileStore:
 
     @property
     def lost(self) -> frozenset[Key]:
-        """Bricks that were found damaged and are not rebuilt: what they held is not in the map."""
+        """Bricks that were found damaged and are not rebuilt; any thread.
+
+        What they held is not in the map.
+        """
         return frozenset(self._lost)
 
     def advance(self, position: Position) -> None:
@@ -171,6 +177,10 @@ class TileStore:
             raise StoreError(
                 f"{self.path}: the map changed without a record of its progress", "out_of_step"
             )
+        if self._rewritten:
+            missing = self._rewritten.difference(key for key, _, _ in bricks)
+            bricks = [*bricks, *(brick for brick in self._resident() if brick[0] in missing)]
+            self._rewritten.clear()
         self._numbers += 1
         return Snapshot(self._numbers, revision, position, bricks, dict(self._damaged))
 
@@ -220,6 +230,35 @@ class TileStore:
         self._check_unused()
         self._note_damage(self._loader.damage())
         return self.lost
+
+    def suspect(self, keys: Iterable[Key]) -> None:
+        """Report bricks that another reader of the file found damaged; any thread."""
+        with self._writing:
+            self._suspects.update(keys)
+
+    def settle_suspects(self) -> None:
+        """Read the reported bricks again: those in memory are written again, others are lost.
+
+        Raises:
+            StoreError: the file cannot be read.
+        """
+        if not self._suspects:
+            return
+        with self._writing:
+            suspects, self._suspects = self._suspects, set()
+        damaged = self._loader.damage(suspects)
+        if not damaged:
+            return
+        resident = {key for key, _, _ in self._resident()}.intersection(damaged)
+        self._rewritten |= resident
+        self._note_damage({key: why for key, why in damaged.items() if key not in resident})
+        if self._rewritten:
+            self._try_to_save()
+
+    def _resident(self) -> list[tuple[Key, int, bytes]]:
+        """Return the bricks in memory that hold anything."""
+        bricks: list[tuple[Key, int, bytes]] = self._core.bricks_since(0)[1]
+        return bricks
 
     def reset(self) -> None:
         """Empty the map and its file; the place in the input stays.

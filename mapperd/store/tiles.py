@@ -7,6 +7,7 @@ import zlib
 from collections import OrderedDict
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import zstandard
 
@@ -18,6 +19,7 @@ __all__ = [
     "DamagedBrickError",
     "Key",
     "ResidentTiles",
+    "check_row",
     "pack",
     "rows_of",
     "rows_of_tile",
@@ -67,8 +69,8 @@ def pack(compressor: zstandard.ZstdCompressor, key: Key, revision: int, brick: b
     return BrickRow(key, revision, len(brick), _crc(key, revision, len(brick), data), data)
 
 
-def unpack(decompressor: zstandard.ZstdDecompressor, row: BrickRow) -> bytes:
-    """Take a brick out of its row.
+def check_row(row: BrickRow) -> None:
+    """Check a row's checksum, without decompressing its data.
 
     Raises:
         DamagedBrickError: the row is not as it was written.
@@ -80,6 +82,15 @@ def unpack(decompressor: zstandard.ZstdDecompressor, row: BrickRow) -> bytes:
         raise DamagedBrickError("a size or a revision that no brick has")
     if _crc(row.key, row.revision, row.size, row.data) != row.crc:
         raise DamagedBrickError("the checksum is wrong")
+
+
+def unpack(decompressor: zstandard.ZstdDecompressor, row: BrickRow) -> bytes:
+    """Take a brick out of its row.
+
+    Raises:
+        DamagedBrickError: the row is not as it was written.
+    """
+    check_row(row)
     try:
         brick = decompressor.decompress(row.data, max_output_size=row.size)
     except zstandard.ZstdError as error:
@@ -100,7 +111,7 @@ def rows_of_tile(connection: sqlite3.Connection, tile: Key, edge: int) -> Iterat
         yield from rows_of(found)
 
 
-def rows_of(found: Iterable[tuple[int, int, int, int, int, int, bytes]]) -> Iterator[BrickRow]:
+def rows_of(found: Iterable[Sequence[Any]]) -> Iterator[BrickRow]:
     """What a SELECT of COLUMNS found."""
     for x, y, z, revision, size, crc, data in found:
         yield BrickRow((x, y, z), revision, size, crc, data)

@@ -226,6 +226,7 @@ class MapFacts(Struct, frozen=True):
         occupied_log_odds, free_log_odds: occupied is above the one, free below the other.
         frame: name of the frame of all coordinates.
         origin_deg: latitude and longitude of its zero, x east and y north; None where unknown.
+        bricks_lost: damaged bricks of the map file, whose space is unknown.
     """
 
     id: str
@@ -235,6 +236,7 @@ class MapFacts(Struct, frozen=True):
     free_log_odds: float
     frame: str = "map"
     origin_deg: tuple[float, float] | None = None
+    bricks_lost: Count = 0
 
 
 class WelcomeMessage(WireMessage, frozen=True, kw_only=True):

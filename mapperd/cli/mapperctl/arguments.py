@@ -41,6 +41,7 @@ def add_convert(command: argparse.ArgumentParser) -> None:
     _add_origin(command)
     _add_probability(command)
     _add_calibration(command)
+    _add_damaged(command)
 
 
 def add_export(command: argparse.ArgumentParser) -> None:
@@ -77,6 +78,7 @@ def add_export(command: argparse.ArgumentParser) -> None:
     _add_origin(command)
     _add_probability(command)
     _add_calibration(command)
+    _add_damaged(command)
 
 
 def add_bag(command: argparse.ArgumentParser) -> None:
@@ -102,6 +104,7 @@ def add_bag(command: argparse.ArgumentParser) -> None:
         help="period of the map's cloud; default: only at the end",
     )
     _add_probability(command)
+    _add_damaged(command)
 
 
 def _add_origin(command: argparse.ArgumentParser) -> None:
@@ -120,6 +123,14 @@ def _add_probability(command: argparse.ArgumentParser) -> None:
         metavar="P",
         type=_probability,
         help="minimum probability of occupied voxels; default: mapping.occupied_threshold",
+    )
+
+
+def _add_damaged(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--allow-damaged",
+        action="store_true",
+        help="write what is left of a map with damaged bricks, which is refused otherwise",
     )
 
 

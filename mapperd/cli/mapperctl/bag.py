@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mapperd.cli.mapperctl.map_output import missing
 from mapperd.cli.progress import ProgressBar
 from mapperd.config.changes import with_values
 from mapperd.config.tree import Config
@@ -32,18 +33,26 @@ __all__ = ["bag_of_map", "bag_of_recordings"]
 
 
 def bag_of_map(
-    source: Path, path: Path, config: Config, values: Mapping[str, Any], storage: Storage
+    source: Path,
+    path: Path,
+    config: Config,
+    values: Mapping[str, Any],
+    *,
+    storage: Storage,
+    allow_damaged: bool = False,
 ) -> Iterator[str]:
     """Write a map file as a cloud and a grid, stamped with the file's modification time.
 
     Raises:
         MapperdError: the map, the settings or the bag are invalid.
     """
-    found = map_in(source, config, values)
+    found = map_in(source, config, values, allow_damaged=allow_damaged)
     stamp_ns = source.stat().st_mtime_ns
     with open_bag(path, found.map.config, storage) as bag:
         bag.cloud(stamp_ns, found.map)
         bag.grid(stamp_ns, found.map)
+    if found.bricks_lost:
+        yield missing(found.bricks_lost)
     yield from _report(path, bag)
 
 

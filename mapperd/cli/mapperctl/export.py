@@ -12,7 +12,13 @@ from pathlib import Path
 from typing import TextIO
 
 from mapperd.cli.mapperctl.errors import CtlError, Exit, plain, refused
-from mapperd.cli.mapperctl.map_output import MapOutput, check_suffix, make_files, origin_among
+from mapperd.cli.mapperctl.map_output import (
+    MapOutput,
+    check_suffix,
+    make_files,
+    missing,
+    origin_among,
+)
 from mapperd.client import (
     Box,
     Interest,
@@ -76,10 +82,10 @@ def run_export(
             name="mapperctl export",
         )
         if args.file.suffix == MCAP:
-            asyncio.run(_recorded(client, args.file, args.timeout or None))
-            made = MapOutput({str(args.file): args.file.stat().st_size})
+            asyncio.run(_recorded(client, args))
+            made = MapOutput({str(args.file): args.file.stat().st_size}, None, _lost(client))
         else:
-            asyncio.run(_followed(client, args.timeout or None))
+            asyncio.run(_followed(client, args))
             made = _made(client, args, config, calibration)
     except ExportError as error:
         raise CtlError(str(error), Exit.CANNOT_WRITE) from error
@@ -121,7 +127,12 @@ def _made(
         None if origin_deg is None else Origin.of_degrees(*origin_deg),
         config,
     )
-    return make_files(sonar_map, args.file, origin, calibration)
+    return make_files(sonar_map, args.file, origin, calibration, bricks_lost=_lost(client))
+
+
+def _lost(client: MapClient) -> int:
+    """Return the number of damaged bricks that are missing in the daemon's map."""
+    return 0 if client.mirror is None else client.mirror.facts.bricks_lost
 
 
 def _choose(sonar_map: SonarMap, min_probability: float | None) -> None:
@@ -132,14 +143,15 @@ def _choose(sonar_map: SonarMap, min_probability: float | None) -> None:
         sonar_map.reconfigure(with_values(sonar_map.config, values))
 
 
-async def _followed(client: MapClient, timeout_s: float | None) -> None:
+async def _followed(client: MapClient, args: argparse.Namespace) -> None:
     """Stay connected until the map is complete."""
     async with client:
-        await _complete(client, timeout_s)
+        await _complete(client, args)
 
 
-async def _recorded(client: MapClient, path: Path, timeout_s: float | None) -> None:
+async def _recorded(client: MapClient, args: argparse.Namespace) -> None:
     """Record until the map is complete; an incomplete file is removed."""
+    path = Path(args.file)
     partial = path.with_name(f".{path.name}.partial")
     try:
         partial.unlink(missing_ok=True)  # of a killed process
@@ -147,7 +159,7 @@ async def _recorded(client: MapClient, path: Path, timeout_s: float | None) -> N
             recording = Recording(client, partial)
             recording.start()
             try:
-                await _complete(client, timeout_s)
+                await _complete(client, args)
             finally:
                 await recording.stop()
         partial.replace(path)
@@ -158,8 +170,9 @@ async def _recorded(client: MapClient, path: Path, timeout_s: float | None) -> N
             partial.unlink()
 
 
-async def _complete(client: MapClient, timeout_s: float | None) -> None:
-    """Wait until the map is complete and show the progress."""
+async def _complete(client: MapClient, args: argparse.Namespace) -> None:
+    """Wait until the map is complete and show the progress; refuse a damaged map."""
+    timeout_s = args.timeout or None
     progress = _Progress(sys.stderr)
     parts = [
         asyncio.create_task(client.complete(timeout_s)),
@@ -178,6 +191,9 @@ async def _complete(client: MapClient, timeout_s: float | None) -> None:
             part.cancel()
         await asyncio.gather(*parts, return_exceptions=True)
         progress.end()
+    if (lost := _lost(client)) and not args.allow_damaged:
+        text = f"{missing(lost)}; nothing was written. --allow-damaged writes the rest"
+        raise CtlError(text, Exit.REFUSED)
 
 
 async def _watch(client: MapClient, progress: "_Progress") -> None:

@@ -13,7 +13,7 @@ from mapperd.export.formats import FORMATS, crs_of, write_map
 from mapperd.geometry.geodesy import Origin
 from mapperd.mapping.sonar_map import SonarMap
 
-__all__ = ["MapOutput", "check_suffix", "make_files", "origin_among"]
+__all__ = ["MapOutput", "check_suffix", "make_files", "missing", "origin_among"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,10 +23,12 @@ class MapOutput:
     Attributes:
         files: sizes in bytes by name.
         crs: coordinate reference system of the files; None if the format has none.
+        bricks_lost: damaged bricks of the map that are missing in the files.
     """
 
     files: dict[str, int]
     crs: str | None = None
+    bricks_lost: int = 0
 
     def lines(self) -> Iterator[str]:
         """Lines for people."""
@@ -34,10 +36,17 @@ class MapOutput:
             yield f"{name}: {size} bytes"
         if self.crs is not None:
             yield f"coordinate reference system: {self.crs}"
+        if self.bricks_lost:
+            yield missing(self.bricks_lost)
 
     def plain(self) -> dict[str, Any]:
         """Values for JSON."""
-        return {"files": self.files} if self.crs is None else {"files": self.files, "crs": self.crs}
+        values: dict[str, Any] = {"files": self.files}
+        if self.crs is not None:
+            values["crs"] = self.crs
+        if self.bricks_lost:
+            values["bricks_lost"] = self.bricks_lost
+        return values
 
 
 def check_suffix(path: Path, others: tuple[str, ...] = ()) -> None:
@@ -56,9 +65,14 @@ def check_suffix(path: Path, others: tuple[str, ...] = ()) -> None:
 
 
 def make_files(
-    sonar_map: SonarMap, path: Path, origin: Origin | None, calibration: Calibration | None = None
+    sonar_map: SonarMap,
+    path: Path,
+    origin: Origin | None,
+    calibration: Calibration | None = None,
+    *,
+    bricks_lost: int = 0,
 ) -> MapOutput:
-    """Write a map within the heights of its settings.
+    """Write a map, of which damaged bricks may be missing, within the heights of its settings.
 
     Raises:
         ExportError, MapError: as `write_map`.
@@ -66,7 +80,13 @@ def make_files(
     heights = sonar_map.config.export
     window = Heights(heights.min_z, heights.max_z)
     files = write_map(sonar_map, path, window, origin, calibration)
-    return MapOutput({str(file): file.stat().st_size for file in files}, crs_of(path, origin))
+    sizes = {str(file): file.stat().st_size for file in files}
+    return MapOutput(sizes, crs_of(path, origin), bricks_lost)
+
+
+def missing(bricks: int) -> str:
+    """Return the line for people about damaged bricks that are missing in an output."""
+    return f"{bricks} damaged bricks of the map are missing: their space is unknown"
 
 
 def origin_among(asked: Origin | None, own: Origin | None, config: Config) -> Origin | None:

@@ -29,6 +29,7 @@ def convert(
     origin: Origin | None,
     *,
     calibration: Calibration | None = None,
+    allow_damaged: bool = False,
 ) -> Iterator[str]:
     """Convert a map file; yield the lines to print.
 
@@ -39,18 +40,20 @@ def convert(
         values: settings that override `config`.
         origin: geographic position of the map's origin; overrides the file's.
         calibration: calibration of the probabilities, if any.
+        allow_damaged: convert what is left of a map with damaged bricks.
 
     Raises:
         MapperdError: the map, the settings or the new file are invalid.
     """
     check_suffix(path)
     check_calibration(path, calibration)
-    found = map_in(source, config, values)
+    found = map_in(source, config, values, allow_damaged=allow_damaged)
     counts = found.map.counts()
     edge_m = found.map.resolution_m
     yield f"{source}: {counts.occupied} occupied, {counts.free} free voxels of {edge_m:g} m"
     place = origin_among(origin, found.origin, config)
-    yield from make_files(found.map, path, place, calibration).lines()
+    made = make_files(found.map, path, place, calibration, bricks_lost=found.bricks_lost)
+    yield from made.lines()
 
 
 def run(args: argparse.Namespace, config: Config) -> Iterator[str]:
@@ -78,7 +81,15 @@ def run(args: argparse.Namespace, config: Config) -> Iterator[str]:
 def _convert(args: argparse.Namespace, config: Config) -> Iterator[str]:
     curve = None if args.calibration is None else load_calibration(args.calibration)
     values = _values(args, config)
-    return convert(args.source, args.file, config, values, _origin(args), calibration=curve)
+    return convert(
+        args.source,
+        args.file,
+        config,
+        values,
+        _origin(args),
+        calibration=curve,
+        allow_damaged=args.allow_damaged,
+    )
 
 
 def _bag(args: argparse.Namespace, config: Config) -> Iterator[str]:
@@ -86,7 +97,14 @@ def _bag(args: argparse.Namespace, config: Config) -> Iterator[str]:
         raise CtlError("--as-recorded excludes --config, --pose and --min-probability", Exit.USAGE)
     values = _values(args, config)
     if holds_map(args.source):
-        return bag_of_map(args.source, args.bag, config, values, args.storage)
+        return bag_of_map(
+            args.source,
+            args.bag,
+            config,
+            values,
+            storage=args.storage,
+            allow_damaged=args.allow_damaged,
+        )
     return bag_of_recordings(
         args.source,
         args.bag,

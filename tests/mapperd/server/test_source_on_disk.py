@@ -305,6 +305,25 @@ def test_after_damage_nobody_goes_on_from_before(tmp_path: Path) -> None:
         all_sent(daemon, client)
 
 
+def test_clients_know_how_many_bricks_are_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "dive.map"
+    with daemon_of(path) as daemon:
+        daemon.dive(0, 40)
+        client = Client(daemon.source)
+        all_sent(daemon, client)
+        assert client.mirror.facts.bricks_lost == 0
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE brick SET crc = crc + 1 WHERE rowid = 1")
+    connection.close()
+    with daemon_of(path) as daemon:  # nobody has verified the file, and no ping is near
+        client = Client(daemon.source)
+        look_until_indexed(daemon.source, SECOND_NS)
+        client.hear()
+        assert client.mirror.facts.bricks_lost == 1
+        daemon.store.settle_suspects()
+        assert len(daemon.store.lost) == 1
+
+
 def test_a_brick_that_came_back_is_reported_to_who_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "dive.map"
     with daemon_of(path) as daemon:
