@@ -212,6 +212,16 @@ class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):
             live=True,
         ),
     ] = True
+    max_swath_voxels: Annotated[
+        int,
+        rule(
+            "A ping whose swath holds more voxels is refused: it would take seconds and gigabytes.",
+            "voxels",
+            live=True,
+            ge=1000,
+            le=10**12,
+        ),
+    ] = 500_000_000
     angular_cone_width: Annotated[
         float,
         rule("Shadow tolerance of rays: factor on twice a beam's width.", live=True, ge=0, le=100),

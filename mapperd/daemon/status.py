@@ -174,7 +174,7 @@ class Watch:
         self._events = events
         self._live = live
         self._late = False
-        self._dropped = 0
+        self._dropped = self._refused = 0
         self._recording: object = None
         self._limits: dict[str, str] = {}
         self._localization = LocalizationWatch(events)
@@ -183,6 +183,7 @@ class Watch:
         """Look at new facts; in the mapping thread."""
         if facts.localization is not None:
             self._localization.update(facts.localization)
+        self._look_at_refused(facts.pings["dropped"].get("fan_too_large", 0))
         behind = facts.behind
         if behind["late"] == self._late:
             return
@@ -194,6 +195,16 @@ class Watch:
         dropped, self._dropped = behind["dropped"] - self._dropped, behind["dropped"]
         text = f"mapping has caught up; {dropped} pings were dropped"
         self._events.add(Severity.NOTICE, "caught_up", text, pings_dropped=dropped)
+
+    def _look_at_refused(self, pings: int) -> None:
+        """Report pings that are too much work, each time that they have doubled."""
+        if pings <= self._refused:
+            return
+        self._refused = 2 * pings
+        reason = self._live.counters.first_drop.get("fan_too_large", "")
+        self._events.add(
+            Severity.WARNING, "pings_refused", f"pings are refused: {reason}", pings=pings
+        )
 
     async def look(self) -> NoReturn:
         """Poll what sends no notification, until cancelled."""

@@ -45,19 +45,21 @@ def fan_arguments(config: Config, motion: PingMotion | None) -> Fan:
 
 
 def check_size(echo: PingImage, config: Config) -> None:
-    """Refuse what would exhaust the machine: a range that no sonar has, or tiny voxels.
+    """Refuse a ping whose work, estimated from its geometry alone, is above the limit.
 
     Raises:
-        MapError: the fan holds too many voxels to be meant.
+        MapError: its swath holds more voxels than `mapping.max_swath_voxels`.
     """
     resolution_m = config.octree.voxel_resolution
     width = float(echo.bearings_rad[-1] - echo.bearings_rad[0])
     height = 2 * math.sin(math.radians(config.sonar.vertical_aperture) / 2)
-    volume_m3 = width * height * echo.max_range_m**3 / 3
-    if not volume_m3 <= MAX_FAN_VOXELS * resolution_m**3:
+    voxels = width * height * (echo.max_range_m / resolution_m) ** 3 / 3
+    most = config.mapping.max_swath_voxels
+    if not voxels <= most:
         raise MapError(
-            f"a fan of {echo.max_range_m:g} m holds over {MAX_FAN_VOXELS:.0e} voxels of "
-            f"{resolution_m:g} m: set a larger octree.voxel_resolution",
+            f"a swath of {echo.max_range_m:g} m holds {voxels:.2g} voxels of {resolution_m:g} m, "
+            f"more than {most:.2g}: set a larger octree.voxel_resolution, or "
+            "mapping.max_swath_voxels",
             "fan_too_large",
         )
 

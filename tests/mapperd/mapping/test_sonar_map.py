@@ -133,6 +133,13 @@ def test_fan_of_too_many_voxels_is_refused_at_once(ping: MakePing) -> None:
     assert caught.value.reason == "fan_too_large"
 
 
+def test_limit_of_a_ping_is_a_setting(ping: MakePing) -> None:
+    small = msgspec.structs.replace(COARSE, mapping=MappingConfig(max_swath_voxels=1000))
+    with pytest.raises(MapError, match=r"more than 1e\+03: .* mapping.max_swath_voxels") as caught:
+        mapped(small, ping())
+    assert caught.value.reason == "fan_too_large"
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_pose_that_is_no_number_is_refused(ping: MakePing, bad: float) -> None:
     sonar_map, pose = SonarMap(COARSE), np.eye(4)
