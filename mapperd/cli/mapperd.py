@@ -39,7 +39,7 @@ from mapperd.io import make_folder
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from oculus_driver.errors import OculusError, RecordingError, SettingsError
 
-__all__ = ["Exit", "main"]
+__all__ = ["DaemonExit", "main"]
 
 
 STDERR = 2
@@ -48,7 +48,7 @@ MAX_PLACES = 3
 """Number of damaged parts that a message names; the summary names more."""
 
 
-class Exit(IntEnum):
+class DaemonExit(IntEnum):
     """Exit codes; those above 64 are of sysexits.h."""
 
     OK = 0
@@ -62,14 +62,14 @@ class Exit(IntEnum):
 
 
 _EXITS = {
-    ConfigError: Exit.BAD_CONFIG,
-    LiveError: Exit.UNAVAILABLE,
-    SettingsError: Exit.BAD_CONFIG,
-    RecordingError: Exit.BAD_DATA,
-    ExportError: Exit.CANNOT_WRITE,
-    CheckpointError: Exit.BAD_DATA,
-    MapError: Exit.CANNOT_WRITE,
-    OculusError: Exit.UNAVAILABLE,
+    ConfigError: DaemonExit.BAD_CONFIG,
+    LiveError: DaemonExit.UNAVAILABLE,
+    SettingsError: DaemonExit.BAD_CONFIG,
+    RecordingError: DaemonExit.BAD_DATA,
+    ExportError: DaemonExit.CANNOT_WRITE,
+    CheckpointError: DaemonExit.BAD_DATA,
+    MapError: DaemonExit.CANNOT_WRITE,
+    OculusError: DaemonExit.UNAVAILABLE,
 }
 """The first kind that an error is."""
 
@@ -84,17 +84,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _replay(arguments) if arguments.replay else _live(arguments)
     except ReplayError as error:
-        return _fail(Exit.USAGE, f"{_source(arguments)}: {error}")
+        return _fail(DaemonExit.USAGE, f"{_source(arguments)}: {error}")
     except StoreError as error:
         settings = error.reason in ("other_parameters", "newer_version", "not_a_store")
-        return _fail(Exit.BAD_CONFIG if settings else Exit.CANNOT_WRITE, error)
+        return _fail(DaemonExit.BAD_CONFIG if settings else DaemonExit.CANNOT_WRITE, error)
     except (MapperdError, OculusError) as error:
         return _fail(next(code for kind, code in _EXITS.items() if isinstance(error, kind)), error)
     except KeyboardInterrupt:
-        return _fail(Exit.INTERRUPTED, f"interrupted; results in {arguments.out} may be missing")
+        return _fail(
+            DaemonExit.INTERRUPTED, f"interrupted; results in {arguments.out} may be missing"
+        )
 
 
-def _live(arguments: Arguments) -> Exit:
+def _live(arguments: Arguments) -> DaemonExit:
     """Map until stopped, then write the results."""
     store = ConfigStore(_settings(arguments))
     make_folder(arguments.out)
@@ -110,10 +112,10 @@ def _live(arguments: Arguments) -> Exit:
     return _verdict(arguments, summary)
 
 
-def _replay(arguments: Arguments) -> Exit:
+def _replay(arguments: Arguments) -> DaemonExit:
     """Check, map, write."""
     if (problem := unreadable(arguments.replay)) is not None:
-        return _fail(Exit.NO_INPUT, problem)
+        return _fail(DaemonExit.NO_INPUT, problem)
 
     def ready() -> None:
         make_folder(arguments.out)
@@ -126,7 +128,7 @@ def _replay(arguments: Arguments) -> Exit:
     try:
         sonar_map, summary = map_recordings(arguments, settings, ready)
     except KeyboardInterrupt:
-        return _fail(Exit.INTERRUPTED, "interrupted; nothing was written")
+        return _fail(DaemonExit.INTERRUPTED, "interrupted; nothing was written")
     write_results(arguments.out, sonar_map, summary)
     return _verdict(arguments, summary)
 
@@ -155,7 +157,7 @@ def _poses(arguments: Arguments, config: Config) -> FixedPose | OdometryPoses:
     return OdometryPoses(config)
 
 
-def _verdict(arguments: Arguments, summary: dict[str, Any]) -> Exit:
+def _verdict(arguments: Arguments, summary: dict[str, Any]) -> DaemonExit:
     """Print the result; a map without a ping or a part is a failure, unless a user stopped it."""
     dropped = ", ".join(f"{why} {count}" for why, count in summary["pings_dropped"].items())
     recording = summary.get("recording", {})
@@ -168,7 +170,7 @@ def _verdict(arguments: Arguments, summary: dict[str, Any]) -> Exit:
     missed = summary["pings_mapped"] == 0 and arguments.store is None
     if missed and not (ended or nothing_asked):
         damaged = f" (damaged: {damage})" if damage else ""
-        return _fail(Exit.BAD_DATA, f"{source}: {_why_empty(summary, dropped)}{damaged}")
+        return _fail(DaemonExit.BAD_DATA, f"{source}: {_why_empty(summary, dropped)}{damaged}")
     if damage:
         _line(3 if recording["data_lost"] else 6, f"{source}: damaged: {damage}")
     lost = f" (dropped: {dropped})" if dropped else ""
@@ -179,15 +181,15 @@ def _verdict(arguments: Arguments, summary: dict[str, Any]) -> Exit:
         f"{arguments.out}\n",
     )
     if problem is not None:
-        return _fail(Exit.CANNOT_WRITE, f"standard output: cannot be written: {problem}")
+        return _fail(DaemonExit.CANNOT_WRITE, f"standard output: cannot be written: {problem}")
     if bricks := lost_bricks(summary):
         path = summary["store"]["path"]
         return _fail(
-            Exit.BAD_DATA,
+            DaemonExit.BAD_DATA,
             f"{path}: {bricks} bricks are damaged, and their space is unknown: map.bt, map.ply and "
             "map.png are not written. `mapperctl convert --allow-damaged` writes the rest",
         )
-    return Exit.BAD_DATA if recording.get("data_lost") else Exit.OK
+    return DaemonExit.BAD_DATA if recording.get("data_lost") else DaemonExit.OK
 
 
 def _damage(recording: dict[str, Any]) -> str:
@@ -242,7 +244,7 @@ def _print(message: object) -> None:
     _line(6, message)
 
 
-def _fail(code: Exit, message: object) -> Exit:
+def _fail(code: DaemonExit, message: object) -> DaemonExit:
     _line(3, message)
     return code
 

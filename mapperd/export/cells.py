@@ -17,10 +17,10 @@ __all__ = [
     "NO_TOP",
     "OCCUPIED",
     "UNKNOWN",
-    "Cells",
+    "GridLayer",
+    "GridWindow",
     "Heights",
     "Tops",
-    "Window",
     "indices_of",
     "known_cells",
     "top_cells",
@@ -49,7 +49,7 @@ class Heights:
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class GridWindow:
     """Columns of voxels: indices of the first in x and y, and how many."""
 
     x: int
@@ -59,7 +59,7 @@ class Window:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cells:
+class GridLayer:
     """One number a column.
 
     Attributes:
@@ -68,10 +68,10 @@ class Cells:
     """
 
     values: NDArray[np.generic]
-    window: Window
+    window: GridWindow
 
 
-def window_of(columns: Ints) -> Window:
+def window_of(columns: Ints) -> GridWindow:
     """The smallest window of columns (N, 2), N at least 1.
 
     Raises:
@@ -83,7 +83,7 @@ def window_of(columns: Ints) -> Window:
         raise ExportError(
             f"a grid of {width} x {height} cells is too large; allowed: {MAX_CELLS} together"
         )
-    return Window(int(low[0]), int(low[1]), width, height)
+    return GridWindow(int(low[0]), int(low[1]), width, height)
 
 
 def indices_of(centres_m: NDArray[np.float64], resolution_m: float) -> Ints:
@@ -131,7 +131,7 @@ class KnownCells:
         self._columns.append(keys[block, :2].astype(np.int64) * edge + np.stack((x, y), axis=1))
         self._known.append(np.where(occupied[block, column], OCCUPIED, FREE).astype(np.uint8))
 
-    def cells(self) -> Cells | None:
+    def cells(self) -> GridLayer | None:
         """The grid of all blocks that were added; None where nothing is known.
 
         Raises:
@@ -144,10 +144,10 @@ class KnownCells:
         grid = np.full((window.height, window.width), UNKNOWN, dtype=np.uint8)
         place = columns[:, 1] - window.y, columns[:, 0] - window.x
         np.maximum.at(grid, place, np.concatenate(self._known))  # blocks lie over each other
-        return Cells(grid, window)
+        return GridLayer(grid, window)
 
 
-def known_cells(sonar_map: SonarMap, heights: Heights) -> Cells | None:
+def known_cells(sonar_map: SonarMap, heights: Heights) -> GridLayer | None:
     """What is known of each column, by the thresholds of the map's settings; None if nothing is.
 
     Pings wait only while the map is copied.
@@ -177,7 +177,7 @@ class Tops:
         voxels: that they are of.
     """
 
-    window: Window
+    window: GridWindow
     rows: Ints
     voxels: Voxels
 
@@ -202,7 +202,7 @@ def top_voxels(sonar_map: SonarMap, heights: Heights) -> Tops | None:
     return Tops(window, rows, voxels)
 
 
-def top_cells(sonar_map: SonarMap, heights: Heights) -> Cells | None:
+def top_cells(sonar_map: SonarMap, heights: Heights) -> GridLayer | None:
     """Index in z of the highest occupied voxel of each column that counts, int64, or `NO_TOP`.
 
     Raises:
@@ -212,4 +212,4 @@ def top_cells(sonar_map: SonarMap, heights: Heights) -> Cells | None:
     if tops is None:
         return None
     indices = indices_of(tops.voxels.centres_m[:, 2], sonar_map.resolution_m)
-    return Cells(np.where(tops.rows >= 0, indices[tops.rows], NO_TOP), tops.window)
+    return GridLayer(np.where(tops.rows >= 0, indices[tops.rows], NO_TOP), tops.window)

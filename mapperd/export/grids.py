@@ -6,7 +6,7 @@ from typing import BinaryIO
 import numpy as np
 
 from mapperd.errors import ExportError
-from mapperd.export.cells import NO_TOP, Cells
+from mapperd.export.cells import NO_TOP, GridLayer
 
 __all__ = [
     "FREE_THRESH",
@@ -21,7 +21,7 @@ __all__ = [
 NO_DATA = "-9999"
 
 
-def write_ascii_grid(file: BinaryIO, tops: Cells | None, resolution_m: float) -> None:
+def write_ascii_grid(file: BinaryIO, tops: GridLayer | None, resolution_m: float) -> None:
     """Write elevations in metres: z up, not a depth, of the centre of each column's top voxel.
 
     The format has no place for units, axes or a name of the frame: x is east and y north, in
@@ -45,7 +45,7 @@ def write_ascii_grid(file: BinaryIO, tops: Cells | None, resolution_m: float) ->
         file.write((" ".join(words.tolist()) + "\n").encode("ascii"))
 
 
-def _header(tops: Cells, resolution_m: float) -> str:
+def _header(tops: GridLayer, resolution_m: float) -> str:
     window = tops.window
     lines = [
         f"ncols {window.width}",
@@ -69,7 +69,7 @@ The often seen 0.25 would make 205, which is 0.19608, free.
 """
 
 
-def write_pgm(file: BinaryIO, cells: Cells | None) -> None:
+def write_pgm(file: BinaryIO, cells: GridLayer | None) -> None:
     """Write the picture, north on top.
 
     Raises:
@@ -82,7 +82,7 @@ def write_pgm(file: BinaryIO, cells: Cells | None) -> None:
     file.write(np.ascontiguousarray(GREY[np.flipud(cells.values)]).data)
 
 
-def nav2_yaml(image: str, cells: Cells, resolution_m: float) -> bytes:
+def nav2_yaml(image: str, cells: GridLayer, resolution_m: float) -> bytes:
     """The text beside it; its origin is the picture's lower left corner in the map's frame."""
     window = cells.window
     corner = f"{window.x * resolution_m:.10g}, {window.y * resolution_m:.10g}, 0"

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mapperd.config.tree import Config
 from mapperd.errors import ExportError
-from mapperd.export.cells import FREE, OCCUPIED, UNKNOWN, Cells, Heights, known_cells
+from mapperd.export.cells import FREE, OCCUPIED, UNKNOWN, GridLayer, Heights, known_cells
 from mapperd.export.clouds import POINT
 from mapperd.geometry.frames import Pose, quaternion_to_matrix
 from mapperd.mapping.sonar_map import SonarMap, Voxels
@@ -147,7 +147,7 @@ class Messages:
             is_dense=True,
         )
 
-    def grid(self, stamp_ns: int, frame: str, cells: Cells, resolution_m: float) -> Any:  # noqa: ANN401
+    def grid(self, stamp_ns: int, frame: str, cells: GridLayer, resolution_m: float) -> Any:  # noqa: ANN401
         """nav_msgs/OccupancyGrid: 0 free, 100 occupied, -1 unknown; its origin is the corner."""
         window = cells.window
         corner = Pose(

@@ -15,7 +15,7 @@ from mapperd.client.changes import (
 )
 from mapperd.foxglove.channels import ChannelMessage, Channels
 from mapperd.foxglove.geometry import stamp
-from mapperd.foxglove.map_publisher import MapPublisher, Pace
+from mapperd.foxglove.map_publisher import MapPublisher, PublishPace
 from mapperd.foxglove.messages import Follows, StateMessages, values_of
 from mapperd.foxglove.scene import PathDrawing
 from mapperd.wire.messages import (
@@ -30,7 +30,7 @@ from mapperd.wire.messages import (
     StatusMessage,
 )
 
-__all__ = ["Relay"]
+__all__ = ["FoxgloveRelay"]
 
 NS = 1e9
 PATH_S = 1.0
@@ -64,7 +64,7 @@ TOPICS: Mapping[type, tuple[str, ...]] = {
 """Topics that publish the newest state, by type of change."""
 
 
-class Relay:
+class FoxgloveRelay:
     """Publishes each change of a client on the channels that have subscribers.
 
     Args:
@@ -79,7 +79,7 @@ class Relay:
         self,
         client: Follows,
         channels: Channels,
-        pace: Pace,
+        pace: PublishPace,
         on_set_back: Callable[[], None] | None = None,
     ) -> None:
         self.stamp_ns = 0

@@ -19,7 +19,7 @@ __all__ = [
     "LIVE",
     "RECORDING",
     "MapPublisher",
-    "Pace",
+    "PublishPace",
     "SentCells",
     "changes_cloud",
     "map_cloud",
@@ -171,7 +171,7 @@ SLICE = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class Pace:
+class PublishPace:
     """How often the whole map is published while it changes.
 
     Attributes:
@@ -187,10 +187,10 @@ class Pace:
     longest_s: float = math.inf
 
 
-LIVE = Pace(bytes_per_s=8e6)
+LIVE = PublishPace(bytes_per_s=8e6)
 """For viewers, which show only the newest cloud of a channel."""
 
-RECORDING = Pace(share=1.0, longest_s=60.0)
+RECORDING = PublishPace(share=1.0, longest_s=60.0)
 """For files: at most twice the size of the changes, and a whole map near every seek position."""
 
 
@@ -216,7 +216,7 @@ class MapPublisher:
         pace: rate limits of the whole map.
     """
 
-    def __init__(self, pace: Pace) -> None:
+    def __init__(self, pace: PublishPace) -> None:
         self._pace = pace
         self._sent = SentCells()
         self._changed: set[bytes] = set()

@@ -9,7 +9,7 @@ from foxglove.mcap import MCAPWriteOptions
 
 from mapperd.client.changes import ClientChange
 from mapperd.errors import ExportError
-from mapperd.foxglove.bridge import Relay
+from mapperd.foxglove.bridge import FoxgloveRelay
 from mapperd.foxglove.channels import Channels
 from mapperd.foxglove.map_publisher import RECORDING
 from mapperd.foxglove.messages import Follows
@@ -107,7 +107,7 @@ class McapRecorder:
             writer_options=MCAPWriteOptions(chunk_size=CHUNK_BYTES, compression_threads=0),
         )
         self._channels = Channels(context)
-        self._relay = Relay(client, self._channels, RECORDING)
+        self._relay = FoxgloveRelay(client, self._channels, RECORDING)
         self._kept_s = 0.0
 
     @property

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
         def changes(self) -> AsyncIterator[ClientChange]: ...
 
 
-__all__ = ["Recording", "foxglove_missing"]
+__all__ = ["FoxgloveRecording", "foxglove_missing"]
 
 
 def foxglove_missing(error: ModuleNotFoundError) -> str:
@@ -37,7 +37,7 @@ def foxglove_missing(error: ModuleNotFoundError) -> str:
 TICK_S = 0.25
 
 
-class Recording:
+class FoxgloveRecording:
     """Writes an `.mcap` file from `start` to `stop`, in the loop of the client.
 
     It records only what the client requested: call `await client.change(wants=...)` first.

@@ -10,14 +10,14 @@ from foxglove.websocket import Capability, StatusLevel, WebSocketServer
 
 from mapperd.client.changes import ClientChange, LinkChanged, LinkStatus
 from mapperd.errors import LiveError
-from mapperd.foxglove.bridge import Relay
+from mapperd.foxglove.bridge import FoxgloveRelay
 from mapperd.foxglove.channels import CHANNELS, Channels
 from mapperd.foxglove.map_publisher import LIVE
 from mapperd.foxglove.messages import Follows
 from mapperd.foxglove.parameters import LiveParameters, Steers
 from mapperd.wire.messages import WANTS, SettingsMessage, Want
 
-__all__ = ["FIRST_WANTS", "Client", "serve"]
+__all__ = ["FIRST_WANTS", "FoxgloveClient", "serve"]
 
 TICK_S = 0.1
 BACKLOG = 128
@@ -29,7 +29,7 @@ ON_DEMAND: tuple[Want, ...] = ("returns", "image", "localization")
 FIRST_WANTS: tuple[Want, ...] = tuple(want for want in WANTS if want not in ON_DEMAND)
 
 
-class Client(Follows, Steers, Protocol):
+class FoxgloveClient(Follows, Steers, Protocol):
     """A client of the map stream."""
 
     def changes(self) -> AsyncIterator[ClientChange]: ...  # noqa: D102
@@ -37,7 +37,7 @@ class Client(Follows, Steers, Protocol):
 
 
 async def serve(
-    client: Client,
+    client: FoxgloveClient,
     host: str,
     port: int,
     ready: Callable[[int], None] = lambda _: None,
@@ -83,14 +83,14 @@ async def serve(
 class _Service:
     """Passes changes from the client to the server, and requests back."""
 
-    def __init__(self, client: Client, channels: Channels, *, may_change: bool) -> None:
+    def __init__(self, client: FoxgloveClient, channels: Channels, *, may_change: bool) -> None:
         self.channels = channels
         loop = asyncio.get_running_loop()
         self.parameters = LiveParameters(
             client, loop, self._warn, self._watched, may_change=may_change
         )
         self._client = client
-        self._relay = Relay(client, channels, LIVE, self._set_back)
+        self._relay = FoxgloveRelay(client, channels, LIVE, self._set_back)
         self._server: WebSocketServer | None = None
         self._wants = FIRST_WANTS
         self._time_ns = 0

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mapperd.config.tree import ScanExtractionConfig
 from mapperd.imaging.ping_image import PingImage
 
-__all__ = ["FirstReturns", "Limits", "equalised", "first_returns", "levels_db"]
+__all__ = ["FirstReturns", "RangeLimits", "equalised", "first_returns", "levels_db"]
 
 Levels = NDArray[np.float32]
 
@@ -34,7 +34,7 @@ SIDE_LOBE_ROWS = 1
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class RangeLimits:
     """Where returns are looked for, and the size of a row."""
 
     min_range_m: float
@@ -62,7 +62,7 @@ class FirstReturns:
 
 
 def first_returns(
-    levels: Levels, echo: PingImage, limits: Limits, settings: ScanExtractionConfig
+    levels: Levels, echo: PingImage, limits: RangeLimits, settings: ScanExtractionConfig
 ) -> FirstReturns:
     """Find them.
 
@@ -95,7 +95,7 @@ def first_returns(
 
 
 def _background(
-    levels: Levels, look: slice, limits: Limits, settings: ScanExtractionConfig
+    levels: Levels, look: slice, limits: RangeLimits, settings: ScanExtractionConfig
 ) -> Levels:
     """Mean level of the window before each sample, the guard left out; of the rows to look in.
 

@@ -19,7 +19,13 @@ from mapperd.errors import MapError, Reject
 from mapperd.imaging.filter_chain import filter_ping_image
 from mapperd.imaging.ping_image import PingImage, ping_image_of
 from mapperd.localization.burst_filter import BurstWatch
-from mapperd.localization.detector import FirstReturns, Limits, equalised, first_returns, levels_db
+from mapperd.localization.detector import (
+    FirstReturns,
+    RangeLimits,
+    equalised,
+    first_returns,
+    levels_db,
+)
 from mapperd.localization.levelling import fan_points, level_T_base
 from mapperd.localization.scan import Scan, heard_aperture_rad
 from mapperd.mapping.sonar_map import mounting
@@ -115,7 +121,7 @@ def scan_of(
         The scan, possibly without returns, or a reject: `burst`.
     """
     settings, cell_m = config.localization.scan, echo.range_resolution_m
-    limits = Limits(
+    limits = RangeLimits(
         max(config.filtering.min_range, config.amcl.laser_min_range),
         min(echo.max_range_m, config.amcl.laser_max_range),
         cell_m,

@@ -17,7 +17,7 @@ __all__ = [
     "SAMPLE",
     "BackOff",
     "LocalizationReporter",
-    "Pace",
+    "Throttle",
     "encoded",
     "health_report",
     "map_report",
@@ -114,7 +114,7 @@ EARLY = 0.1
 """Of a period: who asks at about the same rate would else miss every second one."""
 
 
-class Pace:
+class Throttle:
     """At most so often on average; two are at least half a period apart.
 
     Args:
@@ -197,8 +197,8 @@ class LocalizationReporter:
         self._pose_s: object = None
         self._transform_s: object = None
         self._cloud_s: object = None
-        self._pose, self._cloud = Pace(CHANGE_S), Pace(CLOUD_S)
-        self._again, self._change = Pace(AGAIN_S), Pace(CHANGE_S)
+        self._pose, self._cloud = Throttle(CHANGE_S), Throttle(CLOUD_S)
+        self._again, self._change = Throttle(AGAIN_S), Throttle(CHANGE_S)
 
     def collect(self, now_s: float) -> None:
         """Put what is due into the outbox; poses come at `mqtt.pose_rate` at most.

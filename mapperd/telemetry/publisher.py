@@ -13,7 +13,7 @@ from mapperd.config.tree import Config
 from mapperd.events import Severity
 from mapperd.telemetry import payloads
 from mapperd.telemetry.outbox import Kind, Message, Outbox
-from mapperd.telemetry.payloads import LocalizationReporter, Pace
+from mapperd.telemetry.payloads import LocalizationReporter, Throttle
 from mapperd.telemetry.topics import Topics
 
 __all__ = ["Reporter", "Vitals"]
@@ -67,9 +67,9 @@ class Reporter:
         self._state: dict[str, Any] | None = None
         self._pose_s = self._robot_s = 0.0
         self._pings: tuple[float, int] | None = None
-        self._pose, self._robots = Pace(OFTEN_S), Pace(ROBOTS_S)
-        self._again, self._change = Pace(STATE_S), Pace(CHANGE_S)
-        self._sonar, self._slow = Pace(SONAR_S), Pace(SLOW_S)
+        self._pose, self._robots = Throttle(OFTEN_S), Throttle(ROBOTS_S)
+        self._again, self._change = Throttle(STATE_S), Throttle(CHANGE_S)
+        self._sonar, self._slow = Throttle(SONAR_S), Throttle(SLOW_S)
         self._localization.renew()
 
     @property

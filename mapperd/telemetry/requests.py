@@ -15,7 +15,7 @@ from mapperd.telemetry.outbox import Kind, Message
 from mapperd.telemetry.payloads import encoded
 from mapperd.telemetry.topics import Asked, Topics
 
-__all__ = ["ORIGIN", "Requests"]
+__all__ = ["ORIGIN", "TelemetryRequests"]
 
 ORIGIN = "mqtt"
 
@@ -43,7 +43,7 @@ class _Request:
     body: Any
 
 
-class Requests:
+class TelemetryRequests:
     """Obeys one request after the other.
 
     Args:

@@ -23,7 +23,7 @@ from mapperd.telemetry.broker import check_telemetry, connection
 from mapperd.telemetry.outbox import Kind, Message, Outbox
 from mapperd.telemetry.payloads import BackOff
 from mapperd.telemetry.publisher import Reporter, Vitals
-from mapperd.telemetry.requests import Requests
+from mapperd.telemetry.requests import TelemetryRequests
 from mapperd.telemetry.topics import Topics
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ class Telemetry:
         self._outbox = Outbox(config.mqtt.queue)
         vitals = Vitals(folders)
         self._reporter = Reporter(operations, self._topics, self._outbox, vitals, self.status)
-        self._requests = Requests(operations, self._topics, self._put)
+        self._requests = TelemetryRequests(operations, self._topics, self._put)
         self._back_off = BackOff(chance)
         self._news = [asyncio.Event() for _ in SENDERS]
         self.phase, self.reason = Phase.CLOSED, "not started"

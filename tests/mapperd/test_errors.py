@@ -5,7 +5,7 @@ import pickle
 import pytest
 
 from mapperd.api import OperationError
-from mapperd.cli.mapperctl.errors import CtlError, Exit
+from mapperd.cli.mapperctl.errors import CtlError, CtlExit
 from mapperd.client.errors import AskError, EndedError
 from mapperd.errors import (
     CheckpointError,
@@ -31,7 +31,7 @@ from mapperd.wire.framing import StreamError
         StreamError("bad", "too_long"),
         EndedError("bad", "wrong_token"),
         AskError("not_connected", "bad", {"a": 1}),
-        CtlError("bad", Exit.TRY_AGAIN),
+        CtlError("bad", CtlExit.TRY_AGAIN),
         OperationError("bad", "busy"),
     ],
     ids=lambda error: type(error).__name__,

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.scene.material import MATERIALS
 from sonar_sim.scene.scene import Scene, Surface
 
@@ -40,6 +40,6 @@ def plate() -> Plate:
 
 
 @pytest.fixture
-def level_pose() -> Pose:
+def level_pose() -> FramePose:
     """At the origin, looking along +x."""
-    return Pose(np.zeros(3), np.eye(3))
+    return FramePose(np.zeros(3), np.eye(3))

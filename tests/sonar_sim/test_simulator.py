@@ -3,7 +3,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from sonar_sim.geometry.pose import Mounting, Pose, rotation_of
+from sonar_sim.geometry.pose import FramePose, Mounting, rotation_of
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.simulator import Simulator
@@ -22,7 +22,7 @@ def brightest(image: np.ndarray) -> tuple[int, int]:
 
 @pytest.mark.parametrize("bearing_deg", [-50.0, -10.0, 0.0, 30.0, 60.0])
 def test_plate_appears_at_its_range_and_bearing_and_starboard_is_positive(
-    plate: Plate, level_pose: Pose, bearing_deg: float
+    plate: Plate, level_pose: FramePose, bearing_deg: float
 ) -> None:
     bearing = math.radians(bearing_deg)
     # y points to port, so a positive bearing is at negative y.
@@ -38,7 +38,7 @@ def test_plate_appears_at_its_range_and_bearing_and_starboard_is_positive(
 
 
 def test_echo_off_the_plane_shows_at_the_bearing_of_its_cone(
-    plate: Plate, level_pose: Pose
+    plate: Plate, level_pose: FramePose
 ) -> None:
     azimuth, elevation = math.radians(40.0), math.radians(10.0)
     at = 3.0 * np.array(
@@ -57,8 +57,8 @@ def test_echo_off_the_plane_shows_at_the_bearing_of_its_cone(
 def test_mounting_looks_down_with_the_fan_across_and_roll_turns_it_to_port(plate: Plate) -> None:
     # 2 m below the sonar and 1.5 m to port of a vehicle that heads north: at x = -1.5.
     scene = plate((-1.5, 0.0, -2.5), (0.2, 0.0, 0.0), (0.0, 0.2, 0.0))
-    level = Pose(np.zeros(3), rotation_of(0.0, 0.0, math.radians(90.0)))
-    rolled = Pose(np.zeros(3), rotation_of(math.radians(20.0), 0.0, math.radians(90.0)))
+    level = FramePose(np.zeros(3), rotation_of(0.0, 0.0, math.radians(90.0)))
+    rolled = FramePose(np.zeros(3), rotation_of(math.radians(20.0), 0.0, math.radians(90.0)))
     table_deg = bearing_table_cdeg(SONAR.beams, SONAR.half_aperture_rad) / 100.0
     seen_deg = [
         table_deg[brightest(Simulator(scene, SONAR).ping(base @ Mounting().pose, 0).image)[1]]
@@ -72,12 +72,12 @@ def test_mounting_looks_down_with_the_fan_across_and_roll_turns_it_to_port(plate
 def test_noise_rises_with_range_and_stays_below_the_echoes() -> None:
     empty = Scene(())
     sonar = SonarSettings(demanded_range_m=10.0)
-    image = Simulator(empty, sonar).ping(Pose(np.zeros(3), np.eye(3)), 0).image
+    image = Simulator(empty, sonar).ping(FramePose(np.zeros(3), np.eye(3)), 0).image
     assert image[:100].mean() < image[-100:].mean() < 35.0
     assert image[-100:].mean() > 1.0
 
 
-def test_equal_seed_pose_and_number_give_equal_bytes(plate: Plate, level_pose: Pose) -> None:
+def test_equal_seed_pose_and_number_give_equal_bytes(plate: Plate, level_pose: FramePose) -> None:
     scene = plate((3.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.3, 0.0, 2.0))
     one = Simulator(scene, SONAR, seed=5).ping(level_pose, 4).image
     again = Simulator(scene, SONAR, seed=5).ping(level_pose, 4).image
@@ -87,7 +87,7 @@ def test_equal_seed_pose_and_number_give_equal_bytes(plate: Plate, level_pose: P
 
 
 def test_still_scene_correlates_between_pings_and_noise_does_not(
-    plate: Plate, level_pose: Pose
+    plate: Plate, level_pose: FramePose
 ) -> None:
     scene = plate((4.0, 0.0, 0.0), (0.0, 12.0, 0.0), (0.6, 0.0, 2.0))
     simulator = Simulator(scene, SONAR)
@@ -100,7 +100,7 @@ def test_still_scene_correlates_between_pings_and_noise_does_not(
 
 
 def test_seen_surface_is_what_lies_in_the_aperture_and_is_not_hidden(
-    plate: Plate, level_pose: Pose
+    plate: Plate, level_pose: FramePose
 ) -> None:
     wall = plate((4.0, 0.0, 0.0), (0.0, 30.0, 0.0), (0.0, 0.0, 8.0))
     screen = plate((2.0, -1.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 8.0))
@@ -114,7 +114,7 @@ def test_seen_surface_is_what_lies_in_the_aperture_and_is_not_hidden(
     assert not np.any((on_wall[:, 1] > -2.6) & (on_wall[:, 1] < -0.05))
 
 
-def test_rays_and_scatterers_are_as_asked_for(plate: Plate, level_pose: Pose) -> None:
+def test_rays_and_scatterers_are_as_asked_for(plate: Plate, level_pose: FramePose) -> None:
     scene = plate((4.0, 0.0, 0.0), (0.0, 30.0, 0.0), (0.0, 0.0, 8.0))
     usual = Simulator(scene, SONAR).ping(level_pose)
     fewer_rays = Simulator(scene, SONAR, elevations=32).ping(level_pose)

@@ -11,7 +11,7 @@ import pytest
 from mpmath import mpf
 from numpy.typing import NDArray
 from sonar_sim.engine import PingEngine
-from sonar_sim.geometry.pose import Pose, quaternion_of, rotation_of
+from sonar_sim.geometry.pose import FramePose, quaternion_of, rotation_of
 from sonar_sim.geometry.trajectory import Motion, Trajectory, Waypoint
 from sonar_sim.propagation.physics import SoundSpeedProfile
 from sonar_sim.propagation.refraction import _rotations, _turned
@@ -273,7 +273,7 @@ def test_one_speed_over_all_depths_bends_nothing_far_out_and_deep() -> None:
     layers = SoundSpeedProfile(np.array([0.0, 10.0]), np.array([1500.0, 1480.0]))
     wall = rectangle((3.0, 0.0, -6000.0), (0.0, 4.0, 0.0), (0.0, 0.0, 4.0), CHALK)
     engine = PingEngine(Scene((wall,)), narrow_sonar(5.0, 0.05))
-    pose = Pose(np.array([0.0, 0.0, -6000.0]), np.eye(3))
+    pose = FramePose(np.array([0.0, 0.0, -6000.0]), np.eye(3))
     straight = engine.ping(pose, MEAN).amplitude
     bent = engine.ping(pose, dataclasses.replace(MEAN, layers=layers)).amplitude
     assert np.argmax(bent[:, 32]) == pytest.approx(np.argmax(straight[:, 32]), abs=1)

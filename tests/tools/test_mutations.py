@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from mutations.catalogue import CATALOGUE, REPOSITORY, Mutation, load, mutated
 from mutations.judge import PATIENCE_S, End, is_endless, judge_cpp, judge_pytest
-from mutations.results import Result, Results, table
+from mutations.results import MutationResults, Result, table
 from mutations.stamp import stamp, texts_of
 
 MUTATIONS = load()
@@ -104,11 +104,11 @@ def test_a_time_limit_counts_only_if_the_unbroken_test_is_far_below_it() -> None
 
 
 def test_the_newest_result_counts(tmp_path: Path) -> None:
-    results = Results(tmp_path / "deep" / "results.jsonl")
+    results = MutationResults(tmp_path / "deep" / "results.jsonl")
     assert results.of(one()) is None
     results.add(result("survived"))
     results.add(result("killed", "def"))
-    assert Results(tmp_path / "deep" / "results.jsonl").of(one()) == result("killed", "def")
+    assert MutationResults(tmp_path / "deep" / "results.jsonl").of(one()) == result("killed", "def")
 
 
 def tree(folder: Path) -> Path:
@@ -136,7 +136,7 @@ def test_a_test_is_its_file_or_its_case_with_what_is_around_it(tmp_path: Path) -
 
 def test_a_result_is_of_the_mutation_its_file_and_its_killer(tmp_path: Path) -> None:
     root = tree(tmp_path)
-    results = Results(tmp_path / "results.jsonl")
+    results = MutationResults(tmp_path / "results.jsonl")
     assert not results.is_done(one(), root)
     results.add(result("killed", stamp(one(), ("tests/x.py",), root)))
     assert results.is_done(one(), root)
@@ -156,7 +156,7 @@ def test_a_result_is_of_the_mutation_its_file_and_its_killer(tmp_path: Path) -> 
 
 def test_a_survivor_is_measured_again_when_any_of_its_tests_is_new(tmp_path: Path) -> None:
     root = tree(tmp_path)
-    results = Results(tmp_path / "results.jsonl")
+    results = MutationResults(tmp_path / "results.jsonl")
     results.add(result("survived", stamp(one(), ("tests/x.py",), root)))
     assert results.is_done(one(), root)
     assert not results.is_done(replace(one(), killed_by=("tests/x.py", "tests/y.py")), root)
@@ -177,7 +177,7 @@ def test_the_page_counts_the_whole_catalogue(tmp_path: Path) -> None:
     # A new mutation is on the page before a run has measured it.
     assert counts["all"][4] < len(MUTATIONS) / 4
     assert "**not explained**" not in measured
-    results = Results(tmp_path / "results.jsonl")
+    results = MutationResults(tmp_path / "results.jsonl")
     for each in MUTATIONS:
         ended = ("survived", "") if each.survives else ("killed", each.killed_by[0])
         results.add(Result(each.name, *ended, "", 1.0, "1234567", ""))

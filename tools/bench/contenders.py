@@ -18,7 +18,7 @@ BENCH = Path(__file__).resolve().parent
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class PingCase:
     """One look, range and voxel size, and the files that hold its pings.
 
     Attributes:
@@ -68,7 +68,7 @@ class Contender:
         """Whether it is a map of this project."""
         return self.takes != RAYS
 
-    def command(self, case: Case, build: Path, budget_s: float) -> list[str | Path]:
+    def command(self, case: PingCase, build: Path, budget_s: float) -> list[str | Path]:
         """To run it on a case in a process of its own."""
         given = (f"{case.resolution_m}", f"{budget_s}")
         if not self.is_ours:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from sonar_sim import MATERIALS, Pose, Scene, Simulator, SonarSettings, Surface, load_scenario
+from sonar_sim import MATERIALS, FramePose, Scene, Simulator, SonarSettings, Surface, load_scenario
 from sonar_sim.geometry.pose import rotation_of
 
 from mapperd.config.tree import CrosstalkConfig, RobotDetectionConfig, TerrainDetectionConfig
@@ -72,7 +72,7 @@ def main() -> None:
     for name, scene in (("sand", sand()), ("harbour", load_scenario("harbour").scene)):
         simulator = Simulator(scene, sonar, 1)
         for pitch_deg in PITCHES_DEG:
-            pose = Pose(np.array([0, 0, -1.5]), rotation_of(0.0, math.radians(pitch_deg), 0.0))
+            pose = FramePose(np.array([0, 0, -1.5]), rotation_of(0.0, math.radians(pitch_deg), 0.0))
             image = simulator.ping(pose, 1).image.astype(np.float32)
             striped = with_stripes(image)
             true = image > THRESHOLD

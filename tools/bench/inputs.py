@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from sonar_sim import Pose, Scene, SonarSettings
+from sonar_sim import FramePose, Scene, SonarSettings
 from sonar_sim.simulator import PingRequest, SimulatorSpec, simulate_pings
 
 from bench import scene, seabed
@@ -137,22 +137,22 @@ ROWS = 500
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class Viewpoint:
     """Where the sonar looks: a scene, and poses by range and number of pings."""
 
     scene: Callable[[], Scene]
-    poses: Callable[[float, int], list[Pose]]
+    poses: Callable[[float, int], list[FramePose]]
 
 
 DOWN, AHEAD = "down", "ahead"
 LOOKS = {
-    DOWN: Look(seabed.seabed, seabed.poses),
-    AHEAD: Look(scene.basin, scene.poses),
+    DOWN: Viewpoint(seabed.seabed, seabed.poses),
+    AHEAD: Viewpoint(scene.basin, scene.poses),
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class ViewSetting:
     """Where the sonar looks, how far, and its gain as an operator would choose it."""
 
     look: str
@@ -170,14 +170,14 @@ class Setting:
 
 
 SETTINGS = (
-    Setting(DOWN, 10.0, 46.0),
-    Setting(DOWN, 30.0, 42.0),
-    Setting(AHEAD, 10.0, 60.0),
-    Setting(AHEAD, 30.0, 46.0),
+    ViewSetting(DOWN, 10.0, 46.0),
+    ViewSetting(DOWN, 30.0, 42.0),
+    ViewSetting(AHEAD, 10.0, 60.0),
+    ViewSetting(AHEAD, 30.0, 46.0),
 )
 
 
-def simulate(setting: Setting, pings: int, seed: int) -> Pings:
+def simulate(setting: ViewSetting, pings: int, seed: int) -> Pings:
     """Simulate pings along the look's path."""
     sonar, look = setting.sonar, LOOKS[setting.look]
     poses = look.poses(setting.range_m, pings)
@@ -192,7 +192,7 @@ def simulate(setting: Setting, pings: int, seed: int) -> Pings:
     return Pings(images, np.radians(bearings_cdeg / 100.0), sonar.range_resolution_m, map_T_sonar)
 
 
-def cached(folder: Path, setting: Setting, pings: int, seed: int) -> Path:
+def cached(folder: Path, setting: ViewSetting, pings: int, seed: int) -> Path:
     """File of the simulated pings, simulated again only if what makes them has changed."""
     scenes = [BENCH / f"{part}.py" for part in ("scene", "seabed", "shapes")]
     sources = [*sorted((BENCH.parent / "sonar_sim").rglob("*.py")), *scenes, Path(__file__)]

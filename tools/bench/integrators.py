@@ -18,8 +18,8 @@ from studies.report import IMAGES, PAGES, ROOT, write_section
 from bench.contenders import (
     BENCH,
     CONTENDERS,
-    Case,
     Contender,
+    PingCase,
     build_rivals,
     describe_machine,
     log,
@@ -28,7 +28,7 @@ from bench.contenders import (
 from bench.inputs import LOOKS, SETTINGS, cached, load, loud_share, write_rays
 from bench.our_contender import APERTURE_DEG
 from bench.report import draw, markdown
-from bench.results import CaseResult, DetailDifference, Measured, Results
+from bench.results import BenchResults, CaseResult, ContenderResult, DetailDifference
 
 PROGRAM = "python -m bench integrators"
 PICTURE = IMAGES / "performance.png"
@@ -73,7 +73,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(argv)
 
 
-def measure_all(args: argparse.Namespace) -> Results:
+def measure_all(args: argparse.Namespace) -> BenchResults:
     """Run every contender, one after another."""
     load_before = os.getloadavg()[0]
     cases = make_cases(args.out, args.looks, args.pings, args.seed)
@@ -83,7 +83,7 @@ def measure_all(args: argparse.Namespace) -> Results:
         options += f" --looks {' '.join(args.looks)}"
     if args.only:
         options += f" --only {' '.join(args.only)}"
-    return Results(
+    return BenchResults(
         command=f"python {PROGRAM} {options}",
         pings=args.pings,
         seed=args.seed,
@@ -93,7 +93,7 @@ def measure_all(args: argparse.Namespace) -> Results:
     )
 
 
-def make_cases(out: Path, looks: Sequence[str], pings: int, seed: int) -> list[Case]:
+def make_cases(out: Path, looks: Sequence[str], pings: int, seed: int) -> list[PingCase]:
     """Simulate the pings, unless cached, and write them as rays for the rivals."""
     aperture_rad = math.radians(APERTURE_DEG)
     cases = []
@@ -106,20 +106,20 @@ def make_cases(out: Path, looks: Sequence[str], pings: int, seed: int) -> list[C
         write_rays(rays, simulated, aperture_rad)
         share = loud_share(simulated)
         cases += [
-            Case(setting.look, setting.range_m, each_m, file, rays, share)
+            PingCase(setting.look, setting.range_m, each_m, file, rays, share)
             for each_m in RESOLUTIONS_M
         ]
     return cases
 
 
-def measure_case(case: Case, build: Path, budget_s: float, only: Sequence[str]) -> CaseResult:
+def measure_case(case: PingCase, build: Path, budget_s: float, only: Sequence[str]) -> CaseResult:
     """Run each contender on one case, then compare detail 1 with the converged grid."""
     runs = {}
     for contender in chosen(only):
         if not contender.is_ours and not (build / contender.words[0]).exists():
             continue
         command = contender.command(case, build, budget_s)
-        run = msgspec.json.decode(run_json(command), type=Measured)
+        run = msgspec.json.decode(run_json(command), type=ContenderResult)
         runs[contender.name] = run
         log(f"{case.name}: {run.median_ms:8.2f} ms  {contender.label}")
     detail = None if only else measure_detail(case)
@@ -132,7 +132,7 @@ def chosen(only: Sequence[str]) -> list[Contender]:
     return [c for c in CONTENDERS if not only or any(word in c.name for word in only)]
 
 
-def measure_detail(case: Case) -> DetailDifference:
+def measure_detail(case: PingCase) -> DetailDifference:
     """Compare in a process of its own."""
     log(f"{case.name}: comparing with the converged grid")
     given = (f"{case.resolution_m}", f"{DETAIL_BUDGET_S:g}")

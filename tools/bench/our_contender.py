@@ -1,4 +1,4 @@
-"""One of our contenders in a process of its own; prints `Measured` as JSON."""
+"""One of our contenders in a process of its own; prints `ContenderResult` as JSON."""
 
 import argparse
 import math
@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.contenders import status_bytes
 from bench.inputs import Pings, load
-from bench.results import Measured
+from bench.results import ContenderResult
 from mapperd.config.tree import Config, MappingConfig, OctreeConfig, SonarConfig
 from mapperd.geometry.motion import PingMotion
 from mapperd.mapping.sonar_map import SonarMap
@@ -46,7 +46,7 @@ def config_of(
     )
 
 
-class Run:
+class ContenderRun:
     """Integrates the pings of a file into empty maps, timing each ping.
 
     Args:
@@ -64,7 +64,7 @@ class Run:
         self._budget_ms = 1e3 * budget_s
         self._first_returns_only = first_returns_only
 
-    def measure(self, *, with_motion: bool = False) -> Measured:
+    def measure(self, *, with_motion: bool = False) -> ContenderResult:
         """Both passes, and motion if wanted."""
         sonar_map = SonarMap(self.config)
         start_rss_bytes = status_bytes("VmRSS")
@@ -75,7 +75,7 @@ class Run:
         second_ms, _ = self._one_pass(sonar_map, most=len(ms))
         del sonar_map
         resting_ms, moving_ms = self._with_motion() if with_motion else ([], [])
-        return Measured(
+        return ContenderResult(
             ms=ms,
             second_ms=second_ms,
             touched=touched,
@@ -149,7 +149,9 @@ def main() -> None:
     parser.add_argument("--motion", action="store_true", help="time motion within the ping too")
     args = parser.parse_args()
     config = config_of(args.way, args.resolution_m, args.threads)
-    run = Run(config, load(args.pings), args.budget_s, first_returns_only=args.first_returns)
+    run = ContenderRun(
+        config, load(args.pings), args.budget_s, first_returns_only=args.first_returns
+    )
     print(msgspec.json.encode(run.measure(with_motion=args.motion)).decode())
 
 

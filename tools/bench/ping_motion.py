@@ -38,7 +38,7 @@ MOTIONS = ((1.0, 0.0), (0.0, 5.0), (0.0, 20.0), (1.0, 20.0), (3.0, 45.0))
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class MovingSonar:
     """A sonar in the plane of its fan; it looks along x at the middle of the run.
 
     Attributes:
@@ -81,7 +81,9 @@ def posts() -> Floats:
     return np.column_stack([ranges_m * np.cos(bearings), ranges_m * np.sin(bearings)])
 
 
-def heard(run: Run, sent_s: float, points_m: Floats, *, stops: bool) -> tuple[Floats, Floats]:
+def heard(
+    run: MovingSonar, sent_s: float, points_m: Floats, *, stops: bool
+) -> tuple[Floats, Floats]:
     """Range and sine of the bearing (positive to starboard) of points (N, 3)."""
     out_m = np.linalg.norm(points_m - run.position_m(sent_s), axis=1)
     range_m = out_m
@@ -94,7 +96,7 @@ def heard(run: Run, sent_s: float, points_m: Floats, *, stops: bool) -> tuple[Fl
     return range_m, np.where(np.cos(yaw) > 0, -np.sin(yaw), np.inf)
 
 
-def echo(run: Run, sent_s: float, axes_m: Floats, *, stops: bool) -> PingImage:
+def echo(run: MovingSonar, sent_s: float, axes_m: Floats, *, stops: bool) -> PingImage:
     """What the sonar hears of the posts' near sides."""
     around = np.linspace(0, 2 * math.pi, 600, endpoint=False)
     normals = np.column_stack([np.cos(around), np.sin(around)])
@@ -112,7 +114,7 @@ def echo(run: Run, sent_s: float, axes_m: Floats, *, stops: bool) -> PingImage:
     return PingImage(intensity, bearings, RANGE_M / ROWS)
 
 
-def errors_m(run: Run, *, stops: bool, corrected: bool) -> Floats:
+def errors_m(run: MovingSonar, *, stops: bool, corrected: bool) -> Floats:
     """How far each occupied voxel's centre lies from the nearest post's surface."""
     axes_m = posts()
     config = Config(
@@ -142,7 +144,7 @@ def gain_table(pings: int) -> str:
         "|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for speed_mps, rate_dps in MOTIONS:
-        run = Run(speed_mps, math.radians(rate_dps), pings)
+        run = MovingSonar(speed_mps, math.radians(rate_dps), pings)
         found = [
             errors_m(run, stops=stops, corrected=corrected)
             for stops, corrected in ((True, False), (False, True), (False, False))

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
 from bench.contenders import CONTENDERS, FULL, GRID_FULL, Contender
-from bench.results import CaseResult, DetailDifference, Measured, Results, figure
-from bench.targets import FINE_M, RATE_MS, TARGETS, Target, fine_cases, judge
+from bench.results import BenchResults, CaseResult, ContenderResult, DetailDifference, figure
+from bench.targets import FINE_M, RATE_MS, TARGETS, PerformanceTarget, fine_cases, judge
 
 mpl.use("Agg")
 
@@ -19,7 +19,7 @@ TOP = len(CONTENDERS)
 """Height of the limit's label: above the first bar."""
 
 
-def draw(path: Path, results: Results) -> None:
+def draw(path: Path, results: BenchResults) -> None:
     """One panel a case: bars of the median, whiskers to the 95th percentile."""
     looks = list(dict.fromkeys(case.look for case in results.cases))
     columns = len(results.cases) // len(looks)
@@ -88,7 +88,7 @@ COLUMNS = (
 )
 
 
-def markdown(results: Results) -> str:
+def markdown(results: BenchResults) -> str:
     """All tables of a run."""
     fine = fine_cases(results.cases)
     asked = [target for target in TARGETS if target.asked]
@@ -112,7 +112,7 @@ def _table(head: Row, rows: Sequence[Row]) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in (head, rule, *rows))
 
 
-def _machine(results: Results) -> str:
+def _machine(results: BenchResults) -> str:
     at = results.machine
     return (
         f"`{results.command}` at commit `{at.commit}`: up to {results.pings} pings a case, seed "
@@ -122,7 +122,7 @@ def _machine(results: Results) -> str:
     )
 
 
-def _summary(targets: Sequence[Target], cases: Sequence[CaseResult]) -> str:
+def _summary(targets: Sequence[PerformanceTarget], cases: Sequence[CaseResult]) -> str:
     judged = [judge(target, case) for target in targets for case in cases]
     limited = [verdict for verdict in judged if verdict.limit is not None]
     return (
@@ -130,7 +130,7 @@ def _summary(targets: Sequence[Target], cases: Sequence[CaseResult]) -> str:
     )
 
 
-def _targets(targets: Sequence[Target], cases: Sequence[CaseResult]) -> str:
+def _targets(targets: Sequence[PerformanceTarget], cases: Sequence[CaseResult]) -> str:
     """A row a target, a column a case, each figure with its limit."""
     head = ["5 cm, one thread", *(f"{case.look}, {case.range_m:g} m" for case in cases)]
     rows = [[target.wish, *(f"{judge(target, case)}" for case in cases)] for target in targets]
@@ -155,11 +155,11 @@ def _overview(cases: Sequence[CaseResult]) -> str:
     return _table(head, [*rows, [f"{GRID_FULL.label}: moving against at rest", *ratios]])
 
 
-def _medians(run: Measured | None) -> str:
+def _medians(run: ContenderResult | None) -> str:
     return f"{figure(run.median_ms)}, {figure(run.second_median_ms)}" if run else ABSENT
 
 
-def _motion(run: Measured | None) -> str:
+def _motion(run: ContenderResult | None) -> str:
     ratio = run.motion_ratio if run else None
     return ABSENT if ratio is None else f"{figure(ratio)}x"
 
@@ -183,7 +183,7 @@ def _open_water(times_ms: dict[str, float]) -> str:
     return _table(head, [("evidence grid", *(f"{figure(ms)} ms" for ms in times_ms.values()))])
 
 
-def _all_cases(results: Results) -> Iterator[str]:
+def _all_cases(results: BenchResults) -> Iterator[str]:
     bytes_a_second = results.machine.bytes_a_second
     for case in results.cases:
         rows = [
@@ -195,7 +195,7 @@ def _all_cases(results: Results) -> Iterator[str]:
         yield _table(COLUMNS, rows)
 
 
-def _run(contender: Contender, run: Measured, bytes_a_second: float, pings: int) -> Row:
+def _run(contender: Contender, run: ContenderResult, bytes_a_second: float, pings: int) -> Row:
     done = len(run.ms)
     fewer = "" if done == pings else f" ({done} ping{'s' if done > 1 else ''})"
     held = run.bytes_a_held_voxel

@@ -10,7 +10,7 @@ HELD_VOXEL_BYTES = 3
 """Our voxel where a block stores each of its own: 2 bytes of log-odds and 1 of count."""
 
 
-class Measured(msgspec.Struct, frozen=True):
+class ContenderResult(msgspec.Struct, frozen=True):
     """One contender on the pings of one case.
 
     Attributes:
@@ -140,7 +140,7 @@ class CaseResult(msgspec.Struct, frozen=True):
     range_m: float
     resolution_m: float
     loud_share: float
-    runs: dict[str, Measured]
+    runs: dict[str, ContenderResult]
     detail: DetailDifference | None = None
 
     @property
@@ -149,7 +149,7 @@ class CaseResult(msgspec.Struct, frozen=True):
         return f"{self.range_m:g} m, {100 * self.resolution_m:g} cm"
 
 
-class Results(msgspec.Struct, frozen=True):
+class BenchResults(msgspec.Struct, frozen=True):
     """A whole run.
 
     Attributes:
@@ -168,7 +168,7 @@ class Results(msgspec.Struct, frozen=True):
         path.write_bytes(msgspec.json.format(msgspec.json.encode(self), indent=1))
 
 
-def times_faster(ours: Measured, theirs: Measured) -> float:
+def times_faster(ours: ContenderResult, theirs: ContenderResult) -> float:
     """Ratio of the medians, over the pings that both integrated."""
     both = min(len(ours.ms), len(theirs.ms))
     return statistics.median(theirs.ms[:both]) / statistics.median(ours.ms[:both])

@@ -8,7 +8,7 @@ on the floor.
 import math
 
 import numpy as np
-from sonar_sim import MATERIALS, Motion, Mounting, Pose, Scene, Trajectory, Waypoint
+from sonar_sim import MATERIALS, FramePose, Motion, Mounting, Scene, Trajectory, Waypoint
 
 from bench.shapes import box, floor, floor_height_m, pile, surface
 
@@ -79,7 +79,7 @@ def path() -> Trajectory:
     return Trajectory([Waypoint(0.0, 0.0, SONAR_Z_M, 0.0), *turn], Motion(speed_mps=0.5))
 
 
-def poses(range_m: float, pings: int) -> list[Pose]:
+def poses(range_m: float, pings: int) -> list[FramePose]:
     """Of the sonar in the map, evenly along the path."""
     trajectory, mounted = path(), mounting(PITCH_DEG[range_m]).pose
     times_s = np.linspace(0.0, trajectory.duration_s, pings)

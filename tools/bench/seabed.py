@@ -5,7 +5,7 @@ sides is in reach of the long one alone.
 """
 
 import numpy as np
-from sonar_sim import MATERIALS, Motion, Mounting, Pose, Scene, Trajectory, Waypoint
+from sonar_sim import MATERIALS, FramePose, Motion, Mounting, Scene, Trajectory, Waypoint
 
 from bench.shapes import (
     MEAN_DEPTH_M,
@@ -57,7 +57,7 @@ def height_m(x_m: Floats, y_m: Floats) -> Floats:
     return floor_height_m(x_m, y_m) + (MEAN_DEPTH_M - DEPTH_M)
 
 
-def poses(range_m: float, pings: int) -> list[Pose]:
+def poses(range_m: float, pings: int) -> list[FramePose]:
     """Of the sonar in the map: one each `PERIOD_S`, about the middle of the line."""
     z_m = ALTITUDE_BY_RANGE * range_m - DEPTH_M
     ends = [Waypoint(x_m, 0.0, z_m, 0.0) for x_m in LINE_X_M]

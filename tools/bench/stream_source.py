@@ -41,7 +41,7 @@ Blocks = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.uint16]]
 
 
 @dataclass
-class Watched:
+class ViewedDive:
     """One client's view of a dive.
 
     Attributes:
@@ -112,7 +112,7 @@ def dive(
     for step in steps:
         source = MapSource(sonar_map, MemoryPersistence(sonar_map), log_odds_step=step)
         first, *others = [source.subscribe(Interest()) for _ in range(clients)]
-        watched.append(Watched(source, first, others))
+        watched.append(ViewedDive(source, first, others))
         changes.append(Changes(step))
     clock = _Clock()
     next_ns = 0

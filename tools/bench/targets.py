@@ -15,7 +15,7 @@ from bench.contenders import (
     Contender,
 )
 from bench.inputs import AHEAD, DOWN
-from bench.results import CaseResult, Measured, figure, p95, times_faster
+from bench.results import CaseResult, ContenderResult, figure, p95, times_faster
 
 FINE_M = 0.05
 Measure = Callable[[CaseResult], float | None]
@@ -27,7 +27,7 @@ RATE_MS = {10.0: 6.25, 30.0: 100.0}
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class PerformanceTarget:
     """One figure of each 5 cm case, and its limit.
 
     Attributes:
@@ -48,7 +48,7 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class TargetVerdict:
     """A target on one case.
 
     Attributes:
@@ -56,7 +56,7 @@ class Verdict:
         limit: None if the target has none for this case.
     """
 
-    target: Target
+    target: PerformanceTarget
     found: float | None
     limit: float | None
 
@@ -84,9 +84,9 @@ def fine_cases(cases: list[CaseResult]) -> list[CaseResult]:
     return [case for case in cases if case.resolution_m == FINE_M]
 
 
-def judge(target: Target, case: CaseResult) -> Verdict:
+def judge(target: PerformanceTarget, case: CaseResult) -> TargetVerdict:
     """Compare a case's figure with its limit."""
-    return Verdict(target, target.measure(case), target.limits.get((case.look, case.range_m)))
+    return TargetVerdict(target, target.measure(case), target.limits.get((case.look, case.range_m)))
 
 
 def _everywhere(limit: float) -> dict[Corner, float]:
@@ -108,7 +108,7 @@ def _faster_than(ours: Contender, *others: Contender) -> Measure:
     return ratio
 
 
-def _full_image(figure_of: Callable[[Measured], float | None]) -> Measure:
+def _full_image(figure_of: Callable[[ContenderResult], float | None]) -> Measure:
     """A figure of one thread on full images."""
 
     def found(case: CaseResult) -> float | None:
@@ -123,11 +123,11 @@ def _threads(case: CaseResult) -> float | None:
     return times_faster(two, one) if one and two else None
 
 
-def _median_moving(run: Measured) -> float | None:
+def _median_moving(run: ContenderResult) -> float | None:
     return statistics.median(run.moving_ms) if run.moving_ms else None
 
 
-def _p95_moving(run: Measured) -> float | None:
+def _p95_moving(run: ContenderResult) -> float | None:
     return p95(run.moving_ms) if run.moving_ms else None
 
 
@@ -138,52 +138,58 @@ def _at(range_m: float) -> dict[Corner, float]:
 _FASTER_THAN_RAYS = "full image: faster than our rays"
 _FASTER_THAN_OPENVDB = "first returns: faster than the faster OpenVDB"
 TARGETS = (
-    Target(_FASTER_THAN_RAYS, _faster_than(GRID_FULL, RAYS_FULL), _each(9, 13, 4.5, 3.5)),
-    Target(_FASTER_THAN_OPENVDB, _faster_than(GRID_FIRST, *OPENVDB), _each(3, 3, 1.3, 1.3)),
-    Target(
+    PerformanceTarget(
+        _FASTER_THAN_RAYS, _faster_than(GRID_FULL, RAYS_FULL), _each(9, 13, 4.5, 3.5)
+    ),
+    PerformanceTarget(
+        _FASTER_THAN_OPENVDB, _faster_than(GRID_FIRST, *OPENVDB), _each(3, 3, 1.3, 1.3)
+    ),
+    PerformanceTarget(
         "first returns: faster than OctoMap",
         _faster_than(GRID_FIRST, OCTOMAP),
         _each(35, 35, 35, 15),
     ),
-    Target(
+    PerformanceTarget(
         "full image, moving: median, a quarter of the time between pings at 40 Hz",
         _full_image(_median_moving),
         _at(10.0),
         at_least=False,
         unit=" ms",
     ),
-    Target(
+    PerformanceTarget(
         "full image, moving: 95th percentile, the time between pings at 10 Hz",
         _full_image(_p95_moving),
         _at(30.0),
         at_least=False,
         unit=" ms",
     ),
-    Target(
+    PerformanceTarget(
         "full image: moving against at rest",
         _full_image(lambda run: run.motion_ratio),
         _everywhere(1.15),
         at_least=False,
     ),
-    Target("full image: two threads against one", _threads, _everywhere(1.7)),
-    Target(
+    PerformanceTarget("full image: two threads against one", _threads, _everywhere(1.7)),
+    PerformanceTarget(
         "full image: first ping into an empty map against the median",
         _full_image(lambda run: run.first_ping_ratio),
         _everywhere(2.0),
         at_least=False,
     ),
-    Target(
+    PerformanceTarget(
         "full image: bytes a voxel held",
         _full_image(lambda run: run.bytes_a_held_voxel),
         _everywhere(4.0),
         at_least=False,
         unit="",
     ),
-    Target(
+    PerformanceTarget(
         f"{_FASTER_THAN_RAYS}, moonshot",
         _faster_than(GRID_FULL, RAYS_FULL),
         _each(18, 26, 9, 7),
         asked=False,
     ),
-    Target("first returns: faster than Bonxai", _faster_than(GRID_FIRST, BONXAI), asked=False),
+    PerformanceTarget(
+        "first returns: faster than Bonxai", _faster_than(GRID_FIRST, BONXAI), asked=False
+    ),
 )

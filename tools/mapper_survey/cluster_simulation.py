@@ -14,7 +14,7 @@ from mapper_survey.run_record import TaskTime, in_order
 
 
 @dataclass(frozen=True, slots=True)
-class Cluster:
+class ComputeCluster:
     """What a survey runs on.
 
     Attributes:
@@ -57,7 +57,7 @@ class Schedule:
     ended_s: dict[str, float]
 
 
-def simulate(tasks: Sequence[TaskTime], cluster: Cluster) -> Schedule:
+def simulate(tasks: Sequence[TaskTime], cluster: ComputeCluster) -> Schedule:
     """Run all tasks.
 
     Raises:
@@ -73,7 +73,7 @@ class _SharedStorage:
     the beginning gives the end of each: at its own start's value plus its size.
     """
 
-    def __init__(self, cluster: Cluster) -> None:
+    def __init__(self, cluster: ComputeCluster) -> None:
         self._cluster = cluster
         self._carried = 0.0
         self._updated_s = 0.0
@@ -108,7 +108,7 @@ class _SharedStorage:
 class _Run:
     """The events of one survey."""
 
-    def __init__(self, tasks: list[TaskTime], cluster: Cluster) -> None:
+    def __init__(self, tasks: list[TaskTime], cluster: ComputeCluster) -> None:
         self._tasks, self._cluster = tasks, cluster
         self._storage = _SharedStorage(cluster)
         self._numbers = {task.name: k for k, task in enumerate(tasks)}

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from mapper_survey.arguments import add_survey_arguments, progress_lines, resolve_arguments
-from mapper_survey.cluster_simulation import Cluster
+from mapper_survey.cluster_simulation import ComputeCluster
 from mapper_survey.engine import Engine, InProcess
 from mapper_survey.errors import SurveyError
 from mapper_survey.export import PRODUCTS, ExportOptions, export_survey
@@ -20,7 +20,15 @@ from mapper_survey.memory import bytes_of
 from mapper_survey.report import REPORT, Report, report_survey
 from mapper_survey.request import Request, read_survey
 from mapper_survey.running import DIVES, MAP, RunOptions, dive_map, plan_survey, run_survey
-from mapper_survey.scaling import WORKERS, Run, draw_scaling, read_run, record_of, scaling, tables
+from mapper_survey.scaling import (
+    WORKERS,
+    ScalingRun,
+    draw_scaling,
+    read_run,
+    record_of,
+    scaling,
+    tables,
+)
 from mapper_survey.surface import CELL_VOXELS, RULES
 from mapperd import __version__
 from mapperd.errors import MapperdError
@@ -314,7 +322,7 @@ def _scaling(args: argparse.Namespace) -> int:
     """Simulate, write and print the tables."""
     try:
         runs = sorted((read_run(*run) for run in args.runs), key=lambda run: run.workers)
-        cluster = Cluster(
+        cluster = ComputeCluster(
             1,
             args.scheduler_ms * MILLI,
             _bytes_per_s(args.storage_mb_per_s),
@@ -326,7 +334,9 @@ def _scaling(args: argparse.Namespace) -> int:
         return FAULT
 
 
-def _write_scaling(runs: list[Run], cluster: Cluster, workers: list[int], out: Path) -> int:
+def _write_scaling(
+    runs: list[ScalingRun], cluster: ComputeCluster, workers: list[int], out: Path
+) -> int:
     record = record_of(runs, cluster, scaling(runs[0].tasks, cluster, workers))
     out.mkdir(parents=True, exist_ok=True)
     text = tables(record)

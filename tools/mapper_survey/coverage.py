@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mapper_survey.surface import NO_TOP, tops_of
 from mapper_survey.tally import Tally
-from mapper_survey.windows import StoredMap, Tiling, Window
+from mapper_survey.windows import ColumnWindow, StoredMap, Tiling
 from mapperd.export.cells import UNKNOWN, Heights, known_cells
 from mapperd.export.geotiff import NO_DATA, Band
 from mapperd.mapping.sonar_map import SonarMap
@@ -188,7 +188,11 @@ def cover(
 
 
 def _look(
-    part: SonarMap, window: Window, name: str, coverage: Coverage, drawing: tuple[Raster, Pictures]
+    part: SonarMap,
+    window: ColumnWindow,
+    name: str,
+    coverage: Coverage,
+    drawing: tuple[Raster, Pictures],
 ) -> Ints:
     """One dive in a window: indices of its surface."""
     raster, pictures = drawing
@@ -208,7 +212,7 @@ def _look(
     return tops
 
 
-def _draw_merged(part: SonarMap, window: Window, raster: Raster, pictures: Pictures) -> int:
+def _draw_merged(part: SonarMap, window: ColumnWindow, raster: Raster, pictures: Pictures) -> int:
     tops = tops_of(part.voxels("occupied"), part.resolution_m, window)
     x, y, chosen = _places(tops != NO_TOP, window)
     z_m = (tops[chosen] + 0.5) * part.resolution_m
@@ -219,7 +223,7 @@ def _draw_merged(part: SonarMap, window: Window, raster: Raster, pictures: Pictu
 def _together(
     tops: Mapping[str, Ints],
     resolution_m: float,
-    window: Window,
+    window: ColumnWindow,
     coverage: Coverage,
     drawing: tuple[Raster, Pictures],
 ) -> Floats32 | None:
@@ -254,7 +258,7 @@ def _together(
 
 
 def _places(
-    mask: NDArray[np.bool_], window: Window
+    mask: NDArray[np.bool_], window: ColumnWindow
 ) -> tuple[Ints, Ints, tuple[NDArray[np.intp], NDArray[np.intp]]]:
     """Indices in x and y of columns that are chosen, and their rows and columns."""
     row, column = np.nonzero(mask)

@@ -21,7 +21,7 @@ from mapperd.mapping.probability import log_odds_of
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import BRICK_VOXELS
 
-__all__ = ["Comparison", "Disagreement", "Way", "cubes_of", "differences"]
+__all__ = ["Comparison", "Disagreement", "OneWayDifference", "cubes_of", "differences"]
 
 CUBE_BRICKS = 2
 """Along an edge of what is compared at a time; what lies around it within the reach is read too."""
@@ -36,7 +36,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(slots=True)
-class Way:
+class OneWayDifference:
     """From the occupied voxels of one dive to the other's.
 
     Attributes:
@@ -120,7 +120,7 @@ def cubes_of(stores: Mapping[str, StoredMap]) -> list[Key]:
 
 def differences(
     stores: Mapping[str, StoredMap],
-    ways: Mapping[tuple[str, str], Way],
+    ways: Mapping[tuple[str, str], OneWayDifference],
     comparison: Comparison,
     progress: Callable[[], None],
 ) -> Iterator[Disagreement]:
@@ -156,7 +156,7 @@ def _occupied(stored: StoredMap, cube: Key) -> Ints:
 def _compared(
     stored: StoredMap,
     others: Mapping[str, Ints],
-    ways: Mapping[str, Way],
+    ways: Mapping[str, OneWayDifference],
     comparison: Comparison,
 ) -> Iterator[Disagreement]:
     """From the voxels of others in a cube to one dive."""

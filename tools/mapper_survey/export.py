@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapper_survey.errors import SurveyError
-from mapper_survey.surface import CELL_VOXELS, RULES, Rule, Surface, surface_of
-from mapper_survey.windows import WINDOW_BRICKS, StoredMap, Tiling, Window, tiling_of
+from mapper_survey.surface import CELL_VOXELS, RULES, Rule, SurfaceCells, surface_of
+from mapper_survey.windows import WINDOW_BRICKS, ColumnWindow, StoredMap, Tiling, tiling_of
 from mapperd.config.tree import Config
 from mapperd.export.cells import Heights
 from mapperd.export.clouds import write_points
@@ -229,7 +229,7 @@ class _Export:
             self._progress(number, total)
             yield tile
 
-    def _tile(self, part: SonarMap, window: Window) -> NDArray[np.float32] | None:
+    def _tile(self, part: SonarMap, window: ColumnWindow) -> NDArray[np.float32] | None:
         options = self._options
         voxels = _within(part.voxels("occupied"), options.heights)
         surface = surface_of(
@@ -254,7 +254,7 @@ class _Export:
         )
         return tile
 
-    def _write_soundings(self, surface: Surface, window: Window) -> None:
+    def _write_soundings(self, surface: SurfaceCells, window: ColumnWindow) -> None:
         cells = window.edge // self._options.cell_voxels
         west_m = window.x * self._stored.resolution_m
         south_m = window.y * self._stored.resolution_m

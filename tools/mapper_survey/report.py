@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapper_survey.coverage import BANDS, Coverage, Pictures, Raster, cover
-from mapper_survey.difference import Comparison, Way, cubes_of, differences
+from mapper_survey.difference import Comparison, OneWayDifference, cubes_of, differences
 from mapper_survey.errors import SurveyError
 from mapper_survey.export import Progress, grid_place
 from mapper_survey.tally import Tally
@@ -125,7 +125,7 @@ class Report(msgspec.Struct, frozen=True):
 def report_of(
     comparison: Comparison,
     coverage: Coverage,
-    ways: Mapping[tuple[str, str], Way],
+    ways: Mapping[tuple[str, str], OneWayDifference],
     *,
     tolerance_m: float,
     thresholds: tuple[float, float],
@@ -160,7 +160,11 @@ def report_of(
 
 
 def _pair(
-    a: str, b: str, ways: Mapping[tuple[str, str], Way], dz: Tally, comparison: Comparison
+    a: str,
+    b: str,
+    ways: Mapping[tuple[str, str], OneWayDifference],
+    dz: Tally,
+    comparison: Comparison,
 ) -> PairRecord:
     there, back = (_way(ways[pair], comparison) for pair in ((a, b), (b, a)))
     only, missing = (
@@ -174,7 +178,7 @@ def _pair(
     return PairRecord(a, b, there, back, heights, only, _grade(only), missing, _grade(missing))
 
 
-def _way(way: Way, comparison: Comparison) -> WayRecord:
+def _way(way: OneWayDifference, comparison: Comparison) -> WayRecord:
     missing, only = way.compared - way.common, way.voxels - way.common
     return WayRecord(
         way.voxels,
@@ -238,7 +242,7 @@ def draw_pictures(
     report: Report,
     pictures: Pictures,
     raster: Raster,
-    ways: Mapping[tuple[str, str], Way],
+    ways: Mapping[tuple[str, str], OneWayDifference],
 ) -> None:
     """Write all four PNGs.
 
@@ -319,7 +323,7 @@ def _disagreement(report: Report, pictures: Pictures, raster: Raster) -> Any:  #
     return figure
 
 
-def _distances(report: Report, ways: Mapping[tuple[str, str], Way]) -> Any:  # noqa: ANN401
+def _distances(report: Report, ways: Mapping[tuple[str, str], OneWayDifference]) -> Any:  # noqa: ANN401
     figure = _figure(10.0, 5.0)
     figure.suptitle("from each dive's voxels to the nearest of the other", color=INK, fontsize=12)
     axes = figure.subplots()
@@ -454,7 +458,7 @@ class _Comparing:
             dict.fromkeys(stores, 0), dict.fromkeys(stores, 0), dict.fromkeys(stores, 0)
         )
         self._coverage.dz = {pair: Tally() for pair in itertools.combinations(stores, 2)}
-        self._ways = {pair: Way() for pair in itertools.permutations(stores, 2)}
+        self._ways = {pair: OneWayDifference() for pair in itertools.permutations(stores, 2)}
 
     def write(self, out_dir: Path, origin: Origin | None) -> Report:
         """Count everything, then write it."""

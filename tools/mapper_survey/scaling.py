@@ -11,12 +11,12 @@ from typing import Any
 
 import msgspec
 
-from mapper_survey.cluster_simulation import Cluster, Schedule, simulate
+from mapper_survey.cluster_simulation import ComputeCluster, Schedule, simulate
 from mapper_survey.run_record import Kind, TaskTime, in_order, read_task_times
 
 WORKERS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
-Limited = tuple[list[TaskTime], Cluster]
+Limited = tuple[list[TaskTime], ComputeCluster]
 
 
 class Step(msgspec.Struct, frozen=True):
@@ -45,7 +45,7 @@ NOTICED = 0.01
 
 
 def scaling(
-    tasks: Sequence[TaskTime], cluster: Cluster, workers: Sequence[int] = WORKERS
+    tasks: Sequence[TaskTime], cluster: ComputeCluster, workers: Sequence[int] = WORKERS
 ) -> list[Step]:
     """Simulate the survey on more and more workers.
 
@@ -58,12 +58,12 @@ def scaling(
     return [_step(tasks, replace(cluster, workers=count), alone_s) for count in workers]
 
 
-def without(limit: str, tasks: Sequence[TaskTime], cluster: Cluster) -> Schedule:
+def without(limit: str, tasks: Sequence[TaskTime], cluster: ComputeCluster) -> Schedule:
     """The survey as it would go if something did not limit it: a name of `LIMITS`."""
     return simulate(*LIMITS[limit](list(tasks), cluster))
 
 
-def _step(tasks: Sequence[TaskTime], cluster: Cluster, alone_s: float) -> Step:
+def _step(tasks: Sequence[TaskTime], cluster: ComputeCluster, alone_s: float) -> Step:
     wall_s = simulate(tasks, cluster).wall_s
     if wall_s == 0.0:
         return Step(cluster.workers, 0.0, 1.0, 1.0 / cluster.workers, {}, "none alone")
@@ -80,23 +80,23 @@ def _step(tasks: Sequence[TaskTime], cluster: Cluster, alone_s: float) -> Step:
     )
 
 
-def _more_workers(tasks: list[TaskTime], cluster: Cluster) -> Limited:
+def _more_workers(tasks: list[TaskTime], cluster: ComputeCluster) -> Limited:
     return tasks, replace(cluster, workers=max(len(tasks), cluster.workers))
 
 
-def _no_scheduler(tasks: list[TaskTime], cluster: Cluster) -> Limited:
+def _no_scheduler(tasks: list[TaskTime], cluster: ComputeCluster) -> Limited:
     return tasks, replace(cluster, scheduler_s=0.0)
 
 
-def _wide_storage(tasks: list[TaskTime], cluster: Cluster) -> Limited:
+def _wide_storage(tasks: list[TaskTime], cluster: ComputeCluster) -> Limited:
     return tasks, replace(cluster, storage_bytes_per_s=inf)
 
 
-def _wide_links(tasks: list[TaskTime], cluster: Cluster) -> Limited:
+def _wide_links(tasks: list[TaskTime], cluster: ComputeCluster) -> Limited:
     return tasks, replace(cluster, link_bytes_per_s=inf)
 
 
-def _no_merge(tasks: list[TaskTime], cluster: Cluster) -> Limited:
+def _no_merge(tasks: list[TaskTime], cluster: ComputeCluster) -> Limited:
     free = (
         msgspec.structs.replace(task, cpu_s=0.0, read_bytes=0, written_bytes=0)
         if task.kind == "merge"
@@ -106,14 +106,14 @@ def _no_merge(tasks: list[TaskTime], cluster: Cluster) -> Limited:
     return list(free), cluster
 
 
-def _divided(kind: Kind) -> Callable[[list[TaskTime], Cluster], Limited]:
+def _divided(kind: Kind) -> Callable[[list[TaskTime], ComputeCluster], Limited]:
     """Tasks of a kind in as many pieces as there are workers, together the same work.
 
     Those of each map are divided on their own: one map is made after the other. The scheduler has
     no more to do for them than before.
     """
 
-    def divide(tasks: list[TaskTime], cluster: Cluster) -> Limited:
+    def divide(tasks: list[TaskTime], cluster: ComputeCluster) -> Limited:
         made = in_order(tasks)
         for before, whole in _together(made, kind).items():
             pieces = [_piece(whole, before, k, cluster.workers) for k in range(cluster.workers)]
@@ -164,7 +164,7 @@ def _waiting_for(task: TaskTime, names: set[str], end: TaskTime) -> TaskTime:
     return msgspec.structs.replace(task, after=(*others, end.name))
 
 
-LIMITS: dict[str, Callable[[list[TaskTime], Cluster], Limited]] = {
+LIMITS: dict[str, Callable[[list[TaskTime], ComputeCluster], Limited]] = {
     "workers": _more_workers,
     "recordings": _divided("plan"),
     "tiles": _divided("tile"),
@@ -180,7 +180,7 @@ merge; the storage's bandwidth; a worker's own link; the scheduler's time for ea
 KINDS: tuple[Kind, ...] = ("plan", "tile", "merge")
 
 
-class Run(msgspec.Struct, frozen=True):
+class ScalingRun(msgspec.Struct, frozen=True):
     """A survey that was run.
 
     Attributes:
@@ -194,7 +194,7 @@ class Run(msgspec.Struct, frozen=True):
     tasks: list[TaskTime]
 
 
-class Measured(msgspec.Struct, frozen=True):
+class MeasuredRun(msgspec.Struct, frozen=True):
     """A run beside its simulation.
 
     Attributes:
@@ -245,7 +245,7 @@ class ScalingRecord(msgspec.Struct, frozen=True):
     scheduler_s: float
     storage_bytes_per_s: float | None
     link_bytes_per_s: float | None
-    measured: list[Measured]
+    measured: list[MeasuredRun]
     steps: list[Step]
 
 
@@ -255,7 +255,7 @@ class _StageTimes(msgspec.Struct):
     wall_s: dict[str, float]
 
 
-def read_run(workers: int, path: Path) -> Run:
+def read_run(workers: int, path: Path) -> ScalingRun:
     """Read a survey's record.
 
     Raises:
@@ -266,10 +266,12 @@ def read_run(workers: int, path: Path) -> Run:
         wall_s = sum(msgspec.json.decode(path.read_bytes(), type=_StageTimes).wall_s.values())
     except msgspec.DecodeError as error:
         raise ValueError(f"{path}: no record of a survey: {error}") from error
-    return Run(workers, wall_s, tasks)
+    return ScalingRun(workers, wall_s, tasks)
 
 
-def record_of(runs: Sequence[Run], cluster: Cluster, steps: Sequence[Step]) -> ScalingRecord:
+def record_of(
+    runs: Sequence[ScalingRun], cluster: ComputeCluster, steps: Sequence[Step]
+) -> ScalingRecord:
     """Put the runs, and what was simulated of the first one's tasks, together."""
     storage, link = cluster.storage_bytes_per_s, cluster.link_bytes_per_s
     return ScalingRecord(
@@ -293,10 +295,10 @@ def _times(tasks: Sequence[TaskTime], kind: Kind) -> KindTimes:
     )
 
 
-def _measured(run: Run, first: Run, scheduler_s: float) -> Measured:
+def _measured(run: ScalingRun, first: ScalingRun, scheduler_s: float) -> MeasuredRun:
     """The machine's own disk is no shared storage: what it takes is in the tasks' CPU times."""
-    simulated = simulate(first.tasks, Cluster(run.workers, scheduler_s))
-    return Measured(
+    simulated = simulate(first.tasks, ComputeCluster(run.workers, scheduler_s))
+    return MeasuredRun(
         run.workers,
         run.wall_s,
         first.workers * first.wall_s / run.wall_s,

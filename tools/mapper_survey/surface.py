@@ -6,11 +6,11 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from mapper_survey.windows import Window
+from mapper_survey.windows import ColumnWindow
 from mapperd.export.cells import NO_TOP, indices_of
 from mapperd.mapping.sonar_map import Voxels
 
-__all__ = ["CELL_VOXELS", "NO_TOP", "RULES", "Rule", "Surface", "surface_of", "tops_of"]
+__all__ = ["CELL_VOXELS", "NO_TOP", "RULES", "Rule", "SurfaceCells", "surface_of", "tops_of"]
 
 Rule = Literal["shoalest", "median"]
 RULES: tuple[Rule, ...] = get_args(Rule)
@@ -23,7 +23,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface:
+class SurfaceCells:
     """Cells of a window that hold a surface.
 
     Attributes:
@@ -44,12 +44,12 @@ class Surface:
 def surface_of(
     voxels: Voxels,
     resolution_m: float,
-    window: Window,
+    window: ColumnWindow,
     cell_voxels: int = 1,
     *,
     rule: Rule = "shoalest",
     vertical_uncertainty_m: float = 0.0,
-) -> Surface:
+) -> SurfaceCells:
     """Take the surface out of a window's occupied voxels.
 
     A column's surface is its uppermost occupied voxel and those that follow without a gap below
@@ -85,7 +85,7 @@ def surface_of(
     cell, chosen, z = cell[order], chosen[order], index[order, 2]
     found, start = np.unique(cell, return_index=True)
     if not len(found):
-        return Surface(found, found, found * resolution_m, found * resolution_m, found)
+        return SurfaceCells(found, found, found * resolution_m, found * resolution_m, found)
     end = np.append(start[1:], len(cell))
     if rule == "shoalest":
         middle = z[end - 1].astype(np.float64)
@@ -95,7 +95,7 @@ def surface_of(
     off = (z - np.repeat(middle, end - start)) ** 2
     scatter = np.add.reduceat(weight * off, start) / np.add.reduceat(weight, start)
     variance_m2 = (1 / 12 + scatter) * resolution_m**2 + vertical_uncertainty_m**2
-    return Surface(
+    return SurfaceCells(
         found // cells,
         found % cells,
         (middle + 0.5) * resolution_m,
@@ -104,7 +104,7 @@ def surface_of(
     )
 
 
-def tops_of(voxels: Voxels, resolution_m: float, window: Window) -> Ints:
+def tops_of(voxels: Voxels, resolution_m: float, window: ColumnWindow) -> Ints:
     """Index in z of the uppermost occupied voxel of each column.
 
     Returns:
@@ -117,7 +117,7 @@ def tops_of(voxels: Voxels, resolution_m: float, window: Window) -> Ints:
     return tops
 
 
-def _layers(voxels: Voxels, resolution_m: float, window: Window) -> tuple[Ints, Ints]:
+def _layers(voxels: Voxels, resolution_m: float, window: ColumnWindow) -> tuple[Ints, Ints]:
     """The voxels of the columns' surfaces: their numbers (N,) and indices (N, 3)."""
     index = indices_of(voxels.centres_m, resolution_m)
     column = (index[:, 1] - window.y) * window.edge + index[:, 0] - window.x

@@ -16,7 +16,7 @@ from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import BRICK_VOXELS, StoreReader
 
-__all__ = ["WINDOW_BRICKS", "Key", "StoredMap", "Tiling", "Window", "tiling_of"]
+__all__ = ["WINDOW_BRICKS", "ColumnWindow", "Key", "StoredMap", "Tiling", "tiling_of"]
 
 WINDOW_BRICKS = 2
 """Along an edge of a window: 12.8 m of a map of 10 cm."""
@@ -26,7 +26,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class ColumnWindow:
     """Some columns of voxels.
 
     Attributes:
@@ -62,11 +62,11 @@ class Tiling:
     rows: int
     heights: Mapping[tuple[int, int], tuple[int, int]]
 
-    def __iter__(self) -> Iterator[Window]:
+    def __iter__(self) -> Iterator[ColumnWindow]:
         """The northernmost row first, from west to east."""
         for row in range(self.rows):
             for column in range(self.columns):
-                yield Window(
+                yield ColumnWindow(
                     self.x + column * self.edge,
                     self.north - (row + 1) * self.edge,
                     self.edge,
@@ -142,7 +142,7 @@ class StoredMap:
         (x, y, z), (far_x, far_y, far_z) = low.tolist(), high.tolist()
         return self.part((x, y, z), (far_x, far_y, far_z))
 
-    def columns(self, window: Window) -> SonarMap | None:
+    def columns(self, window: ColumnWindow) -> SonarMap | None:
         """What the map holds in a window, over its whole height; None if nothing.
 
         Raises:

@@ -9,7 +9,7 @@ from pathlib import Path
 from mutations.catalogue import Mutation
 from mutations.stamp import stamp
 
-__all__ = ["Result", "Results", "is_well", "table"]
+__all__ = ["MutationResults", "Result", "is_well", "table"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class Result:
     stamp: str
 
 
-class Results:
+class MutationResults:
     """A file of one line a measurement; the last of a mutation counts."""
 
     def __init__(self, path: Path) -> None:
@@ -74,7 +74,7 @@ def is_well(mutation: Mutation, result: Result | None) -> bool:
     return result.outcome == ("survived" if mutation.survives else "killed")
 
 
-def table(mutations: Sequence[Mutation], results: Results) -> str:
+def table(mutations: Sequence[Mutation], results: MutationResults) -> str:
     """Markdown: what became of the mutations by area, and the survivors with their reasons."""
     lines = [
         "| area | files | mutations | killed | survived | not measured |",
@@ -87,7 +87,7 @@ def table(mutations: Sequence[Mutation], results: Results) -> str:
     return "\n".join(lines)
 
 
-def _row(area: str, mutations: Sequence[Mutation], results: Results) -> str:
+def _row(area: str, mutations: Sequence[Mutation], results: MutationResults) -> str:
     found = Counter(_outcome(results.of(one)) for one in mutations)
     counts = [
         len({one.file for one in mutations}),
@@ -99,7 +99,7 @@ def _row(area: str, mutations: Sequence[Mutation], results: Results) -> str:
     return f"| {area} | " + " | ".join(map(str, counts)) + " |"
 
 
-def _survivors(mutations: Sequence[Mutation], results: Results) -> Iterator[str]:
+def _survivors(mutations: Sequence[Mutation], results: MutationResults) -> Iterator[str]:
     measured = [one for one in mutations if results.of(one) is not None]
     survivors = [one for one in measured if _outcome(results.of(one)) != "killed"]
     if not survivors:

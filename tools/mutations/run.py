@@ -24,7 +24,7 @@ from tqdm import tqdm
 from mutations.broken_copy import Copy, NotBuiltError
 from mutations.catalogue import REPOSITORY, Mutation, load
 from mutations.judge import End, is_endless, program_of, run_test, targets_of
-from mutations.results import Result, Results, is_well, table
+from mutations.results import MutationResults, Result, is_well, table
 from mutations.stamp import stamp
 
 MAX_BYTES = 8 << 30
@@ -101,7 +101,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="of the compiler")
     args = parser.parse_args(words)
     resource.setrlimit(resource.RLIMIT_AS, (MAX_BYTES, MAX_BYTES))
-    results = Results(REPOSITORY / "out" / "mutations" / "results.jsonl")
+    results = MutationResults(REPOSITORY / "out" / "mutations" / "results.jsonl")
     mutations = load()
     chosen = [one for one in mutations if _is_chosen(one, args.only, args.language)]
     beside = f"-{args.language}" if args.language else ""
@@ -125,7 +125,7 @@ def _is_chosen(mutation: Mutation, names: str, language: str | None) -> bool:
     return fnmatch.fnmatch(mutation.name, names)
 
 
-def _measure(copy: Copy, mutations: Sequence[Mutation], results: Results) -> None:
+def _measure(copy: Copy, mutations: Sequence[Mutation], results: MutationResults) -> None:
     if not mutations:
         return
     copy.configure()

@@ -8,7 +8,7 @@ from oculus_driver import __version__
 from sonar_sim.capture import CaptureSettings, write_capture
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import EffectPlan, EffectWarning
-from sonar_sim.geometry.pose import Mounting, Pose, SonarMotion
+from sonar_sim.geometry.pose import FramePose, Mounting, SonarMotion
 from sonar_sim.geometry.trajectory import Drift, Motion, ObjectMotion, Tour, Trajectory, Waypoint
 from sonar_sim.scene.material import MATERIALS, Material
 from sonar_sim.scene.scenario import Scenario
@@ -23,10 +23,10 @@ from sonar_sim.scene.scene import (
     Surface,
 )
 from sonar_sim.scene.sonar import SonarSettings, sonar_preset
-from sonar_sim.scene.vehicle import Odometry, OdometryErrors, OdometrySample, Vehicle
+from sonar_sim.scene.vehicle import OdometryErrors, OdometrySample, SimulatedOdometry, Vehicle
 from sonar_sim.scene.water import Water
 from sonar_sim.scene_file import load_scenario, scene_names
-from sonar_sim.simulator import Ping, Simulator, simulate
+from sonar_sim.simulator import SimulatedPing, Simulator, simulate
 
 __all__ = [
     "MATERIALS",
@@ -37,20 +37,20 @@ __all__ = [
     "EffectPlan",
     "EffectWarning",
     "Emitter",
+    "FramePose",
     "Material",
     "Motion",
     "Mounting",
     "ObjectMotion",
-    "Odometry",
     "OdometryErrors",
     "OdometrySample",
-    "Ping",
     "PointTarget",
-    "Pose",
     "Scenario",
     "Scene",
     "Sea",
     "Sediment",
+    "SimulatedOdometry",
+    "SimulatedPing",
     "Simulator",
     "SonarMotion",
     "SonarSettings",

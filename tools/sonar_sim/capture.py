@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, RecordingWriter
 from sonar_sim.raycast.visible_surface import VisibleSurface
 from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
-from sonar_sim.scene.vehicle import Odometry, OdometrySample, in_order_of_arrival, odometry_record
+from sonar_sim.scene.vehicle import (
+    OdometrySample,
+    SimulatedOdometry,
+    in_order_of_arrival,
+    odometry_record,
+)
 from sonar_sim.simulator import PingRequest, SimulatorSpec, simulate_pings
 from sonar_sim.wire import Network, compass_heading_deg, delivered, ping_message
 
@@ -80,7 +85,9 @@ def write_capture(
     seen = VisibleSurface()
     pings = _sonar_link(scenario, settings, seen, progress)
     if navigation is None:
-        navigation = Odometry(scenario.trajectory, scenario.vehicle, settings.seed).samples()
+        navigation = SimulatedOdometry(
+            scenario.trajectory, scenario.vehicle, settings.seed
+        ).samples()
     odometry = _odometry_link(navigation)
     with RecordingWriter(path, overwrite=True) as recording:
         links = {

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
-from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.clouds import cloud_power
 from sonar_sim.propagation.ground_truth import Truth, truth_of
@@ -71,7 +71,7 @@ class EnginePing:
     truth: Truth | None
     stage_ms: dict[str, float]
     rays: Trace
-    map_T_sonar: Pose  # noqa: N815 frames of a transform
+    map_T_sonar: FramePose  # noqa: N815 frames of a transform
     sonar: SonarSettings
 
     @cached_property
@@ -132,7 +132,7 @@ class PingEngine:
 
     def ping(
         self,
-        map_T_sonar: Pose,  # noqa: N803
+        map_T_sonar: FramePose,  # noqa: N803
         physics: Physics,
         ping_id: int = 0,
         time_s: float = 0.0,
@@ -172,7 +172,7 @@ class PingEngine:
         return EnginePing(image, amplitude, shown, clock.laps_ms, rays, map_T_sonar, self.sonar)
 
     def _situation(
-        self, pose: Pose, physics: Physics, time_s: float, motion: SonarMotion | None
+        self, pose: FramePose, physics: Physics, time_s: float, motion: SonarMotion | None
     ) -> PingGeometry:
         range_m = self.sonar.range_m / physics.range_scale
         names = tuple(surface.name for surface in self.scene.surfaces)

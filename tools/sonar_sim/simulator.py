@@ -13,7 +13,7 @@ from sonar_sim.effects.plan import AUTO, Choice, EffectSelection
 from sonar_sim.effects.planner import PlannedPing, Planner
 from sonar_sim.effects.previewer import Previewer
 from sonar_sim.engine import NODES_PER_BEAM, Image, PingEngine
-from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.ground_truth import Truth
 from sonar_sim.raycast.fan import ELEVATIONS
 from sonar_sim.scene.scene import Scene
@@ -21,7 +21,7 @@ from sonar_sim.scene.sonar import SonarSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ping:
+class SimulatedPing:
     """What one ping gives.
 
     Attributes:
@@ -83,7 +83,7 @@ class Simulator:
 
     def plan(
         self,
-        map_T_sonar: Pose,  # noqa: N803
+        map_T_sonar: FramePose,  # noqa: N803
         ping_id: int = 0,
         time_s: float = 0.0,
         motion: SonarMotion | None = None,
@@ -93,13 +93,13 @@ class Simulator:
 
     def ping(
         self,
-        map_T_sonar: Pose,  # noqa: N803
+        map_T_sonar: FramePose,  # noqa: N803
         ping_id: int = 0,
         time_s: float = 0.0,
         motion: SonarMotion | None = None,
         *,
         truth: bool = False,
-    ) -> Ping:
+    ) -> SimulatedPing:
         """Simulate one ping.
 
         Args:
@@ -115,12 +115,14 @@ class Simulator:
         planned = self.plan(map_T_sonar, ping_id, time_s, motion)
         planned.plan.warn(self._warned)
         made = self._engine.ping(map_T_sonar, planned.physics, ping_id, time_s, motion, truth=truth)
-        return Ping(made.image, made.amplitude, made.seen_m, planned.plan.names, made.truth)
+        return SimulatedPing(
+            made.image, made.amplitude, made.seen_m, planned.plan.names, made.truth
+        )
 
 
 def simulate(
     scene: Scene,
-    pose: Pose,
+    pose: FramePose,
     sonar: SonarSettings | None = None,
     effects: Choice = AUTO,
     seed: int = 0,
@@ -129,7 +131,7 @@ def simulate(
     time_s: float = 0.0,
     tolerance: Tolerance | None = None,
     truth: bool = False,
-) -> Ping:
+) -> SimulatedPing:
     """Simulate a single ping; a `Simulator` makes many of one scene faster.
 
     Args:
@@ -162,7 +164,7 @@ class PingRequest:
         motion: of the sonar while it listens; None stands still.
     """
 
-    map_T_sonar: Pose  # noqa: N815 frames are named
+    map_T_sonar: FramePose  # noqa: N815 frames are named
     time_s: float = 0.0
     motion: SonarMotion | None = None
 
@@ -186,7 +188,7 @@ _worker: list[Simulator] = []
 
 def simulate_pings(
     recipe: SimulatorSpec, shots: Iterable[PingRequest], processes: int
-) -> Iterator[Ping]:
+) -> Iterator[SimulatedPing]:
     """Simulate one ping a shot, numbered from 0.
 
     A ping depends on seed, shot and number alone, so the number of processes changes nothing.
@@ -211,6 +213,6 @@ def _start(recipe: SimulatorSpec) -> None:
     _worker.append(recipe.build(threads=1))
 
 
-def _work(job: tuple[int, PingRequest]) -> Ping:
+def _work(job: tuple[int, PingRequest]) -> SimulatedPing:
     ping_id, shot = job
     return _worker[0].ping(shot.map_T_sonar, ping_id, shot.time_s, shot.motion)

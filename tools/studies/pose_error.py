@@ -50,7 +50,7 @@ AGREES_M = 1e-6
 
 
 @dataclass(frozen=True)
-class Dive:
+class CircularDive:
     """A circle at constant speed and rate.
 
     Attributes:
@@ -246,7 +246,7 @@ def _host_ns(t_s: float) -> int:
 TARGET = 1.2
 
 
-def pings_of(dive: Dive, data: bytes, arrival_ns: int) -> Ping:
+def pings_of(dive: CircularDive, data: bytes, arrival_ns: int) -> Ping:
     """A ping of its message."""
     (message,) = StreamParser().feed(data, arrival_ns)
     ping = decode_ping(message)
@@ -255,7 +255,7 @@ def pings_of(dive: Dive, data: bytes, arrival_ns: int) -> Ping:
     return ping
 
 
-def by_truth(dive: Dive, config: Config) -> SonarMap:
+def by_truth(dive: CircularDive, config: Config) -> SonarMap:
     """Perfect poses and motion."""
     sonar_map = SonarMap(config)
     executor = build_pipeline(sonar_map, OdometryPoses(config), remarks=None).executor
@@ -273,7 +273,7 @@ def by_truth(dive: Dive, config: Config) -> SonarMap:
     return sonar_map
 
 
-def by_odometry(dive: Dive, config: Config, *, stamped: bool = True) -> SonarMap:
+def by_odometry(dive: CircularDive, config: Config, *, stamped: bool = True) -> SonarMap:
     """Poses of the odometry, as live.
 
     Raises:
@@ -299,7 +299,7 @@ def by_odometry(dive: Dive, config: Config, *, stamped: bool = True) -> SonarMap
     return sonar_map
 
 
-def rows(dive: Dive) -> dict[str, NDArray[np.float64]]:
+def rows(dive: CircularDive) -> dict[str, NDArray[np.float64]]:
     """What was tried, to the errors of the occupied voxels, metres; true poses first."""
     plain = dive.config()
     stamps = replace(dive, stamp_jitter_s=dive.jitter_s, jitter_s=0.0)
@@ -339,7 +339,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--write", action="store_true", help="put the table into its page")
     args = parser.parse_args()
-    text = table(rows(Dive()))
+    text = table(rows(CircularDive()))
     print(text)
     if args.write:
         write_section(PAGES["odometry"], "pose error", text, "python -m studies pose-error")

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from sonar_sim import Ping, Pose, Scenario, Simulator, SonarSettings, load_scenario
+from sonar_sim import FramePose, Scenario, SimulatedPing, Simulator, SonarSettings, load_scenario
 from sonar_sim.geometry.pose import quaternion_of, rotation_of
 from sonar_sim.propagation.ground_truth import Truth
 
@@ -40,7 +40,7 @@ PICTURES = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class PoseBox:
     """Poses drawn at random in a box of a scene's water, and how the sonar looks from there."""
 
     scene: str
@@ -53,13 +53,13 @@ class Place:
 
 
 PLACES = (
-    Place("harbour", (-20.0, -8.0, -3.2), (20.0, -3.0, -1.8), 20.0, 1.0, -6.5),
-    Place("tank", (-0.8, -0.8, -1.5), (0.8, 0.2, -0.9), 4.0, 0.6, -2.4),
+    PoseBox("harbour", (-20.0, -8.0, -3.2), (20.0, -3.0, -1.8), 20.0, 1.0, -6.5),
+    PoseBox("tank", (-0.8, -0.8, -1.5), (0.8, 0.2, -0.9), 4.0, 0.6, -2.4),
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
+class JudgedScan:
     """One simulated ping, and what is taken out of it.
 
     Attributes:
@@ -83,7 +83,9 @@ class Look:
     cpu_s: float
 
 
-def look(place: Place, pings: int, seed: int = 1, config: Config | None = None) -> list[Look]:
+def look(
+    place: PoseBox, pings: int, seed: int = 1, config: Config | None = None
+) -> list[JudgedScan]:
     """Simulate pings at random poses, and take scans out of them.
 
     Args:
@@ -99,7 +101,7 @@ def look(place: Place, pings: int, seed: int = 1, config: Config | None = None) 
     for k in range(pings):
         position = random.uniform(place.low_m, place.high_m)
         angles = (*random.uniform(-3.0, 3.0, 2), random.uniform(0.0, 360.0))
-        pose = Pose(position, rotation_of(*np.radians(angles)))
+        pose = FramePose(position, rotation_of(*np.radians(angles)))
         ping = simulator.ping(pose, k, truth=True)
         found.append(_look(place, scenario.sonar, pose, ping, config or Config()))
     return found
@@ -128,7 +130,9 @@ def first_surfaces_m(truth: Truth, bearing_rad: Floats, beam_width_rad: float) -
     return first.reshape(len(bearing_rad), STEPS)
 
 
-def _look(place: Place, sonar: SonarSettings, pose: Pose, ping: Ping, config: Config) -> Look:
+def _look(
+    place: PoseBox, sonar: SonarSettings, pose: FramePose, ping: SimulatedPing, config: Config
+) -> JudgedScan:
     sines = np.linspace(-1.0, 1.0, sonar.beams) * math.sin(sonar.half_aperture_rad)
     echo = ping_image_of_array(ping.image, sonar.range_m, np.arcsin(sines), config.sonar)
     around = Surroundings(
@@ -163,7 +167,7 @@ def _look(place: Place, sonar: SonarSettings, pose: Pose, ping: Ping, config: Co
     ahead = surfaces[:, STEPS // 2] < np.minimum(gate, echo.max_range_m)
     sure, beside = scan.range_m < gate[scan.beam], beside & ~true
     steep = steep & ~true & ~beside
-    return Look(echo, scan, true, beside, steep, sure, int(ahead.sum()), cpu_s)
+    return JudgedScan(echo, scan, true, beside, steep, sure, int(ahead.sum()), cpu_s)
 
 
 def _within(truth: Truth, half_aperture_rad: float) -> Truth:
@@ -172,13 +176,13 @@ def _within(truth: Truth, half_aperture_rad: float) -> Truth:
     return dataclasses.replace(truth, ray_direction=direction, ray_range_m=range_m)
 
 
-def _scenario(place: Place) -> Scenario:
+def _scenario(place: PoseBox) -> Scenario:
     scenario = load_scenario(place.scene)
     sonar = dataclasses.replace(scenario.sonar, demanded_range_m=place.range_m)
     return dataclasses.replace(scenario, sonar=sonar)
 
 
-def report(place: Place, looks: list[Look]) -> str:
+def report(place: PoseBox, looks: list[JudgedScan]) -> str:
     """One line of figures."""
     true, beside, steep, sure = (
         np.concatenate([getattr(one, name) for one in looks])

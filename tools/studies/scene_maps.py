@@ -46,7 +46,7 @@ WORST_M = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Panel:
+class ScenePanel:
     """What is drawn of one scene; the fields are those of `scene_maps.SceneMap`."""
 
     name: str
@@ -58,7 +58,7 @@ class Panel:
     caption: str
 
 
-def draw_panels(path: Path, panels: Sequence[Panel]) -> None:
+def draw_panels(path: Path, panels: Sequence[ScenePanel]) -> None:
     """Write the picture: one row a scene."""
     figure = Figure(figsize=(15.0, 3.9 * len(panels)), facecolor=WATER)
     FigureCanvasAgg(figure)
@@ -72,7 +72,7 @@ def draw_panels(path: Path, panels: Sequence[Panel]) -> None:
     figure.savefig(path, dpi=80)
 
 
-def _draw_row(left: Axes, middle: Axes, right: Axes, panel: Panel) -> None:
+def _draw_row(left: Axes, middle: Axes, right: Axes, panel: ScenePanel) -> None:
     camera = _camera(panel)
     triangles_m = _facing_parts(panel)
     heights = _shades("viridis", triangles_m.mean(axis=1)[:, 2], panel.seen_m[:, 2])
@@ -97,7 +97,7 @@ def _shades(
     return np.array(colours[:, :3], dtype=np.float64)
 
 
-def _facing_parts(panel: Panel) -> NDArray[np.float64]:
+def _facing_parts(panel: ScenePanel) -> NDArray[np.float64]:
     """The truth; where the eye is below, without what lies lower than what was seen of interest."""
     if VIEWS_DEG.get(panel.name, USUAL_DEG)[1] > 0.0:
         return panel.truth_m
@@ -106,7 +106,7 @@ def _facing_parts(panel: Panel) -> NDArray[np.float64]:
     return above
 
 
-def _camera(panel: Panel) -> Camera:
+def _camera(panel: ScenePanel) -> Camera:
     low, high = np.percentile(panel.seen_m, [1.0, 99.0], axis=0)
     middle, reach_m = (low + high) / 2.0, REACH * float(np.linalg.norm(high - low))
     azimuth, elevation = np.radians(VIEWS_DEG.get(panel.name, USUAL_DEG))
@@ -231,10 +231,10 @@ def _thinned(scenario: Scenario, max_pings: int) -> Scenario:
     return replace(scenario, ping_rate_hz=rate_hz)
 
 
-def _panel(made: SceneMap, out: Path) -> Panel:
+def _panel(made: SceneMap, out: Path) -> ScenePanel:
     accuracy = made.accuracy
     pings = int(made.scenario.trajectory.duration_s * made.scenario.true_ping_rate_hz)
-    return Panel(
+    return ScenePanel(
         name=made.scenario.name,
         truth_m=made.truth_m,
         seen_m=made.seen_m,

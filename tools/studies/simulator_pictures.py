@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from sonar_sim.classic import classic_camera, classic_images
-from sonar_sim.geometry.pose import Pose, rotation_of
+from sonar_sim.geometry.pose import FramePose, rotation_of
 from sonar_sim.products import PingProducts, ProductRenderer
 from sonar_sim.products.arrays import lookup_pixels, raw_scan, snr_arrays
 from sonar_sim.products.images import fan_picture, label_picture, level_picture, normal_picture
@@ -26,7 +26,7 @@ from sonar_sim.validation import tank as v20_tank
 from oculus_driver.render import Style
 
 Picture = tuple[str, NDArray[Any]]
-LOOKING_AHEAD = Pose(np.array([1.5, -10.5, -3.6]), rotation_of(0.0, 0.16, np.pi / 2.0))
+LOOKING_AHEAD = FramePose(np.array([1.5, -10.5, -3.6]), rotation_of(0.0, 0.16, np.pi / 2.0))
 """Over the harbour's floor, at the wreck, the piles and the quay."""
 AHEAD_M = 17.0
 FAN_PX = 640
@@ -54,7 +54,7 @@ def harbour_ahead() -> PingProducts:
     return one_ping(replace(scenario, sonar=sonar), LOOKING_AHEAD, 0.0)
 
 
-def one_ping(scenario: Scenario, map_T_sonar: Pose, time_s: float) -> PingProducts:  # noqa: N803
+def one_ping(scenario: Scenario, map_T_sonar: FramePose, time_s: float) -> PingProducts:  # noqa: N803
     """One ping of a scenario."""
     camera = pinhole_of(scenario.sonar)
     return ProductRenderer(scenario.scene, scenario.sonar, camera).at(map_T_sonar, time_s=time_s)

@@ -16,10 +16,10 @@ from PIL import Image
 
 from mapperd.cli.mapperctl.view import open_page
 from mapperd.client import MapClient
-from mapperd.foxglove.recording import Recording
+from mapperd.foxglove.recording import FoxgloveRecording
 from mapperd.viewer.app import VIEW_WANTS, ViewerPage
 from mapperd.wire.auth import read_token
-from studies.stream.world import World
+from studies.stream.world import StreamWorld
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -50,7 +50,7 @@ def main() -> None:
     args = parser.parse_args()
     with (
         tempfile.TemporaryDirectory() as folder,
-        World(Path(folder), args.demo / "capture.bin") as world,
+        StreamWorld(Path(folder), args.demo / "capture.bin") as world,
     ):
         world.start_daemon()
         world.start_dive()
@@ -60,12 +60,12 @@ def main() -> None:
     print(f"{args.out}: {args.out.stat().st_size / 1e3:.0f} kB")
 
 
-async def _draw(world: World, chromium: str) -> bytes:
+async def _draw(world: StreamWorld, chromium: str) -> bytes:
     server = open_page("127.0.0.1", 0)
     client = MapClient(world.address, token=read_token(world.token), wants=VIEW_WANTS)
     try:
         async with client:
-            view = ViewerPage(server, client, recorder=Recording)
+            view = ViewerPage(server, client, recorder=FoxgloveRecording)
             running = asyncio.create_task(view.run())
             try:
                 return await _picture(server, client, chromium)

@@ -8,7 +8,7 @@ from typing import Any, Literal, NoReturn
 
 from mapperd import __version__
 from mapperd.api import STD_XY_M, STD_YAW_RAD
-from mapperd.cli.mapperctl.errors import CtlError, Exit
+from mapperd.cli.mapperctl.errors import CtlError, CtlExit
 from mapperd.config.catalog import parameters
 from mapperd.config.loader import YamlProblem, parse_yaml
 from mapperd.errors import ConfigError
@@ -336,7 +336,7 @@ def pose_from_args(args: argparse.Namespace) -> dict[str, Any] | None:
     """
     if args.yaw_deg is None:
         if any(part is not None for part in (args.x, args.std_xy, args.std_yaw_deg)):
-            raise CtlError("a pose is X Y YAW_DEG", Exit.USAGE)
+            raise CtlError("a pose is X Y YAW_DEG", CtlExit.USAGE)
         return None
     pose = {"x_m": args.x, "y_m": args.y, "yaw_rad": math.radians(args.yaw_deg)}
     if args.frame:

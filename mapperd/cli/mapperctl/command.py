@@ -10,8 +10,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from mapperd.cli.mapperctl.arguments import parser
-from mapperd.cli.mapperctl.connection import Target
-from mapperd.cli.mapperctl.errors import CtlError, Exit
+from mapperd.cli.mapperctl.connection import DaemonTarget
+from mapperd.cli.mapperctl.errors import CtlError, CtlExit
 from mapperd.cli.mapperctl.remote import run
 from mapperd.cli.mapperctl.views import params_lines
 from mapperd.config.changes import facts_of
@@ -37,15 +37,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except CtlError as error:
         return _fail(error, error.code)
     except ConfigError as error:
-        return _fail(error, Exit.BAD_CONFIG)
+        return _fail(error, CtlExit.BAD_CONFIG)
     except BrokenPipeError:  # `mapperctl params | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
         endless = args.command in ("status", "foxglove", "view") or any(
             getattr(args, name, False) for name in ("follow", "watch")
         )
-        return Exit.OK if endless else Exit.INTERRUPTED
-    return Exit.OK
+        return CtlExit.OK if endless else CtlExit.INTERRUPTED
+    return CtlExit.OK
 
 
 def _lines(args: argparse.Namespace) -> Iterator[str]:
@@ -89,33 +89,33 @@ def _lines(args: argparse.Namespace) -> Iterator[str]:
 def _stream(args: argparse.Namespace) -> tuple[str, bytes | None, ssl.SSLContext | None]:
     """Where the map stream is, as `mapperd.client` takes it, with its token and TLS."""
     if args.address and args.socket:
-        raise CtlError("--socket or --address, not both", Exit.USAGE)
+        raise CtlError("--socket or --address, not both", CtlExit.USAGE)
     if args.address:
         try:
             token = None if args.token_file is None else read_token(args.token_file)
         except ConfigError as error:
-            raise CtlError(str(error), Exit.USAGE) from error
+            raise CtlError(str(error), CtlExit.USAGE) from error
         return args.address, token, _tls(args.tls_ca)
     if args.socket:
         return str(args.socket.absolute()), None, None
     return "", None, None
 
 
-def _target(args: argparse.Namespace) -> Target:
+def _target(args: argparse.Namespace) -> DaemonTarget:
     """Address of the daemon: from the arguments, the settings, or the usual places."""
     if args.address and args.socket:
-        raise CtlError("--socket or --address, not both", Exit.USAGE)
+        raise CtlError("--socket or --address, not both", CtlExit.USAGE)
     if args.socket:
-        return Target(args.socket)
+        return DaemonTarget(args.socket)
     config = _settings(args).config
     if args.address:
         return _over_tcp(args, config)
     places = socket_places(config, os.environ)
     for path in places:
         if _is_socket(path):
-            return Target(path)
+            return DaemonTarget(path)
     looked = ", ".join(map(str, places))
-    raise CtlError(f"no daemon is running: no socket at {looked}", Exit.UNAVAILABLE)
+    raise CtlError(f"no daemon is running: no socket at {looked}", CtlExit.UNAVAILABLE)
 
 
 def _settings(args: argparse.Namespace) -> Layered:
@@ -128,7 +128,7 @@ def _settings(args: argparse.Namespace) -> Layered:
         return Layered(Config())
 
 
-def _over_tcp(args: argparse.Namespace, config: Config) -> Target:
+def _over_tcp(args: argparse.Namespace, config: Config) -> DaemonTarget:
     try:
         host, port = address_of(args.address)
         path = args.token_file or (
@@ -136,8 +136,8 @@ def _over_tcp(args: argparse.Namespace, config: Config) -> Target:
         )
         token = b"" if path is None else read_token(path)
     except ConfigError as error:
-        raise CtlError(str(error), Exit.USAGE) from error
-    return Target(None, str(host), port, token, _tls(args.tls_ca))
+        raise CtlError(str(error), CtlExit.USAGE) from error
+    return DaemonTarget(None, str(host), port, token, _tls(args.tls_ca))
 
 
 def _tls(authorities: Path | None) -> ssl.SSLContext | None:
@@ -146,7 +146,7 @@ def _tls(authorities: Path | None) -> ssl.SSLContext | None:
     try:
         return ssl.create_default_context(cafile=str(authorities))
     except OSError as error:
-        raise CtlError(f"{authorities}: no certificates: {error}", Exit.USAGE) from error
+        raise CtlError(f"{authorities}: no certificates: {error}", CtlExit.USAGE) from error
 
 
 def _is_socket(path: Path) -> bool:
@@ -156,6 +156,6 @@ def _is_socket(path: Path) -> bool:
         return False
 
 
-def _fail(error: Exception, code: Exit) -> Exit:
+def _fail(error: Exception, code: CtlExit) -> CtlExit:
     print(f"mapperctl: {error}", file=sys.stderr)  # noqa: T201
     return code

@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import msgspec
 
-from mapperd.cli.mapperctl.errors import CtlError, Exit
+from mapperd.cli.mapperctl.errors import CtlError, CtlExit
 from mapperd.wire.auth import proof_of
 from mapperd.wire.framing import StreamError, client_inbox, framed
 from mapperd.wire.messages import (
@@ -33,35 +33,35 @@ from mapperd.wire.messages import (
     WelcomeMessage,
 )
 
-__all__ = ["Connection", "Target"]
+__all__ = ["ControlConnection", "DaemonTarget"]
 
 CONNECT_S = 5.0
 READ_BYTES = 65536
 
-REASONS: Mapping[str, Exit] = MappingProxyType(
+REASONS: Mapping[str, CtlExit] = MappingProxyType(
     {
-        "bad_name": Exit.USAGE,
-        "bad_format": Exit.USAGE,
-        "bad_pose": Exit.USAGE,
-        "no_such_map": Exit.USAGE,
-        "unknown_setting": Exit.USAGE,
-        "cannot_write": Exit.CANNOT_WRITE,
-        "busy": Exit.TRY_AGAIN,
-        "too_many_clients": Exit.TRY_AGAIN,
-        "locked_out": Exit.TRY_AGAIN,
-        "wrong_token": Exit.NO_PERMISSION,
-        "needs_token": Exit.NO_PERMISSION,
-        "bad_version": Exit.PROTOCOL,
-        "bad_request": Exit.PROTOCOL,
-        "bad_message": Exit.PROTOCOL,
-        "closing": Exit.UNAVAILABLE,
+        "bad_name": CtlExit.USAGE,
+        "bad_format": CtlExit.USAGE,
+        "bad_pose": CtlExit.USAGE,
+        "no_such_map": CtlExit.USAGE,
+        "unknown_setting": CtlExit.USAGE,
+        "cannot_write": CtlExit.CANNOT_WRITE,
+        "busy": CtlExit.TRY_AGAIN,
+        "too_many_clients": CtlExit.TRY_AGAIN,
+        "locked_out": CtlExit.TRY_AGAIN,
+        "wrong_token": CtlExit.NO_PERMISSION,
+        "needs_token": CtlExit.NO_PERMISSION,
+        "bad_version": CtlExit.PROTOCOL,
+        "bad_request": CtlExit.PROTOCOL,
+        "bad_message": CtlExit.PROTOCOL,
+        "closing": CtlExit.UNAVAILABLE,
     }
 )
 """Exit codes of the daemon's reasons; all others are `REFUSED`."""
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class DaemonTarget:
     """Where a daemon listens.
 
     Attributes:
@@ -82,7 +82,7 @@ class Target:
         return str(self.path) if self.path is not None else f"{self.host}:{self.port}"
 
 
-class Connection:
+class ControlConnection:
     """A connection to one daemon, `with`.
 
     Args:
@@ -93,7 +93,7 @@ class Connection:
         CtlError: no daemon listens there, or it refuses the connection.
     """
 
-    def __init__(self, target: Target, timeout_s: float) -> None:
+    def __init__(self, target: DaemonTarget, timeout_s: float) -> None:
         self._target = target
         self._timeout_s = timeout_s
         self._number = self._acknowledged = 0
@@ -133,7 +133,7 @@ class Connection:
         try:
             request = msgspec.msgpack.encode({"id": self._number, "do": do} | more)
         except OverflowError as error:
-            raise CtlError("integers have 64 bits", Exit.USAGE) from error
+            raise CtlError("integers have 64 bits", CtlExit.USAGE) from error
         self._send(AskMessage(ask=msgspec.Raw(request)))
         until_s = time.monotonic() + self._timeout_s
         while True:
@@ -171,18 +171,20 @@ class Connection:
         until_s = time.monotonic() + CONNECT_S
         greeting = self._receive(until_s)
         if not isinstance(greeting, GreetingMessage) or greeting.mapperd != PROTOCOL:
-            raise CtlError(f"{self._target}: is not the socket of mapperd", Exit.PROTOCOL)
+            raise CtlError(f"{self._target}: is not the socket of mapperd", CtlExit.PROTOCOL)
         if VERSION not in greeting.versions:
             what = f"speaks versions {list(greeting.versions)}, not {VERSION}"
-            raise CtlError(f"{self._target}: {what}", Exit.PROTOCOL)
+            raise CtlError(f"{self._target}: {what}", CtlExit.PROTOCOL)
         proof = ""
         if greeting.challenge:
             if not self._target.token:
-                raise CtlError(f"{self._target}: wants a token: --token-file", Exit.NO_PERMISSION)
+                raise CtlError(
+                    f"{self._target}: wants a token: --token-file", CtlExit.NO_PERMISSION
+                )
             proof = proof_of(self._target.token, greeting.challenge)
         self._send(HelloMessage(version=VERSION, proof=proof, name="mapperctl"))
         if not isinstance(self._receive(until_s), WelcomeMessage):
-            raise CtlError(f"{self._target}: no welcome", Exit.PROTOCOL)
+            raise CtlError(f"{self._target}: no welcome", CtlExit.PROTOCOL)
         self._is_welcome = True
 
     def _send(self, message: FromClient) -> None:
@@ -196,7 +198,7 @@ class Connection:
             self._read(until_s)
         message = self._received.popleft()
         if isinstance(message, ByeMessage):
-            code = REASONS.get(message.reason, Exit.REFUSED)
+            code = REASONS.get(message.reason, CtlExit.REFUSED)
             raise CtlError(f"{self._target}: {message.message or message.reason}", code)
         return message
 
@@ -208,12 +210,12 @@ class Connection:
             self._socket.settimeout(left_s)
             data = self._socket.recv(READ_BYTES)
         if not data:
-            raise CtlError(f"{self._target}: the daemon hung up", Exit.UNAVAILABLE)
+            raise CtlError(f"{self._target}: the daemon hung up", CtlExit.UNAVAILABLE)
         try:
             self._received.extend(self._inbox.feed(data))
         except StreamError as error:
             text = f"{self._target}: is not the socket of mapperd: {error}"
-            raise CtlError(text, Exit.PROTOCOL) from error
+            raise CtlError(text, CtlExit.PROTOCOL) from error
         if self._is_welcome and self._inbox.received > self._acknowledged:
             self._acknowledged = self._inbox.received
             self._send(AckMessage(bytes=self._acknowledged))
@@ -222,10 +224,10 @@ class Connection:
         error, result = answer.error, answer.result
         if error is not None:
             reason = str(error.get("reason"))
-            code = REASONS.get(reason, Exit.REFUSED)
+            code = REASONS.get(reason, CtlExit.REFUSED)
             raise CtlError(str(error.get("message", reason)), code)
         if result is None:
-            raise CtlError(f"{self._target}: an answer without a result", Exit.PROTOCOL)
+            raise CtlError(f"{self._target}: an answer without a result", CtlExit.PROTOCOL)
         return result
 
     @contextlib.contextmanager
@@ -233,19 +235,19 @@ class Connection:
         try:
             yield
         except TimeoutError as error:
-            raise CtlError(f"{self._target}: no answer", Exit.UNAVAILABLE) from error
+            raise CtlError(f"{self._target}: no answer", CtlExit.UNAVAILABLE) from error
         except PermissionError as error:
             text = f"{self._target}: you may not: {error.strerror}"
-            raise CtlError(text, Exit.NO_PERMISSION) from error
+            raise CtlError(text, CtlExit.NO_PERMISSION) from error
         except ssl.SSLCertVerificationError as error:
             text = f"{self._target}: not trusted: {error.verify_message}"
-            raise CtlError(text, Exit.NO_PERMISSION) from error
+            raise CtlError(text, CtlExit.NO_PERMISSION) from error
         except OSError as error:
             text = f"{self._target}: no daemon answers: {error.strerror or error}"
-            raise CtlError(text, Exit.UNAVAILABLE) from error
+            raise CtlError(text, CtlExit.UNAVAILABLE) from error
 
 
-def _connected(target: Target) -> socket.socket:
+def _connected(target: DaemonTarget) -> socket.socket:
     if target.path is None:
         connected = socket.create_connection((target.host, target.port), timeout=CONNECT_S)
     else:

@@ -5,10 +5,10 @@ from enum import IntEnum
 from mapperd.errors import MapperdError
 from mapperd.wire.framing import StreamError
 
-__all__ = ["CtlError", "Exit", "plain", "refused"]
+__all__ = ["CtlError", "CtlExit", "plain", "refused"]
 
 
-class Exit(IntEnum):
+class CtlExit(IntEnum):
     """Exit codes; those above 64 follow sysexits.h."""
 
     OK = 0
@@ -30,7 +30,7 @@ class CtlError(MapperdError):
         code: exit code.
     """
 
-    def __init__(self, message: str, code: Exit) -> None:
+    def __init__(self, message: str, code: CtlExit) -> None:
         super().__init__(plain(message))
         self.code = code
 
@@ -45,5 +45,5 @@ NO_PERMISSION = frozenset({"wrong_token", "needs_token", "no_permission", "not_t
 
 def refused(error: StreamError) -> CtlError:
     """Convert an error of the stream to an error with an exit code."""
-    code = Exit.NO_PERMISSION if error.reason in NO_PERMISSION else Exit.PROTOCOL
+    code = CtlExit.NO_PERMISSION if error.reason in NO_PERMISSION else CtlExit.PROTOCOL
     return CtlError(str(error), code)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-from mapperd.cli.mapperctl.errors import CtlError, Exit, plain, refused
+from mapperd.cli.mapperctl.errors import CtlError, CtlExit, plain, refused
 from mapperd.cli.mapperctl.map_output import (
     MapOutput,
     check_suffix,
@@ -33,7 +33,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import ExportError, MapError
 from mapperd.export.calibration import Calibration, load_calibration
 from mapperd.export.formats import check_calibration
-from mapperd.foxglove.recording import Recording
+from mapperd.foxglove.recording import FoxgloveRecording
 from mapperd.geometry.geodesy import Origin
 from mapperd.mapping.sonar_map import SonarMap
 
@@ -88,11 +88,11 @@ def run_export(
             asyncio.run(_followed(client, args))
             made = _made(client, args, config, calibration)
     except ExportError as error:
-        raise CtlError(str(error), Exit.CANNOT_WRITE) from error
+        raise CtlError(str(error), CtlExit.CANNOT_WRITE) from error
     except StreamError as error:
         raise refused(error) from error
     except (MapError, ValueError) as error:  # ValueError: no address
-        raise CtlError(str(error), Exit.USAGE) from error
+        raise CtlError(str(error), CtlExit.USAGE) from error
     yield from [json.dumps(made.plain())] if args.json else map(plain, made.lines())
 
 
@@ -118,7 +118,7 @@ def _made(
 ) -> MapOutput:
     mirror = client.mirror
     if mirror is None:
-        raise CtlError("the daemon sent no map", Exit.PROTOCOL)
+        raise CtlError("the daemon sent no map", CtlExit.PROTOCOL)
     sonar_map = mirror.to_map(config)
     _choose(sonar_map, args.min_probability)
     origin_deg = mirror.facts.origin_deg
@@ -156,7 +156,7 @@ async def _recorded(client: MapClient, args: argparse.Namespace) -> None:
     try:
         partial.unlink(missing_ok=True)  # of a killed process
         async with client:
-            recording = Recording(client, partial)
+            recording = FoxgloveRecording(client, partial)
             recording.start()
             try:
                 await _complete(client, args)
@@ -184,7 +184,7 @@ async def _complete(client: MapClient, args: argparse.Namespace) -> None:
             part.result()
     except TimeoutError:
         raise CtlError(
-            f"the map is not complete after {timeout_s:g} s: {progress.text()}", Exit.TRY_AGAIN
+            f"the map is not complete after {timeout_s:g} s: {progress.text()}", CtlExit.TRY_AGAIN
         ) from None
     finally:
         for part in parts:
@@ -193,7 +193,7 @@ async def _complete(client: MapClient, args: argparse.Namespace) -> None:
         progress.end()
     if (lost := _lost(client)) and not args.allow_damaged:
         text = f"{missing(lost)}; nothing was written. --allow-damaged writes the rest"
-        raise CtlError(text, Exit.REFUSED)
+        raise CtlError(text, CtlExit.REFUSED)
 
 
 async def _watch(client: MapClient, progress: "_Progress") -> None:
@@ -202,7 +202,7 @@ async def _watch(client: MapClient, progress: "_Progress") -> None:
         if isinstance(change, LinkChanged):
             link = change.link
             if link.state == "waiting" and not link.connects:
-                raise CtlError(f"{link.address}: {link.reason}", Exit.UNAVAILABLE)
+                raise CtlError(f"{link.address}: {link.reason}", CtlExit.UNAVAILABLE)
             progress.link = "" if link.state == "connected" else f"  {link.state}: {link.reason}"
         elif isinstance(change, MapChanged):
             progress.received += len(change.keys)

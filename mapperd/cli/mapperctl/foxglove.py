@@ -5,7 +5,7 @@ import asyncio
 import json
 import ssl
 
-from mapperd.cli.mapperctl.errors import CtlError, Exit, refused
+from mapperd.cli.mapperctl.errors import CtlError, CtlExit, refused
 from mapperd.cli.mapperctl.record import stop_requested
 from mapperd.client import Interest, MapClient
 from mapperd.errors import LiveError
@@ -32,13 +32,13 @@ def run_foxglove(
     try:
         asyncio.run(_serve(args, address, token, tls))
     except ModuleNotFoundError as error:
-        raise CtlError(foxglove_missing(error), Exit.USAGE) from error
+        raise CtlError(foxglove_missing(error), CtlExit.USAGE) from error
     except LiveError as error:
-        raise CtlError(str(error), Exit.USAGE) from error
+        raise CtlError(str(error), CtlExit.USAGE) from error
     except StreamError as error:
         raise refused(error) from error
     except ValueError as error:
-        raise CtlError(str(error), Exit.USAGE) from error
+        raise CtlError(str(error), CtlExit.USAGE) from error
 
 
 async def _serve(

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 from mapperd.cli.mapperctl.bag import bag_of_map, bag_of_recordings
-from mapperd.cli.mapperctl.errors import CtlError, Exit, plain
+from mapperd.cli.mapperctl.errors import CtlError, CtlExit, plain
 from mapperd.cli.mapperctl.map_output import check_suffix, make_files, origin_among
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, ExportError, MapperdError
@@ -71,11 +71,11 @@ def run(args: argparse.Namespace, config: Config) -> Iterator[str]:
         for line in _COMMANDS[args.command](args, config):
             yield plain(line)
     except ExportError as error:
-        raise CtlError(str(error), Exit.CANNOT_WRITE) from error
+        raise CtlError(str(error), CtlExit.CANNOT_WRITE) from error
     except (ConfigError, CtlError):
         raise
     except (MapperdError, OculusError) as error:
-        raise CtlError(str(error), Exit.USAGE) from error
+        raise CtlError(str(error), CtlExit.USAGE) from error
 
 
 def _convert(args: argparse.Namespace, config: Config) -> Iterator[str]:
@@ -94,7 +94,9 @@ def _convert(args: argparse.Namespace, config: Config) -> Iterator[str]:
 
 def _bag(args: argparse.Namespace, config: Config) -> Iterator[str]:
     if args.as_recorded and (args.pose or args.config or args.min_probability):
-        raise CtlError("--as-recorded excludes --config, --pose and --min-probability", Exit.USAGE)
+        raise CtlError(
+            "--as-recorded excludes --config, --pose and --min-probability", CtlExit.USAGE
+        )
     values = _values(args, config)
     if holds_map(args.source):
         return bag_of_map(

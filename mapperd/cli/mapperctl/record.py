@@ -11,12 +11,12 @@ import time
 from collections.abc import Callable, Coroutine, Iterator
 from typing import Any, TextIO
 
-from mapperd.cli.mapperctl.errors import CtlError, Exit, plain, refused
+from mapperd.cli.mapperctl.errors import CtlError, CtlExit, plain, refused
 from mapperd.cli.mapperctl.map_output import check_suffix, make_files, origin_among
 from mapperd.client import Interest, MapClient, Want
 from mapperd.config.tree import Config
 from mapperd.errors import ExportError, MapError
-from mapperd.foxglove.recording import Recording
+from mapperd.foxglove.recording import FoxgloveRecording
 from mapperd.geometry.geodesy import Origin
 from mapperd.wire.framing import StreamError
 
@@ -82,17 +82,17 @@ def run_record(
         record = _all if args.file.suffix == MCAP else _map
         yield from record(args, config, client)
     except ExportError as error:
-        raise CtlError(str(error), Exit.CANNOT_WRITE) from error
+        raise CtlError(str(error), CtlExit.CANNOT_WRITE) from error
     except StreamError as error:
         raise refused(error) from error
     except (MapError, ValueError) as error:  # ValueError: no address
-        raise CtlError(str(error), Exit.USAGE) from error
+        raise CtlError(str(error), CtlExit.USAGE) from error
 
 
 def _all(args: argparse.Namespace, _: Config, client: MapClient) -> Iterator[str]:
     """Record everything."""
     began_s = time.monotonic()
-    recording = Recording(client, args.file)
+    recording = FoxgloveRecording(client, args.file)
     try:
         asyncio.run(_record(args, client, recording))
         if not client.link.connects:
@@ -120,10 +120,12 @@ def _map(args: argparse.Namespace, config: Config, client: MapClient) -> Iterato
 
 
 def _nobody(client: MapClient) -> CtlError:
-    return CtlError(f"{client.link.address}: no daemon answered", Exit.UNAVAILABLE)
+    return CtlError(f"{client.link.address}: no daemon answered", CtlExit.UNAVAILABLE)
 
 
-async def _record(args: argparse.Namespace, client: MapClient, recording: Recording) -> None:
+async def _record(
+    args: argparse.Namespace, client: MapClient, recording: FoxgloveRecording
+) -> None:
     async with client:
         recording.start()
         try:
@@ -191,5 +193,5 @@ def _time(passed_s: float) -> str:
     return f"{minutes}:{seconds:02}"
 
 
-def _how_much(recording: Recording) -> str:
+def _how_much(recording: FoxgloveRecording) -> str:
     return f"{recording.bytes / MIB:.1f} MiB  {recording.messages} messages"

@@ -11,8 +11,8 @@ from types import MappingProxyType
 from typing import Any
 
 from mapperd.cli.mapperctl.arguments import pose_from_args
-from mapperd.cli.mapperctl.connection import Connection, Target
-from mapperd.cli.mapperctl.errors import CtlError, Exit, plain
+from mapperd.cli.mapperctl.connection import ControlConnection, DaemonTarget
+from mapperd.cli.mapperctl.errors import CtlError, CtlExit, plain
 from mapperd.cli.mapperctl.views import event_line, localization_lines, params_lines, status_lines
 
 __all__ = ["run"]
@@ -25,7 +25,7 @@ HOME_AND_CLEAR = "\x1b[H\x1b[J"
 Lines = Iterator[str]
 
 
-def run(args: argparse.Namespace, target: Target) -> Lines:
+def run(args: argparse.Namespace, target: DaemonTarget) -> Lines:
     """Do a command; yields what there is to print, as it comes.
 
     Raises:
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace, target: Target) -> Lines:
     slow = args.command in SLOW
     if args.command == "reset" and not args.yes:
         _ask_first(target)
-    with Connection(target, PATIENCE_WITH_DISKS_S if slow else PATIENCE_S) as daemon:
+    with ControlConnection(target, PATIENCE_WITH_DISKS_S if slow else PATIENCE_S) as daemon:
         if args.command == "events":
             yield from _events(args, daemon)
             return
@@ -99,7 +99,7 @@ def _reloaded(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
         yield plain(f"{name}: waits for a restart")
     refused = [f"{name}: {why}" for name, why in result.get("refused", {}).items()]
     if refused:
-        raise CtlError(f"settings stay as they are: {'; '.join(refused)}", Exit.REFUSED)
+        raise CtlError(f"settings stay as they are: {'; '.join(refused)}", CtlExit.REFUSED)
     if not result.get("changed") and not result.get("waiting"):
         yield "nothing is new"
 
@@ -148,7 +148,7 @@ _PEOPLE: Mapping[str, Callable[[argparse.Namespace, dict[str, Any]], Lines]] = M
 )
 
 
-def _events(args: argparse.Namespace, daemon: Connection) -> Lines:
+def _events(args: argparse.Namespace, daemon: ControlConnection) -> Lines:
     for batch in daemon.follow(args.since) if args.follow else _kept(args.since, daemon):
         if batch["missed"]:
             yield (
@@ -161,7 +161,7 @@ def _events(args: argparse.Namespace, daemon: Connection) -> Lines:
             yield json.dumps(event) if args.json else event_line(event, clock)
 
 
-def _kept(since: int, daemon: Connection) -> Iterator[dict[str, Any]]:
+def _kept(since: int, daemon: ControlConnection) -> Iterator[dict[str, Any]]:
     more = True
     while more:
         batch = daemon.ask("events", since=since)
@@ -170,19 +170,19 @@ def _kept(since: int, daemon: Connection) -> Iterator[dict[str, Any]]:
         since = batch["events"][-1]["number"] if batch["events"] else since
 
 
-def _watch(args: argparse.Namespace, target: Target) -> Lines:
+def _watch(args: argparse.Namespace, target: DaemonTarget) -> Lines:
     """Look again and again; a daemon that is restarted is found again."""
     before: dict[str, Any] | None = None
     while True:
         try:
-            with Connection(target, PATIENCE_S) as daemon:
+            with ControlConnection(target, PATIENCE_S) as daemon:
                 while True:
                     status = daemon.ask(args.command, **_arguments(args))
                     yield json.dumps(status) if args.json else _screen(args, status, before)
                     before = status
                     daemon.wait(args.every)
         except CtlError as error:
-            if args.json or before is None or error.code != Exit.UNAVAILABLE:
+            if args.json or before is None or error.code != CtlExit.UNAVAILABLE:
                 raise
             yield f"{HOME_AND_CLEAR}{error}; looking for it"
         time.sleep(args.every)
@@ -196,10 +196,10 @@ def _screen(args: argparse.Namespace, status: dict[str, Any], before: dict[str, 
     return HOME_AND_CLEAR + "\n".join(lines[: max(1, rows - 1)])
 
 
-def _ask_first(target: Target) -> None:
+def _ask_first(target: DaemonTarget) -> None:
     if not sys.stdin.isatty():
-        raise CtlError("reset empties the map; confirm with --yes", Exit.USAGE)
+        raise CtlError("reset empties the map; confirm with --yes", CtlExit.USAGE)
     sys.stderr.write(f"Empty the map of {target}? [y/N] ")
     sys.stderr.flush()
     if os.read(sys.stdin.fileno(), 100).strip().lower() not in (b"y", b"yes"):
-        raise CtlError("not done", Exit.REFUSED)
+        raise CtlError("not done", CtlExit.REFUSED)

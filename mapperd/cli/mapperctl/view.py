@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from mapperd.cli.mapperctl.errors import CtlError, Exit
+from mapperd.cli.mapperctl.errors import CtlError, CtlExit
 from mapperd.client import Interest, MapClient, StreamError
-from mapperd.foxglove.recording import Recording
+from mapperd.foxglove.recording import FoxgloveRecording
 from mapperd.viewer.app import VIEW_WANTS, ViewerPage
 
 if TYPE_CHECKING:
@@ -45,14 +45,14 @@ def open_page(host: str, port: int) -> "ViserServer":
     except ImportError as error:
         raise CtlError(
             f"mapperctl view needs the extra `topside`: pip install 'mapperd[topside]' ({error})",
-            Exit.USAGE,
+            CtlExit.USAGE,
         ) from error
     rich.reconfigure(quiet=True)  # it prints boxes
     with _only_from_here():
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if port not in (0, server.get_port()):  # it takes the next one that is free
         server.stop()
-        raise CtlError(f"{host}:{port}: somebody else listens there: --port", Exit.UNAVAILABLE)
+        raise CtlError(f"{host}:{port}: somebody else listens there: --port", CtlExit.UNAVAILABLE)
     server.request_share_url = _never_shared  # type: ignore[method-assign]
     server.gui.configure_theme(
         dark_mode=True, show_logo=False, show_share_button=False, brand_color=(14, 116, 144)
@@ -148,7 +148,7 @@ def run_view(
         )
         asyncio.run(_follow(server, client, may_change=is_local(args.host) or args.allow_changes))
     except StreamError as error:
-        code = Exit.NO_PERMISSION if error.reason in REFUSED else Exit.PROTOCOL
+        code = CtlExit.NO_PERMISSION if error.reason in REFUSED else CtlExit.PROTOCOL
         raise CtlError(str(error), code) from error
     finally:
         server.stop()
@@ -159,7 +159,7 @@ async def _follow(server: "ViserServer", client: MapClient, *, may_change: bool)
     with contextlib.suppress(NotImplementedError, RuntimeError):  # a thread, or no Unix
         loop.add_signal_handler(signal.SIGTERM, lambda: loop.create_task(client.close()))
     async with client:
-        await ViewerPage(server, client, may_change=may_change, recorder=Recording).run()
+        await ViewerPage(server, client, may_change=may_change, recorder=FoxgloveRecording).run()
 
 
 def _named(host: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.cli.mapperd import Exit, main
+from mapperd.cli.mapperd import DaemonExit, main
 from mapperd.export.clouds import VERTEX
 
 Write = Callable[..., list[int]]
@@ -51,7 +51,7 @@ def test_file_that_is_no_recording(
     path = tmp_path / "file"
     path.write_bytes(content)
     ran = run(path, *pose)
-    assert ran.code == Exit.BAD_DATA
+    assert ran.code == DaemonExit.BAD_DATA
     assert words in ran.output
     assert ran.output.startswith("mapperd: ")
     assert str(path) in ran.output
@@ -68,7 +68,7 @@ def test_path_that_is_no_file(tmp_path: Path, run: Run, pose: list[str]) -> None
         (Path("/dev/null"), "not a file"),
     ):
         ran = run(path, *pose)
-        assert ran.code == Exit.NO_INPUT
+        assert ran.code == DaemonExit.NO_INPUT
         assert words in ran.output
         assert ran.output.count("\n") == 1
 
@@ -90,13 +90,13 @@ def test_recording_cut_anywhere_maps_every_ping_before_the_cut(
         assert "Traceback" not in ran.output
         expected = sum(end <= size for end in ends)
         if expected:
-            assert ran.code == Exit.OK, (size, ran.output)
+            assert ran.code == DaemonExit.OK, (size, ran.output)
             assert ran.summary["pings_mapped"] == expected, size
             assert_finite(ran.out)
         elif size >= first_odometry_end:
-            assert ran.code == Exit.BAD_DATA, (size, ran.output)
+            assert ran.code == DaemonExit.BAD_DATA, (size, ran.output)
         else:
-            assert ran.code in (Exit.BAD_DATA, Exit.USAGE), (size, ran.output)
+            assert ran.code in (DaemonExit.BAD_DATA, DaemonExit.USAGE), (size, ran.output)
             assert ran.output.count("\n") == 1
 
 
@@ -113,9 +113,9 @@ def test_recording_damaged_anywhere_never_ends_in_a_traceback(
         changed[int(place)] ^= int(rng.integers(1, 256))
         damaged.write_bytes(changed)
         ran = run(damaged)
-        assert ran.code in (Exit.OK, Exit.BAD_DATA, Exit.USAGE), ran.output
+        assert ran.code in (DaemonExit.OK, DaemonExit.BAD_DATA, DaemonExit.USAGE), ran.output
         assert "Traceback" not in ran.output
-        if ran.code == Exit.OK:
+        if ran.code == DaemonExit.OK:
             assert_finite(ran.out)
 
 
@@ -127,7 +127,7 @@ def test_ping_that_claims_4_gb_costs_only_its_bytes(
     path = tmp_path / "raw"
     path.write_bytes(ping_bytes(1) + bytes(liar) + ping_bytes(3))
     ran = run(path, STILL)
-    assert ran.code == Exit.OK
+    assert ran.code == DaemonExit.OK
     assert ran.summary["pings_mapped"] == 2
     assert ran.summary["bytes_rejected"] == len(liar)
 
@@ -141,7 +141,7 @@ def test_image_that_claims_4_gb_is_a_counted_drop(
     path = tmp_path / "raw"
     path.write_bytes(ping_bytes(1) + liar + ping_bytes(3))
     ran = run(path, STILL)
-    assert ran.code == Exit.OK
+    assert ran.code == DaemonExit.OK
     assert ran.summary["pings_mapped"] == 2
     lost = ran.summary["pings_total"] - 2 + ran.summary["bytes_rejected"]
     assert lost > 0
@@ -153,7 +153,7 @@ def test_image_as_deep_as_no_sonar_sees_is_a_counted_drop(
     path = tmp_path / "raw"
     path.write_bytes(ping_bytes(1) + ping_bytes(2, range_resolution_m=19.9))
     ran = run(path, STILL)
-    assert ran.code == Exit.OK
+    assert ran.code == DaemonExit.OK
     assert ran.summary["pings_dropped"] == {"fan_too_large": 1}
 
 
@@ -181,7 +181,7 @@ def test_bad_odometry_is_counted_and_never_reaches_the_map(
     path = tmp_path / "a"
     write_recording(path, events)
     ran = run(path)
-    assert ran.code == Exit.OK
+    assert ran.code == DaemonExit.OK
     summary = ran.summary
     assert summary["pings_mapped"] == summary["pings_total"] == len(bad)
     assert summary["poses"]["odometry_rejected"] == dict.fromkeys([*bad, "back_in_time"], 1)
@@ -201,7 +201,7 @@ def test_recording_whose_odometry_is_all_bad_reports_the_reason(
     zero = odometry_bytes(q=(0.0, 0.0, 0.0, 0.0))
     write_recording(path, [("odometry", zero, 0.0), ("ping", ping_bytes(1), 0.05)])
     ran = run(path)
-    assert ran.code == Exit.BAD_DATA
+    assert ran.code == DaemonExit.BAD_DATA
     assert "no_odometry 1" in ran.output
     assert ran.summary["poses"]["odometry_rejected"] == {"zero_quaternion": 1}
 
@@ -212,7 +212,7 @@ def test_recording_without_a_ping_names_the_bytes(
     path = tmp_path / "a"
     write_recording(path, [("odometry", odometry_bytes(), 0.0), ("ping", b"x" * 1234, 0.1)])
     ran = run(path)
-    assert ran.code == Exit.BAD_DATA
+    assert ran.code == DaemonExit.BAD_DATA
     assert "1234 of 1234 bytes" in ran.output
     assert ran.summary["pings_total"] == 0
     assert ran.summary["bytes_rejected"] == 1234
@@ -224,10 +224,10 @@ def test_recording_without_odometry_is_refused_without_a_pose(
     path = tmp_path / "a"
     write_recording(path, [("ping", ping_bytes(1), 0.0)])
     ran = run(path)
-    assert ran.code == Exit.USAGE
+    assert ran.code == DaemonExit.USAGE
     assert "no odometry" in ran.output
     assert not ran.out.exists()
-    assert run(path, STILL).code == Exit.OK
+    assert run(path, STILL).code == DaemonExit.OK
 
 
 @pytest.mark.parametrize("more", [["--start", "1"], ["--duration", "1"]])
@@ -237,7 +237,7 @@ def test_part_of_a_recording_without_stamps_is_refused(
     path = tmp_path / "raw"
     path.write_bytes(ping_bytes(1))
     ran = run(path, STILL, *more)
-    assert ran.code == Exit.USAGE
+    assert ran.code == DaemonExit.USAGE
     assert "no time stamps" in ran.output
     assert ran.output.count("\n") == 1
 
@@ -271,7 +271,7 @@ def test_bad_settings_are_one_line_and_exit_78(
 def test_missing_settings_file_is_exit_78(tmp_path: Path, run: Run, ping_bytes: PingBytes) -> None:
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     ran = run(tmp_path / "raw", STILL, config=tmp_path / "none.yaml")
-    assert ran.code == Exit.BAD_CONFIG
+    assert ran.code == DaemonExit.BAD_CONFIG
     assert ran.output.count("\n") == 1
 
 
@@ -281,7 +281,7 @@ def test_results_that_cannot_be_written_are_exit_73(
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     (tmp_path / "file").touch()
     words = ["--replay", str(tmp_path / "raw"), STILL, "--out", str(tmp_path / "file")]
-    assert main(words) == Exit.CANNOT_WRITE
+    assert main(words) == DaemonExit.CANNOT_WRITE
     assert capsys.readouterr().err.count("\n") == 1
 
 
@@ -296,7 +296,7 @@ def test_map_beyond_octomap_keeps_its_other_files(
     track = [("odometry", far, 0.0), ("ping", ping_bytes(1), 0.05), ("odometry", far, 0.1)]
     write_recording(tmp_path / "a", track)
     ran = run(tmp_path / "a")
-    assert ran.code == Exit.CANNOT_WRITE
+    assert ran.code == DaemonExit.CANNOT_WRITE
     assert "map.bt" in ran.output
     assert ran.summary["pings_mapped"] == 1
     assert_finite(ran.out)
@@ -306,9 +306,9 @@ def test_map_beyond_octomap_keeps_its_other_files(
 @pytest.mark.parametrize(
     ("pose", "code"),
     [
-        ("1000000,0,0,0,0,0", Exit.USAGE),
-        ("0,0,-6550,0,0,0", Exit.USAGE),  # the reach is 6553.6 m, the range 5 m
-        ("0,0,-6540,0,0,0", Exit.OK),
+        ("1000000,0,0,0,0,0", DaemonExit.USAGE),
+        ("0,0,-6550,0,0,0", DaemonExit.USAGE),  # the reach is 6553.6 m, the range 5 m
+        ("0,0,-6540,0,0,0", DaemonExit.OK),
     ],
 )
 def test_pose_beyond_octomap_is_refused_at_once(
@@ -317,8 +317,8 @@ def test_pose_beyond_octomap_is_refused_at_once(
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     ran = run(tmp_path / "raw", f"--pose={pose}")
     assert ran.code == code, ran.output
-    assert ran.out.exists() == (code == Exit.OK)
-    assert ("reach of map.bt" in ran.output) == (code == Exit.USAGE)
+    assert ran.out.exists() == (code == DaemonExit.OK)
+    assert ("reach of map.bt" in ran.output) == (code == DaemonExit.USAGE)
 
 
 def test_part_without_a_ping_is_reported(
@@ -326,7 +326,7 @@ def test_part_without_a_ping_is_reported(
 ) -> None:
     write_recording(tmp_path / "a", survey(3))
     ran = run(tmp_path / "a", "--start", "100")
-    assert ran.code == Exit.BAD_DATA
+    assert ran.code == DaemonExit.BAD_DATA
     assert ran.summary["pings_outside"] == 3
 
 
@@ -340,12 +340,12 @@ def test_recording_without_a_sonar_is_refused_at_once(
 ) -> None:
     write_recording(tmp_path / "a", [("odometry", odometry_bytes(), 0.1 * k) for k in range(5)])
     ran = run(tmp_path / "a", *pose)
-    assert ran.code == Exit.BAD_DATA
+    assert ran.code == DaemonExit.BAD_DATA
     assert "no sonar data in it" in ran.output
     assert not ran.out.exists()
 
 
 def test_name_that_is_too_long_is_one_line(tmp_path: Path, run: Run) -> None:
     ran = run(tmp_path / ("a" * 300), STILL)
-    assert ran.code == Exit.NO_INPUT
+    assert ran.code == DaemonExit.NO_INPUT
     assert ran.output.count("\n") == 1

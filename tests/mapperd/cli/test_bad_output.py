@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from mapperd.cli.mapperd import Exit
+from mapperd.cli.mapperd import DaemonExit
 
 Write = Callable[..., list[int]]
 Survey = Callable[..., list[Any]]
@@ -29,7 +29,7 @@ def test_result_that_cannot_be_written_costs_only_itself(
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     (tmp_path / "out" / name / "inside").mkdir(parents=True)
     ran = run(tmp_path / "raw", STILL)
-    assert ran.code == Exit.CANNOT_WRITE
+    assert ran.code == DaemonExit.CANNOT_WRITE
     assert ran.output.count("\n") == 1
     lost = name.removeprefix(".").removesuffix(".partial")
     assert lost in ran.output
@@ -47,7 +47,7 @@ def test_picture_in_the_way_that_cannot_be_removed_is_named(
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     (tmp_path / "out" / "map.png").mkdir(parents=True)
     ran = run(tmp_path / "raw", STILL)
-    assert ran.code == Exit.CANNOT_WRITE
+    assert ran.code == DaemonExit.CANNOT_WRITE
     assert "map.png: cannot be removed" in ran.output
     assert (ran.out / "map.bt").exists()
 
@@ -56,13 +56,13 @@ def test_picture_in_the_way_that_cannot_be_removed_is_named(
 @pytest.mark.parametrize(
     ("redirection", "code", "output"),
     [
-        (">&-", Exit.OK, ""),
-        ("2>&-", Exit.OK, ""),
-        (">&- 2>&-", Exit.OK, ""),
-        ("2>/dev/full", Exit.OK, ""),
+        (">&-", DaemonExit.OK, ""),
+        ("2>&-", DaemonExit.OK, ""),
+        (">&- 2>&-", DaemonExit.OK, ""),
+        ("2>/dev/full", DaemonExit.OK, ""),
         (
             ">/dev/full",
-            Exit.CANNOT_WRITE,
+            DaemonExit.CANNOT_WRITE,
             "mapperd: standard output: cannot be written: No space left on device\n",
         ),
     ],

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from mapperd.cli.mapperd import Exit, main
+from mapperd.cli.mapperd import DaemonExit, main
 
 Write = Callable[..., list[int]]
 Survey = Callable[..., list[Any]]
@@ -53,7 +53,7 @@ def test_recording_becomes_a_folder_of_results(
 ) -> None:
     out = tmp_path / "deep" / "out"
     words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(out)]
-    assert main(words) == Exit.OK
+    assert main(words) == DaemonExit.OK
     assert {path.name for path in out.iterdir()} == {
         "map.bt",
         "map.ply",
@@ -82,7 +82,7 @@ def test_two_runs_give_one_fingerprint_and_integrators_two(
     prints = []
     for name, more in (("a", []), ("b", []), ("c", ["--integrator", "rays"])):
         words = ["--replay", str(recording), "--config", str(quick_config)]
-        assert main([*words, "--out", str(tmp_path / name), *more]) == Exit.OK
+        assert main([*words, "--out", str(tmp_path / name), *more]) == DaemonExit.OK
         summary = summary_in(tmp_path / name)
         prints.append((summary["map_sha256"], summary["integrator"]))
     assert prints[0] == prints[1]
@@ -101,7 +101,7 @@ def test_settings_of_an_earlier_version_are_reported_once(
         encoding="utf-8",
     )
     words = ["--replay", str(recording), "--config", str(config), "--out", str(tmp_path / "out")]
-    assert main(words) == Exit.OK
+    assert main(words) == DaemonExit.OK
     reported = [line for line in capsys.readouterr().err.splitlines() if str(config) in line]
     assert len(reported) == 1
     for name in ("mapping.error_bound", "mapping.integrator", "behind.policy"):
@@ -112,7 +112,7 @@ def test_window_is_taken_from_the_command_line(
     recording: Path, quick_config: Path, tmp_path: Path
 ) -> None:
     words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(tmp_path)]
-    assert main([*words, "--start", "0.1", "--duration", "0.2"]) == Exit.OK
+    assert main([*words, "--start", "0.1", "--duration", "0.2"]) == DaemonExit.OK
     assert summary_in(tmp_path)["pings_total"] == 2
 
 
@@ -120,7 +120,7 @@ def test_pose_on_the_command_line_overrules_odometry_and_is_reported(
     recording: Path, quick_config: Path, tmp_path: Path
 ) -> None:
     words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(tmp_path)]
-    assert main([*words, "--pose", "-1,2,3,0,0,0"]) == Exit.OK
+    assert main([*words, "--pose", "-1,2,3,0,0,0"]) == DaemonExit.OK
     assert summary_in(tmp_path)["poses"] == {"source": "fixed", "odometry_ignored": 6}
 
 
@@ -149,7 +149,7 @@ def test_missing_matplotlib_costs_the_picture_only(
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     out = tmp_path / "out"
     words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(out)]
-    assert main(words) == Exit.OK
+    assert main(words) == DaemonExit.OK
     assert "mapperd[topside]" in capsys.readouterr().err
     assert not (out / "map.png").exists()
     assert (out / "map.ply").exists()
@@ -171,7 +171,7 @@ def test_broken_matplotlib_costs_the_picture_only(
         check=False,
         timeout=120,
     )
-    assert done.returncode == Exit.OK, done.stderr
+    assert done.returncode == DaemonExit.OK, done.stderr
     assert "mapperd[topside]" in done.stderr
     assert {path.name for path in out.iterdir()} == {"map.bt", "map.ply", "summary.json"}
 
@@ -204,7 +204,7 @@ class TestRealCapture:
     def replay(self, data: bytes, folder: Path) -> dict[str, Any]:
         path = folder / "raw"
         path.write_bytes(data)
-        assert main(["--replay", str(path), "--out", str(folder / "out"), STILL]) == Exit.OK
+        assert main(["--replay", str(path), "--out", str(folder / "out"), STILL]) == DaemonExit.OK
         return summary_in(folder / "out")
 
     def test_all_three_pings_are_mapped(self, capture: bytes, tmp_path: Path) -> None:
@@ -276,7 +276,7 @@ class TestRealCapture:
         self, shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
         capture = shared_data / "oculus" / "three_pings_8bit.raw"
-        assert main(["--replay", str(capture), "--out", str(tmp_path / "out")]) == Exit.USAGE
+        assert main(["--replay", str(capture), "--out", str(tmp_path / "out")]) == DaemonExit.USAGE
         output = capsys.readouterr().err
         assert "--pose" in output
         assert output.count("\n") == 1
@@ -294,5 +294,5 @@ def test_the_journal_knows_an_error_from_a_remark(tmp_path: Path) -> None:
             env=os.environ | {"JOURNAL_STREAM": f"{facts.st_dev}:{facts.st_ino}"},
             stderr=stream,
         )
-    assert code == Exit.BAD_CONFIG
+    assert code == DaemonExit.BAD_CONFIG
     assert output.read_text(encoding="utf-8").startswith(f"<3>{config}: $.nope: ")

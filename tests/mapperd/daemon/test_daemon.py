@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from mapperd.api import DaemonApi, OperationError
-from mapperd.cli.mapperd import Exit, main
+from mapperd.cli.mapperd import DaemonExit, main
 from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore, Refused
 from mapperd.config.loader import config_from_text
@@ -291,7 +291,7 @@ def test_recording_of_a_troubled_dive_gives_the_map_again(
     (bench,) = bench_
     out = tmp_path / "out"
     words = ["--replay", str(tmp_path / "recordings"), "--as-recorded", "--out", str(out)]
-    assert main(words) == Exit.OK
+    assert main(words) == DaemonExit.OK
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     counters = bench.live.counters
     assert summary["map_sha256"] == bench.map.sha256()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.cli.mapperd import Exit, main
+from mapperd.cli.mapperd import DaemonExit, main
 from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore
 from mapperd.config.loader import config_from_text
@@ -150,7 +150,7 @@ def asked_for(folder: Path) -> dict[int, Asked]:
 
 def replayed(folder: Path, out: Path) -> tuple[int, dict[str, Any]]:
     code = main(["--replay", str(folder), "--as-recorded", "--out", str(out)])
-    if code != Exit.OK:
+    if code != DaemonExit.OK:
         return code, {}
     return code, json.loads((out / "summary.json").read_text(encoding="utf-8"))
 
@@ -187,7 +187,7 @@ def test_requests_are_recorded_and_done_again(
 
     write_nav2_map(GridMap(np.array(room().occupancy), 0.2), tmp_path / "shifted.yaml")
     code, _ = replayed(tmp_path / "recordings", tmp_path / "out")
-    assert code == Exit.BAD_DATA
+    assert code == DaemonExit.BAD_DATA
     assert "shifted.yaml: another map" in capsys.readouterr().err
 
 

@@ -10,7 +10,7 @@ from mapperd.client.changes import MapChanged
 from mapperd.client.mirror import MapMirror
 from mapperd.foxglove import map_publisher
 from mapperd.foxglove.channels import ChannelMessage
-from mapperd.foxglove.map_publisher import LIVE, RECORDING, MapPublisher, Pace
+from mapperd.foxglove.map_publisher import LIVE, RECORDING, MapPublisher, PublishPace
 from mapperd.wire.messages import Interest
 from tests.mapperd.foxglove.foxglove_fakes import FACTS, T0, block, points_of_cloud
 from tests.mapperd.foxglove.test_channels import decoded
@@ -21,7 +21,7 @@ KEY = (1, -2, 3)
 class ChangingMap:
     """A map that changes, and its publisher."""
 
-    def __init__(self, pace: Pace) -> None:
+    def __init__(self, pace: PublishPace) -> None:
         self.mirror = MapMirror(FACTS, Interest())
         self.publisher = MapPublisher(pace)
 
@@ -43,7 +43,7 @@ def test_a_viewer_gets_the_whole_map_once_a_second_while_it_changes() -> None:
 
 
 def test_a_large_map_is_reported_more_seldom_and_its_changes_meanwhile() -> None:
-    changing = ChangingMap(Pace(bytes_per_s=24 * 100))
+    changing = ChangingMap(PublishPace(bytes_per_s=24 * 100))
     for x in range(4):
         changing.change(dict.fromkeys(range(100), 8), (x, 0, 0))
     assert changing.topics(0.0) == ["/map"]
@@ -71,7 +71,7 @@ def test_a_recording_gets_changes_until_they_are_as_many_as_the_map() -> None:
 
 
 def test_changes_of_what_is_not_occupied_are_not_reported() -> None:
-    changing = ChangingMap(Pace(share=math.inf))
+    changing = ChangingMap(PublishPace(share=math.inf))
     changing.topics(0.0)
     changing.change({0: -8})
     assert changing.topics(1.0) == []
@@ -93,7 +93,7 @@ def test_a_large_map_is_read_in_slices_and_what_changes_meanwhile_is_reported_af
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(map_publisher, "SLICE", 2)
-    changing = ChangingMap(Pace(bytes_per_s=24 * 2))
+    changing = ChangingMap(PublishPace(bytes_per_s=24 * 2))
     for x in range(5):
         changing.change({0: 8, 1: 8}, (x, 0, 0))
     assert changing.topics(0.0) == []

@@ -20,8 +20,8 @@ from mapperd.errors import ExportError
 from mapperd.foxglove import mcap_recorder
 from mapperd.foxglove import mcap_recorder as mcap_file
 from mapperd.foxglove.channels import CHANNELS
-from mapperd.foxglove.map_publisher import Pace
-from mapperd.foxglove.recording import Recording
+from mapperd.foxglove.map_publisher import PublishPace
+from mapperd.foxglove.recording import FoxgloveRecording
 from mapperd.wire.framing import StreamError
 from tests.mapperd.foxglove.foxglove_fakes import (
     FACTS,
@@ -38,12 +38,14 @@ from tests.mapperd.foxglove.foxglove_fakes import (
 )
 
 
-def recorded(path: Path, changing: Callable[[FakeClient, Recording], Awaitable[None]]) -> None:
+def recorded(
+    path: Path, changing: Callable[[FakeClient, FoxgloveRecording], Awaitable[None]]
+) -> None:
     """Record while something is published."""
 
     async def run() -> None:
         client = FakeClient()
-        recording = Recording(client, path)
+        recording = FoxgloveRecording(client, path)
         recording.start()
         try:
             await changing(client, recording)
@@ -53,7 +55,7 @@ def recorded(path: Path, changing: Callable[[FakeClient, Recording], Awaitable[N
     asyncio.run(run())
 
 
-async def feed_all(client: FakeClient, recording: Recording) -> None:
+async def feed_all(client: FakeClient, recording: FoxgloveRecording) -> None:
     client.feed_all()
     client.occupy((0, 0, 0), {0: 8, 1: -8}, T0 + 9)
     before = recording.messages
@@ -97,7 +99,7 @@ def occupied(messages: list[tuple[str, Any]]) -> dict[tuple[float, ...], float]:
 def test_every_channel_is_in_the_file_with_its_schema(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mcap_recorder, "RECORDING", Pace(shortest_s=0.0, share=math.inf))
+    monkeypatch.setattr(mcap_recorder, "RECORDING", PublishPace(shortest_s=0.0, share=math.inf))
     recorded(tmp_path / "a.mcap", feed_all)
     with (tmp_path / "a.mcap").open("rb") as file:
         summary = make_reader(file).get_summary()
@@ -145,7 +147,7 @@ def test_what_is_reported_is_what_is_written(tmp_path: Path) -> None:
 
 
 def test_stamps_are_the_daemons_and_logs_go_forward(tmp_path: Path) -> None:
-    async def changing(client: FakeClient, recording: Recording) -> None:
+    async def changing(client: FakeClient, recording: FoxgloveRecording) -> None:
         await feed_all(client, recording)
         before = recording.messages
         client.feed(POSE)  # older than what was published
@@ -165,10 +167,10 @@ def test_stamps_are_the_daemons_and_logs_go_forward(tmp_path: Path) -> None:
 def test_changes_after_a_whole_map_give_the_map(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mcap_recorder, "RECORDING", Pace(shortest_s=0.0, share=math.inf))
+    monkeypatch.setattr(mcap_recorder, "RECORDING", PublishPace(shortest_s=0.0, share=math.inf))
     rng = np.random.default_rng(3)
 
-    async def changing(client: FakeClient, recording: Recording) -> None:
+    async def changing(client: FakeClient, recording: FoxgloveRecording) -> None:
         await feed_all(client, recording)
         for _ in range(150):
             await asyncio.sleep(0)
@@ -209,11 +211,11 @@ def test_a_file_that_was_never_ended_is_read_up_to_its_last_chunk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "a.mcap"
-    monkeypatch.setattr(mcap_recorder, "RECORDING", Pace(shortest_s=0.0, share=math.inf))
+    monkeypatch.setattr(mcap_recorder, "RECORDING", PublishPace(shortest_s=0.0, share=math.inf))
     monkeypatch.setattr(mcap_recorder, "KEEP_S", 0.0)
     whole: list[bytes] = []
 
-    async def changing(client: FakeClient, recording: Recording) -> None:
+    async def changing(client: FakeClient, recording: FoxgloveRecording) -> None:
         await feed_all(client, recording)
         await until(lambda: path.stat().st_size == recording.bytes)
         whole.append(path.read_bytes())
@@ -263,7 +265,7 @@ def test_a_full_disk_is_one_clear_error_and_leaves_whole_chunks(
             finally:
                 self._file = file
 
-    async def changing(client: FakeClient, recording: Recording) -> None:
+    async def changing(client: FakeClient, recording: FoxgloveRecording) -> None:
         await feed_all(client, recording)
         await until(lambda: path.stat().st_size == recording.bytes)
         good.append(path.read_bytes())
@@ -292,7 +294,7 @@ class _FullFile:
 
 
 def test_attempts_to_connect_are_logged_once(tmp_path: Path) -> None:
-    async def changing(client: FakeClient, recording: Recording) -> None:
+    async def changing(client: FakeClient, recording: FoxgloveRecording) -> None:
         await feed_all(client, recording)
         for state, reason in (
             ("waiting", "nobody answers"),
@@ -314,7 +316,7 @@ def test_attempts_to_connect_are_logged_once(tmp_path: Path) -> None:
 
 
 def test_another_map_is_reported_as_one_that_is_empty(tmp_path: Path) -> None:
-    async def changing(client: FakeClient, recording: Recording) -> None:
+    async def changing(client: FakeClient, recording: FoxgloveRecording) -> None:
         await feed_all(client, recording)
         assert client.mirror is not None
         client.mirror.forget()
@@ -334,7 +336,7 @@ def test_a_file_that_is_there_is_left_alone(tmp_path: Path) -> None:
     path.write_bytes(b"mine")
 
     async def start() -> None:
-        Recording(FakeClient(), path).start()
+        FoxgloveRecording(FakeClient(), path).start()
 
     with pytest.raises(ExportError, match="file exists"):
         asyncio.run(start())
@@ -345,7 +347,7 @@ def test_it_ends_with_the_client_and_reports_the_reason(tmp_path: Path) -> None:
     async def run() -> None:
         client = FakeClient()
         client.error = StreamError("no such token", "wrong_token")
-        recording = Recording(client, tmp_path / "a.mcap")
+        recording = FoxgloveRecording(client, tmp_path / "a.mcap")
         recording.start()
         client.feed_all()
         client.feed(None)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sonar_sim import MATERIALS, Pose, Scene, Simulator, SonarSettings, Surface, load_scenario
+from sonar_sim import MATERIALS, FramePose, Scene, Simulator, SonarSettings, Surface, load_scenario
 from sonar_sim.geometry.pose import rotation_of
 
 ROWS, BEAMS = 600, 512
@@ -60,7 +60,7 @@ def simulated() -> Callable[[str, float], Image]:
 
     def image(scene: str, pitch_deg: float) -> Image:
         rotation = rotation_of(0.0, math.radians(pitch_deg), 0.0)
-        pose = Pose(np.array([0.0, 0.0, -1.5]), rotation)
+        pose = FramePose(np.array([0.0, 0.0, -1.5]), rotation)
         return simulators[scene].ping(pose, 1).image.astype(np.float32)
 
     return image

@@ -6,7 +6,13 @@ import pytest
 
 from mapperd.config.tree import ScanExtractionConfig
 from mapperd.imaging.ping_image import PingImage
-from mapperd.localization.detector import FirstReturns, Limits, equalised, first_returns, levels_db
+from mapperd.localization.detector import (
+    FirstReturns,
+    RangeLimits,
+    equalised,
+    first_returns,
+    levels_db,
+)
 
 ROW_M = 0.02
 
@@ -14,7 +20,7 @@ ROW_M = 0.02
 def found(echo: PingImage, min_m: float = 0.5, max_m: float = 10.0, **changes: Any) -> FirstReturns:
     settings = msgspec.structs.replace(ScanExtractionConfig(), **changes)
     levels = equalised(levels_db(echo.intensity), echo.range_resolution_m)
-    return first_returns(levels, echo, Limits(min_m, max_m, echo.range_resolution_m), settings)
+    return first_returns(levels, echo, RangeLimits(min_m, max_m, echo.range_resolution_m), settings)
 
 
 def test_noise_has_hardly_a_return(make_echo: Any) -> None:
@@ -105,7 +111,7 @@ def test_a_haze_in_few_beams_is_no_surface_and_a_surface_in_it_is(make_echo: Any
 
 
 def test_the_guard_keeps_a_surface_that_rises_slowly_out_of_its_background(make_echo: Any) -> None:
-    echo, limits = make_echo(), Limits(0.5, 10.0, ROW_M)
+    echo, limits = make_echo(), RangeLimits(0.5, 10.0, ROW_M)
     bright = PingImage(np.full(echo.intensity.shape, 50, np.float32), echo.bearings_rad, ROW_M)
     levels = np.zeros(echo.intensity.shape, np.float32)
     levels[240:280] = 0.7 * np.arange(1, 41)[:, None]
@@ -115,7 +121,7 @@ def test_the_guard_keeps_a_surface_that_rises_slowly_out_of_its_background(make_
 
 
 def test_what_is_fainter_than_the_noise_is_no_surface(make_echo: Any) -> None:
-    echo, limits = make_echo(), Limits(0.5, 10.0, ROW_M)
+    echo, limits = make_echo(), RangeLimits(0.5, 10.0, ROW_M)
     bright = PingImage(np.full(echo.intensity.shape, 50, np.float32), echo.bearings_rad, ROW_M)
     levels = np.full(echo.intensity.shape, -30, np.float32)
     for level_db, there in ((-3.0, False), (40.0, True)):

@@ -8,7 +8,7 @@ import pytest
 
 from mapperd.cli.mapperctl.arguments import EPILOG, parser
 from mapperd.cli.mapperctl.connection import REASONS
-from mapperd.cli.mapperctl.errors import Exit
+from mapperd.cli.mapperctl.errors import CtlExit
 from mapperd.server.connection import MAX_UNSENT
 from mapperd.server.requests import EVENTS_AT_ONCE
 from mapperd.server.session import ASKS, MESSAGES_AT_ONCE, MESSAGES_PER_S, QUIET_S
@@ -61,7 +61,7 @@ def test_limits_are_those_in_force() -> None:
 
 
 def test_every_exit_code_is_explained() -> None:
-    for code in Exit:
+    for code in CtlExit:
         assert f"| {code:d} |" in PAGE
         assert re.search(rf"\b{code:d}\s", EPILOG)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from mapperd.cli.mapperd import Exit
+from mapperd.cli.mapperd import DaemonExit
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.daemon.session import Live
@@ -70,10 +70,10 @@ def test_altered_pings_are_not_mapped(
 ) -> None:
     recorded(tmp_path / "whole", track(survey))
     ran = run(tmp_path / "whole")
-    assert (ran.code, ran.summary["pings_mapped"]) == (Exit.OK, PINGS)
+    assert (ran.code, ran.summary["pings_mapped"]) == (DaemonExit.OK, PINGS)
     every = [ping_bytes(k + 1) for k in range(PINGS)]
     ran = run(altered(tmp_path / "whole", every))
-    assert ran.code == Exit.BAD_DATA
+    assert ran.code == DaemonExit.BAD_DATA
     assert ran.summary["pings_dropped"] == {"checksum": PINGS}
     assert "fail their checksum" in ran.output
 
@@ -88,7 +88,7 @@ def test_the_rest_of_a_damaged_recording_is_mapped_and_the_loss_is_listed(
     damaged = altered(tmp_path / "whole", changed)
     ran = run(damaged)
     summary, facts = ran.summary, ran.summary["recording"]
-    assert ran.code == Exit.BAD_DATA
+    assert ran.code == DaemonExit.BAD_DATA
     assert (summary["pings_mapped"], summary["pings_dropped"]) == (PINGS - 8, {"checksum": 8})
     assert summary["pings_lost"] == 0
     assert [part["file"] for part in facts["damaged_parts"]] == ["altered"] * 2
@@ -103,7 +103,7 @@ def test_the_rest_of_a_damaged_recording_is_mapped_and_the_loss_is_listed(
     assert run(tmp_path / "rest").summary["map_sha256"] == summary["map_sha256"]
 
     ran = run(damaged, "--use-damaged")
-    assert (ran.code, ran.summary["pings_mapped"]) == (Exit.OK, PINGS)
+    assert (ran.code, ran.summary["pings_mapped"]) == (DaemonExit.OK, PINGS)
     assert ran.summary["map_sha256"] not in (whole["map_sha256"], summary["map_sha256"])
     assert "were mapped all the same" in ran.output
 
@@ -114,7 +114,7 @@ def test_a_replay_into_a_store_leaves_altered_pings_out(
     recorded(tmp_path / "whole", track(survey))
     damaged = altered(tmp_path / "whole", [ping_bytes(9)])
     ran = run(damaged, "--store", str(tmp_path / "map.db"))
-    assert ran.code == Exit.BAD_DATA
+    assert ran.code == DaemonExit.BAD_DATA
     assert ran.summary["pings_dropped"] == {"checksum": 4}
     assert ran.summary["map_sha256"] == run(damaged).summary["map_sha256"]
 
@@ -128,7 +128,7 @@ def test_altered_odometry_is_not_used(
     data[data.index(record) + 15] ^= 1
     (tmp_path / "altered").write_bytes(data)
     ran = run(tmp_path / "altered")
-    assert ran.code == Exit.BAD_DATA
+    assert ran.code == DaemonExit.BAD_DATA
     assert ran.summary["poses"]["odometry_received"] == PINGS
     assert ran.summary["pings_mapped"] == PINGS
 

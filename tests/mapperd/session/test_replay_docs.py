@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mapperd.cli.mapperd import Exit
+from mapperd.cli.mapperd import DaemonExit
 from mapperd.config.tree import Config
 from mapperd.daemon.map_folder import recording_facts, summary_of
 from mapperd.geometry.frames import pose_from_rpy
@@ -42,5 +42,5 @@ def test_every_key_of_the_summary_is_explained(
 
 
 def test_every_exit_code_is_explained() -> None:
-    for code in Exit:
+    for code in DaemonExit:
         assert f"| {code.value} |" in PAGE

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from mapperd.config.tree import AmclConfig
 from mapperd.telemetry.outbox import Kind, Outbox
-from mapperd.telemetry.requests import Requests
+from mapperd.telemetry.requests import TelemetryRequests
 from mapperd.telemetry.topics import Topics
 from tests.mapperd.telemetry.conftest import ROOT, FakeDaemon, drained
 
@@ -23,7 +23,7 @@ class Asker:
         self.outbox = Outbox(1000)
         config = daemon.settings.current
         topics = Topics.of(config.mqtt, amcl or config.amcl)
-        self.requests = Requests(daemon, topics, self.outbox.put)
+        self.requests = TelemetryRequests(daemon, topics, self.outbox.put)
 
     def ask(self, below: str, body: Any, *, retained: bool = False) -> dict[str, list[Any]]:
         payload = body if isinstance(body, bytes) else json.dumps(body).encode()

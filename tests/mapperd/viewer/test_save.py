@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 
 from mapperd.cli.mapperctl import view
 from mapperd.errors import ExportError
-from mapperd.foxglove.recording import Recording
+from mapperd.foxglove.recording import FoxgloveRecording
 from mapperd.viewer.save import SaveControls
 from tests.mapperd.foxglove import foxglove_fakes as fakes
 
@@ -54,7 +54,7 @@ def kept(folder: Path, press: Callable[[SaveControls, Notes, Any], Awaitable[Non
             server.gui.add_tab_group().add_tab("View"),
             cast("Any", client),
             folder=folder,
-            recorder=cast("Any", Recording),
+            recorder=cast("Any", FoxgloveRecording),
             begin=lambda _: None,
         )
         await press(keep, watched.notes, client)
@@ -80,7 +80,7 @@ def test_two_presses_make_a_recording(tmp_path: Path) -> None:
 
     notes = kept(tmp_path, press)
     (path,) = tmp_path.iterdir()
-    assert [title for title, _ in notes.notes] == ["Recording", "Recorded"]
+    assert [title for title, _ in notes.notes] == ["FoxgloveRecording", "Recorded"]
     assert str(path) in notes.notes[1][1]
     with path.open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()
@@ -118,7 +118,7 @@ def test_a_recording_that_ends_by_itself_is_reported(tmp_path: Path) -> None:
         raise ExportError("no space is left")
 
     notes = kept(tmp_path, press).notes
-    assert [title for title, _ in notes] == ["Recording", "Recording ended"]
+    assert [title for title, _ in notes] == ["FoxgloveRecording", "Recording ended"]
     assert "no space is left" in notes[1][1]
 
 
@@ -140,4 +140,4 @@ def test_the_command_s_page_can_record(tmp_path: Path, monkeypatch: pytest.Monke
         host="127.0.0.1", port=0, open=False, json=True, level=0, radius=0.0, allow_changes=False
     )
     list(view.run_view(message, str(tmp_path / "none.sock"), None, None))
-    assert NoView.made == [Recording]
+    assert NoView.made == [FoxgloveRecording]

@@ -9,7 +9,7 @@ import pytest
 
 from mapperd.cli.mapperctl.arguments import parser
 from mapperd.cli.mapperctl.command import main
-from mapperd.cli.mapperctl.errors import CtlError, Exit
+from mapperd.cli.mapperctl.errors import CtlError, CtlExit
 from mapperd.cli.mapperctl.view import open_page, run_view, same_origin
 
 pytestmark = pytest.mark.net
@@ -47,7 +47,7 @@ def test_a_connection_that_another_page_makes_is_refused() -> None:
         assert asyncio.run(status(f"http://{place}")) == 101
         with pytest.raises(CtlError, match="somebody else listens there") as taken:
             open_page("127.0.0.1", server.get_port())
-        assert taken.value.code == Exit.UNAVAILABLE
+        assert taken.value.code == CtlExit.UNAVAILABLE
         assert server.request_share_url() is None, "nothing goes to other computers"
     finally:
         server.stop()
@@ -57,7 +57,7 @@ def test_a_missing_extra_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
-    assert main(["view", "--socket", str(tmp_path / "map.sock")]) == Exit.USAGE
+    assert main(["view", "--socket", str(tmp_path / "map.sock")]) == CtlExit.USAGE
     assert "pip install 'mapperd[topside]'" in capsys.readouterr().err
 
 
@@ -80,4 +80,4 @@ def test_the_command_prints_the_address_and_opens_it(
 def test_what_cannot_be_is_refused(words: list[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         parser().parse_args(["view", *words])
-    assert ended.value.code == Exit.USAGE
+    assert ended.value.code == CtlExit.USAGE

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from sonar_sim.device.fire_settings import initial_request
-from sonar_sim.device.ping_generator import PingGenerator, PingTime
+from sonar_sim.device.ping_generator import PingGenerator, TransmitState
 from sonar_sim.scene.scenario import Scenario
 
 from oculus_driver import Ping, StreamParser, decode_ping
@@ -20,10 +20,10 @@ def maker_of(scenario: Scenario) -> PingGenerator:
     return PingGenerator(scenario.scene, scenario.sonar, scenario.mounting, seed=5, source_id=7)
 
 
-def when_of(scenario: Scenario, ping_id: int = 1, time_s: float = 1.0) -> PingTime:
+def when_of(scenario: Scenario, ping_id: int = 1, time_s: float = 1.0) -> TransmitState:
     path = scenario.trajectory
     state = path.pose(time_s), path.velocity_mps(time_s), path.turn_rates_rps(time_s)
-    return PingTime(ping_id, 100.0 + time_s, time_s, *state)
+    return TransmitState(ping_id, 100.0 + time_s, time_s, *state)
 
 
 def ping_of(data: bytes) -> Ping:

@@ -6,7 +6,7 @@ from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.preview import PingPreview
 from sonar_sim.effects.previewer import Previewer
 from sonar_sim.effects.registry import EFFECTS
-from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.scene.material import MATERIALS, Material
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.sonar import SonarSettings
@@ -33,8 +33,8 @@ def wall(x_m: float, material: Material | None = None, half_m: float = 20.0) -> 
     return rectangle("wall", corners, material)
 
 
-def pose(depth_m: float = 3.0) -> Pose:
-    return Pose(np.array([0.0, 0.0, -depth_m]), np.eye(3))
+def pose(depth_m: float = 3.0) -> FramePose:
+    return FramePose(np.array([0.0, 0.0, -depth_m]), np.eye(3))
 
 
 def motion(forward_mps: float = 0.0, turn_dps: float = 0.0) -> SonarMotion:
@@ -47,7 +47,7 @@ def view_of(
     *surfaces: Surface,
     sonar: SonarSettings = SONAR,
     scene: Scene | None = None,
-    at: Pose | None = None,
+    at: FramePose | None = None,
     moving: SonarMotion | None = None,
     time_s: float = 0.0,
 ) -> PingPreview:

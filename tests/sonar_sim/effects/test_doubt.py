@@ -12,7 +12,7 @@ from sonar_sim.effects.planner import Planner, decide_cell
 from sonar_sim.effects.preview import PingPreview
 from sonar_sim.effects.previewer import Previewer
 from sonar_sim.effects.registry import EFFECTS
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.scene.scene import Bubbles, CloudSpec, Scene
 
 from tests.sonar_sim.effects.previews import LOUD, floor, pose, view_of
@@ -20,7 +20,7 @@ from tests.sonar_sim.effects.previews import LOUD, floor, pose, view_of
 NAME = "crosstalk"
 
 
-def beside(x_m: float, y_m: float) -> Pose:
+def beside(x_m: float, y_m: float) -> FramePose:
     return replace(pose(), position_m=pose().position_m + np.array([x_m, y_m, 0.0]))
 
 

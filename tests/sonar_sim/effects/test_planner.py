@@ -8,7 +8,7 @@ from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import EffectSelection
 from sonar_sim.effects.planner import PlannedPing, Planner
 from sonar_sim.effects.previewer import Previewer
-from sonar_sim.geometry.pose import Pose, rotation_of
+from sonar_sim.geometry.pose import FramePose, rotation_of
 from sonar_sim.scene.scene import Emitter, Scene
 
 from tests.sonar_sim.effects.previews import LOUD, SONAR, floor, motion, wall
@@ -19,9 +19,9 @@ def planner(*surfaces: object, scene: Scene | None = None) -> Planner:
     return Planner(Previewer(shown, LOUD), EffectSelection.read("auto"), Tolerance())
 
 
-def at(x_m: float = 0.0, yaw_deg: float = 0.0, pitch_deg: float = 0.0) -> Pose:
+def at(x_m: float = 0.0, yaw_deg: float = 0.0, pitch_deg: float = 0.0) -> FramePose:
     turn = rotation_of(0.0, np.radians(pitch_deg), np.radians(yaw_deg))
-    return Pose(np.array([x_m, 0.0, -3.0]), turn)
+    return FramePose(np.array([x_m, 0.0, -3.0]), turn)
 
 
 def decisions_of(planned: PlannedPing) -> list[tuple[str, bool, float]]:

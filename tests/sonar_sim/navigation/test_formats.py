@@ -11,7 +11,7 @@ import pynmea2
 import pytest
 from pymavlink.dialects.v20 import common
 from sonar_sim.errors import SonarSimError
-from sonar_sim.geometry.pose import Pose, rotation_of
+from sonar_sim.geometry.pose import FramePose, rotation_of
 from sonar_sim.navigation.fix import Fix
 from sonar_sim.navigation.formats import FORMATS, format_named
 from sonar_sim.navigation.water_linked import crc8, sentence
@@ -34,7 +34,7 @@ def fix() -> Fix:
     sample = OdometrySample(
         time_s=4.0,
         arrival_s=4.01,
-        pose=Pose(np.array([EAST_M, NORTH_M, -DEPTH_M]), rotation),
+        pose=FramePose(np.array([EAST_M, NORTH_M, -DEPTH_M]), rotation),
         velocity_mps=np.array([0.5, 0.2, 0.1]),  # ahead, to port, up
         turn_rates_rps=np.array([0.01, 0.02, 0.03]),
     )
@@ -145,7 +145,7 @@ def test_dvl_json(fix: Fix) -> None:
     assert reckoned["pitch"] == pytest.approx(-NOSE_DOWN_DEG)
     pose = fix.sample.pose
     ahead = np.array([math.sin(math.radians(60)), math.cos(math.radians(60)), -0.5])
-    moved = replace(fix.sample, pose=Pose(pose.position_m + ahead, pose.rotation))
+    moved = replace(fix.sample, pose=FramePose(pose.position_m + ahead, pose.rotation))
     later = replace(fix, sample=moved, boot_s=104.25)
     velocity, reckoned = (json.loads(line) for line in form.encode(later))
     assert velocity["time"] == pytest.approx(250.0)
@@ -210,7 +210,7 @@ def test_nmea_as_pynmea2_reads_it(fix: Fix) -> None:
 
 
 def test_a_heading_never_is_360_nor_minutes_60(fix: Fix) -> None:
-    north = Pose(np.zeros(3), rotation_of(0.0, 0.0, math.radians(90.0 + 1e-4)))
+    north = FramePose(np.zeros(3), rotation_of(0.0, 0.0, math.radians(90.0 + 1e-4)))
     vehicle = Vehicle(latitude_deg=53.999999999999, longitude_deg=-8.1)
     at_north = replace(fix, sample=replace(fix.sample, pose=north), vehicle=vehicle)
     lines = [line.decode() for line in format_named("nmea").encode(at_north)]
@@ -253,7 +253,7 @@ def _x25(data: bytes) -> int:
 
 
 def test_a_kilometre_is_a_kilometre_on_the_ellipsoid(fix: Fix) -> None:
-    far = replace(fix.sample, pose=Pose(np.array([1e3, 1e3, 0.0]), fix.sample.pose.rotation))
+    far = replace(fix.sample, pose=FramePose(np.array([1e3, 1e3, 0.0]), fix.sample.pose.rotation))
     latitude_deg, longitude_deg = replace(fix, sample=far).latitude_longitude_deg
     # Length of a degree at 33 deg: the usual series in cosines of the latitude (WGS-84).
     assert (latitude_deg + 33.0) * 110_904.5 == pytest.approx(1e3, abs=0.05)

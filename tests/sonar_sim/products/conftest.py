@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.products import PingProducts, ProductRenderer
 from sonar_sim.raycast.depth_camera import Pinhole
 from sonar_sim.scene.material import MATERIALS
@@ -32,5 +32,5 @@ def sonar() -> SonarSettings:
 @pytest.fixture(scope="session")
 def sounding(scene: Scene, sonar: SonarSettings) -> PingProducts:
     camera = Pinhole(96, 60, math.radians(90.0), far_m=sonar.range_m)
-    pose = Pose(np.zeros(3), np.eye(3))
+    pose = FramePose(np.zeros(3), np.eye(3))
     return ProductRenderer(scene, sonar, camera, seed=3).at(pose, ping_id=7, time_s=1.5)

@@ -3,7 +3,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from sonar_sim.geometry.pose import Pose, rotation_of
+from sonar_sim.geometry.pose import FramePose, rotation_of
 from sonar_sim.raycast.depth_camera import DepthCamera, Pinhole, pinhole_of
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
@@ -12,7 +12,7 @@ CAMERA = Pinhole(80, 40, math.radians(60.0))
 
 
 def test_a_wall_across_has_one_depth_and_growing_range(
-    plate: Callable[..., Scene], level_pose: Pose
+    plate: Callable[..., Scene], level_pose: FramePose
 ) -> None:
     view = DepthCamera(plate((5, 0, 0), (0, 40, 0), (0, 0, 40))).look(CAMERA, level_pose)
     assert view.depth_m == pytest.approx(5.0, rel=1e-5)
@@ -23,14 +23,18 @@ def test_a_wall_across_has_one_depth_and_growing_range(
     assert view.cos_incidence == pytest.approx(5.0 / away, rel=1e-5)
 
 
-def test_starboard_is_right_and_up_is_up(plate: Callable[..., Scene], level_pose: Pose) -> None:
+def test_starboard_is_right_and_up_is_up(
+    plate: Callable[..., Scene], level_pose: FramePose
+) -> None:
     view = DepthCamera(plate((5, -1, 1), (0, 0.5, 0), (0, 0, 0.5))).look(CAMERA, level_pose)
     row, column = np.argwhere(view.hit).mean(axis=0)
     assert row < 19.5
     assert column > 39.5
 
 
-def test_normals_are_in_the_optical_frame(level_pose: Pose, plate: Callable[..., Scene]) -> None:
+def test_normals_are_in_the_optical_frame(
+    level_pose: FramePose, plate: Callable[..., Scene]
+) -> None:
     view = DepthCamera(plate((5, -1, 0), (2, -2, 0), (0, 0, 4))).look(CAMERA, level_pose)
     half = np.sqrt(0.5)
     assert view.normals[view.hit] == pytest.approx(
@@ -39,7 +43,7 @@ def test_normals_are_in_the_optical_frame(level_pose: Pose, plate: Callable[...,
 
 
 def test_points_lie_where_the_surface_is(plate: Callable[..., Scene]) -> None:
-    pose = Pose(np.array([1.0, 2.0, 3.0]), rotation_of(0.1, 0.2, 0.3))
+    pose = FramePose(np.array([1.0, 2.0, 3.0]), rotation_of(0.1, 0.2, 0.3))
     view = DepthCamera(plate((6, 4, 2), (0, 30, 0), (0, 0, 30))).look(CAMERA, pose)
     points = view.points_m() @ pose.rotation.T + pose.position_m
     assert len(points) == np.count_nonzero(view.hit) > 1000
@@ -48,7 +52,7 @@ def test_points_lie_where_the_surface_is(plate: Callable[..., Scene]) -> None:
 
 @pytest.mark.parametrize(("near_m", "far_m"), [(6.0, 9.0), (0.1, 4.0)])
 def test_outside_the_clip_nothing_is_seen(
-    plate: Callable[..., Scene], level_pose: Pose, near_m: float, far_m: float
+    plate: Callable[..., Scene], level_pose: FramePose, near_m: float, far_m: float
 ) -> None:
     camera = Pinhole(20, 10, 1.0, near_m, far_m)
     view = DepthCamera(plate((5, 0, 0), (0, 40, 0), (0, 0, 40))).look(camera, level_pose)
@@ -57,7 +61,7 @@ def test_outside_the_clip_nothing_is_seen(
     assert not view.normals.any()
 
 
-def test_an_empty_scene_shows_nothing(level_pose: Pose) -> None:
+def test_an_empty_scene_shows_nothing(level_pose: FramePose) -> None:
     view = DepthCamera(Scene(())).look(CAMERA, level_pose)
     assert not view.hit.any()
     assert view.points_m().shape == (0, 3)

@@ -6,9 +6,9 @@ import pytest
 from sonar_sim.errors import SceneError
 from sonar_sim.geometry.trajectory import Motion, Trajectory, Waypoint
 from sonar_sim.scene.vehicle import (
-    Odometry,
     OdometryErrors,
     OdometrySample,
+    SimulatedOdometry,
     Vehicle,
     in_order_of_arrival,
 )
@@ -20,7 +20,7 @@ TRUE = {"position_noise_m": 0.0, "attitude_noise_deg": 0.0}
 
 def records(seed: int = 0, rate_hz: float = 10.0, **errors: object) -> list[OdometrySample]:
     vehicle = Vehicle("v", rate_hz, OdometryErrors(**{**TRUE, **errors}))  # type: ignore[arg-type]
-    return list(Odometry(PATH, vehicle, seed).samples())
+    return list(SimulatedOdometry(PATH, vehicle, seed).samples())
 
 
 def off_m(samples: list[OdometrySample]) -> np.ndarray:

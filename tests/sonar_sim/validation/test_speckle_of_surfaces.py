@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from sonar_sim.engine import EnginePing, PingEngine
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.scene.material import Material
 from sonar_sim.scene.scene import Scene, Surface
@@ -32,8 +32,8 @@ FROM_ROW = int(6.0 / SONAR.range_resolution_m)
 POSES = 5
 
 
-def at(ahead_m: float) -> Pose:
-    return Pose(np.array([ahead_m, 0.0, 0.0]), np.eye(3))
+def at(ahead_m: float) -> FramePose:
+    return FramePose(np.array([ahead_m, 0.0, 0.0]), np.eye(3))
 
 
 def alike(one: EnginePing, other: EnginePing) -> float:
@@ -112,6 +112,6 @@ def test_a_few_centimetres_aside_renew_it(
 ) -> None:
     assert abs(correlation(relative[0], relative[1])) < 0.05
     here, aside = (
-        engine.ping(Pose(np.array([0.0, y, 0.0]), np.eye(3)), PHYSICS) for y in (0.0, 0.1)
+        engine.ping(FramePose(np.array([0.0, y, 0.0]), np.eye(3)), PHYSICS) for y in (0.0, 0.1)
     )
     assert alike(here, aside) < 0.3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bench import seabed
 from bench.contenders import CONTENDERS, GRID_FIRST, GRID_FULL
-from bench.inputs import AHEAD, DOWN, LOOKS, SETTINGS, Setting, first_rows, loud_share, simulate
+from bench.inputs import AHEAD, DOWN, LOOKS, SETTINGS, ViewSetting, first_rows, loud_share, simulate
 from bench.integrators import RESOLUTIONS_M, chosen, parse
 
 LOOKING_DOWN = [setting for setting in SETTINGS if setting.look == DOWN]
@@ -31,7 +31,7 @@ def test_looking_down_is_a_survey_line_at_0_6_of_the_range(range_m: float) -> No
 
 
 @pytest.mark.parametrize("setting", LOOKING_DOWN, ids=lambda setting: f"{setting.range_m:g} m")
-def test_looking_down_one_to_two_pixels_in_a_hundred_are_loud(setting: Setting) -> None:
+def test_looking_down_one_to_two_pixels_in_a_hundred_are_loud(setting: ViewSetting) -> None:
     pings = simulate(setting, pings=1, seed=7)
     assert pings.images.shape == (1, 500, 512)
     assert 0.01 < loud_share(pings) < 0.02

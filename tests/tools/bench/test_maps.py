@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from bench.detail import Difference
+from bench.detail import MapDifference
 from bench.inputs import Pings
-from bench.our_contender import Run, config_of
+from bench.our_contender import ContenderRun, config_of
 
 from mapperd.mapping.sonar_map import SonarMap
 
@@ -19,8 +19,8 @@ def pings(count: int) -> Pings:
     return Pings(images, np.radians(np.linspace(-20.0, 20.0, 8)), 0.1, poses)
 
 
-def run_of(way: str, count: int, budget_s: float = 60.0) -> Run:
-    return Run(config_of(way, 0.1), pings(count), budget_s, first_returns_only=True)
+def run_of(way: str, count: int, budget_s: float = 60.0) -> ContenderRun:
+    return ContenderRun(config_of(way, 0.1), pings(count), budget_s, first_returns_only=True)
 
 
 def map_of(points_m: list[list[float]], log_odds: list[float]) -> SonarMap:
@@ -29,8 +29,8 @@ def map_of(points_m: list[list[float]], log_odds: list[float]) -> SonarMap:
     return sonar_map
 
 
-def difference_of(one: SonarMap, other: SonarMap) -> Difference:
-    difference = Difference(free_below=0.0, occupied_above=UNCERTAIN_UP_TO)
+def difference_of(one: SonarMap, other: SonarMap) -> MapDifference:
+    difference = MapDifference(free_below=0.0, occupied_above=UNCERTAIN_UP_TO)
     difference.add(one, other)
     return difference
 

@@ -17,11 +17,18 @@ from bench.contenders import (
 )
 from bench.inputs import AHEAD, DOWN
 from bench.report import COLUMNS, markdown
-from bench.results import CaseResult, DetailDifference, Machine, Measured, Results, times_faster
-from bench.targets import CORNERS, TARGETS, Verdict, judge
+from bench.results import (
+    BenchResults,
+    CaseResult,
+    ContenderResult,
+    DetailDifference,
+    Machine,
+    times_faster,
+)
+from bench.targets import CORNERS, TARGETS, TargetVerdict, judge
 from studies.report import PAGES, write_section
 
-RUN = Measured(
+RUN = ContenderResult(
     ms=[10.0, 30.0, 20.0],
     second_ms=[8.0, 9.0, 40.0],
     touched=[1000, None, 3000],
@@ -36,7 +43,7 @@ RUN = Measured(
 DETAIL = DetailDifference(pings=4, voxels=9, class_share=0.5, one_only_share=0.4, mean=0.1)
 
 
-def run_of(ms: float) -> Measured:
+def run_of(ms: float) -> ContenderResult:
     return msgspec.structs.replace(RUN, ms=[ms] * 3, resting_ms=[ms] * 3, moving_ms=[ms] * 3)
 
 
@@ -46,13 +53,13 @@ def case_of(ours_ms: float = 1.0, rival_ms: float = 60.0, look: str = DOWN) -> C
     return CaseResult("10 m, 5 cm", look, 10.0, 0.05, 0.014, runs, DETAIL)
 
 
-def results(case: CaseResult) -> Results:
+def results(case: CaseResult) -> BenchResults:
     machine = Machine("a CPU", 2, "a compiler", "abc", 0.5, 24e9)
     water_ms = {"5": 1.0, "10": 4.0}
-    return Results("a command", 3, 1, machine, [case], water_ms)
+    return BenchResults("a command", 3, 1, machine, [case], water_ms)
 
 
-def verdict(word: str, case: CaseResult) -> Verdict:
+def verdict(word: str, case: CaseResult) -> TargetVerdict:
     """Of the first target with this word in its name."""
     return next(judge(target, case) for target in TARGETS if word in target.wish)
 
@@ -185,7 +192,7 @@ def test_tables_hold_both_passes_motion_and_details() -> None:
 def test_results_are_read_back_as_they_were_saved(tmp_path: Path) -> None:
     saved = results(case_of())
     saved.save(tmp_path / "results.json")
-    assert msgspec.json.decode((tmp_path / "results.json").read_bytes(), type=Results) == saved
+    assert msgspec.json.decode((tmp_path / "results.json").read_bytes(), type=BenchResults) == saved
 
 
 def test_our_page_has_the_marks_and_explains_every_column(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from math import inf
 
 import numpy as np
 import pytest
-from mapper_survey.cluster_simulation import Cluster, simulate
+from mapper_survey.cluster_simulation import ComputeCluster, simulate
 from mapper_survey.run_record import Kind, TaskTime
 
 
@@ -29,13 +29,13 @@ def alike(count: int, cpu_s: float = 0.0, read: int = 0, written: int = 0) -> li
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 7, 10, 1000])
 def test_equal_tasks_take_whole_rounds(workers: int) -> None:
-    went = simulate(alike(10, cpu_s=3.0), Cluster(workers))
+    went = simulate(alike(10, cpu_s=3.0), ComputeCluster(workers))
     assert went.wall_s == -(-10 // workers) * 3.0
     assert went.computing_s == 30.0
 
 
 def test_one_huge_task_is_the_least_that_a_survey_takes() -> None:
-    went = simulate([task("huge", 50.0), *alike(100, cpu_s=0.1)], Cluster(100))
+    went = simulate([task("huge", 50.0), *alike(100, cpu_s=0.1)], ComputeCluster(100))
     assert went.wall_s == 50.0
 
 
@@ -46,52 +46,58 @@ def test_a_task_waits_for_others() -> None:
         task("b", 5.0, after=("plan",)),
         task("plan", 3.0, kind="plan"),
     ]
-    went = simulate(tasks, Cluster(8))
+    went = simulate(tasks, ComputeCluster(8))
     assert went.ended_s == {"plan": 3.0, "a": 5.0, "b": 8.0, "merge": 9.0}
-    assert simulate(tasks, Cluster(1)).wall_s == 11.0
+    assert simulate(tasks, ComputeCluster(1)).wall_s == 11.0
 
 
 @pytest.mark.parametrize("workers", [1, 4, 40])
 def test_storage_is_shared_alike_and_never_carries_more_than_it_can(workers: int) -> None:
     tasks = alike(40, read=30, written=20)
-    assert simulate(tasks, Cluster(workers, storage_bytes_per_s=100.0)).wall_s == pytest.approx(20)
+    assert simulate(
+        tasks, ComputeCluster(workers, storage_bytes_per_s=100.0)
+    ).wall_s == pytest.approx(20)
 
 
 def test_a_link_holds_its_own_worker_back_and_no_other() -> None:
     tasks = alike(4, read=100)
     link = {"link_bytes_per_s": 50.0}
-    assert simulate(tasks, Cluster(1, **link)).wall_s == pytest.approx(8.0)
-    assert simulate(tasks, Cluster(4, **link)).wall_s == pytest.approx(2.0)
-    both = Cluster(4, storage_bytes_per_s=100.0, link_bytes_per_s=50.0)
+    assert simulate(tasks, ComputeCluster(1, **link)).wall_s == pytest.approx(8.0)
+    assert simulate(tasks, ComputeCluster(4, **link)).wall_s == pytest.approx(2.0)
+    both = ComputeCluster(4, storage_bytes_per_s=100.0, link_bytes_per_s=50.0)
     assert simulate(tasks, both).wall_s == pytest.approx(4.0)
 
 
 def test_a_transfer_goes_faster_when_another_one_is_over() -> None:
     tasks = [task("short", read=100), task("long", read=300)]
-    went = simulate(tasks, Cluster(2, storage_bytes_per_s=100.0))
+    went = simulate(tasks, ComputeCluster(2, storage_bytes_per_s=100.0))
     assert went.ended_s == pytest.approx({"short": 2.0, "long": 4.0})
 
 
 def test_a_transfer_that_begins_later_slows_one_that_goes_on() -> None:
     tasks = [task("long", read=300), task("late", cpu_s=1.0, written=100)]
-    went = simulate(tasks, Cluster(2, storage_bytes_per_s=100.0))
+    went = simulate(tasks, ComputeCluster(2, storage_bytes_per_s=100.0))
     assert went.ended_s == pytest.approx({"long": 4.0, "late": 3.0})
 
 
 def test_reading_of_one_goes_on_while_another_computes() -> None:
     tasks = alike(2, cpu_s=1.0, read=100)
-    assert simulate(tasks, Cluster(2, storage_bytes_per_s=100.0)).wall_s == pytest.approx(3.0)
-    assert simulate(tasks, Cluster(1, storage_bytes_per_s=100.0)).wall_s == pytest.approx(4.0)
+    assert simulate(tasks, ComputeCluster(2, storage_bytes_per_s=100.0)).wall_s == pytest.approx(
+        3.0
+    )
+    assert simulate(tasks, ComputeCluster(1, storage_bytes_per_s=100.0)).wall_s == pytest.approx(
+        4.0
+    )
 
 
 def test_the_scheduler_hands_out_one_task_after_another() -> None:
-    went = simulate(alike(100, cpu_s=0.5), Cluster(1000, scheduler_s=0.1))
+    went = simulate(alike(100, cpu_s=0.5), ComputeCluster(1000, scheduler_s=0.1))
     assert went.wall_s == pytest.approx(100 * 0.1 + 0.5)
     assert went.scheduling_s == pytest.approx(10.0)
 
 
 def test_a_scheduler_faster_than_the_workers_costs_each_round_its_own_time() -> None:
-    went = simulate(alike(5, cpu_s=2.0), Cluster(1, scheduler_s=0.25))
+    went = simulate(alike(5, cpu_s=2.0), ComputeCluster(1, scheduler_s=0.25))
     assert went.wall_s == pytest.approx(5 * 2.25)
 
 
@@ -103,7 +109,7 @@ def test_tasks_of_any_length_go_to_the_worker_that_is_free_first(workers: int) -
     for length_s in lengths_s:
         heapreplace(free_s, free_s[0] + length_s)
     tasks = [task(f"tile {k}", length_s) for k, length_s in enumerate(lengths_s)]
-    assert simulate(tasks, Cluster(workers)).wall_s == pytest.approx(max(free_s))
+    assert simulate(tasks, ComputeCluster(workers)).wall_s == pytest.approx(max(free_s))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -119,7 +125,7 @@ def test_no_survey_is_faster_than_any_of_its_bounds(seed: int) -> None:
         )
         for k in range(100)
     ]
-    cluster = Cluster(7, 0.01, storage_bytes_per_s=5000.0, link_bytes_per_s=2000.0)
+    cluster = ComputeCluster(7, 0.01, storage_bytes_per_s=5000.0, link_bytes_per_s=2000.0)
     went = simulate(tasks, cluster)
     assert went.wall_s >= went.computing_s / 7
     assert went.wall_s >= went.moved_bytes / 5000.0
@@ -141,4 +147,4 @@ def test_no_survey_is_faster_than_any_of_its_bounds(seed: int) -> None:
 )
 def test_a_cluster_that_cannot_be_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="a cluster"):
-        Cluster(**wrong)  # type: ignore[arg-type]
+        ComputeCluster(**wrong)  # type: ignore[arg-type]

@@ -10,13 +10,13 @@ import pytest
 from mapper_survey.request import read_survey
 from numpy.typing import NDArray
 from sonar_sim.errors import SceneError
-from studies.survey.dives import ALTITUDE_M, DEPTH_M, FULL, PAUSE_S, SMALL, Dive, dives
+from studies.survey.dives import ALTITUDE_M, DEPTH_M, FULL, PAUSE_S, SMALL, SimulatedDive, dives
 from studies.survey.make_dives import cut, flip, record, record_all, write_survey
 
 from oculus_driver.recording import describe, open_recording
 
 
-def short() -> Dive:
+def short() -> SimulatedDive:
     """A few pings of the small plan's first dive."""
     dive = dives(SMALL)[0]
     path = {
@@ -27,25 +27,29 @@ def short() -> Dive:
 
 
 @pytest.fixture(name="full", scope="module")
-def full_fixture() -> list[Dive]:
+def full_fixture() -> list[SimulatedDive]:
     """The dives of two hours."""
     return dives(FULL)
 
 
-def lines(dive: Dive) -> NDArray[np.float64]:
+def lines(dive: SimulatedDive) -> NDArray[np.float64]:
     """Corners of a dive's path, (6, 3)."""
     waypoints = dive.scene["trajectory"]["waypoints"]
     return np.array([waypoint["position_m"] for waypoint in waypoints])
 
 
-def test_the_full_survey_has_ten_dives_of_two_hours_one_after_the_other(full: list[Dive]) -> None:
+def test_the_full_survey_has_ten_dives_of_two_hours_one_after_the_other(
+    full: list[SimulatedDive],
+) -> None:
     assert len({dive.name for dive in full}) == 10
     assert sum(dive.duration_s for dive in full) >= 7200
     for before, after in pairwise(full):
         assert after.start_s == pytest.approx(before.start_s + before.duration_s + PAUSE_S)
 
 
-def test_dives_lie_beside_each_other_and_others_cross_all_of_them(full: list[Dive]) -> None:
+def test_dives_lie_beside_each_other_and_others_cross_all_of_them(
+    full: list[SimulatedDive],
+) -> None:
     first, second, crossing = (lines(full[k]) for k in (0, 1, FULL.along))
     assert second[0, 1] - first[-1, 1] == FULL.beside_m
     assert np.ptp(crossing[:, 1]) == FULL.width_m

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mapper_survey.cluster_simulation import Cluster, simulate
+from mapper_survey.cluster_simulation import ComputeCluster, simulate
 from mapper_survey.run_record import PAUSE_S, TaskTime, read_task_times, recorded_s
 from mapper_survey.scaling import LIMITS, scaling
 from mapper_survey.spool import NO_TIME, ROW, Rows
@@ -72,13 +72,13 @@ def test_maps_are_made_one_after_the_other(tasks: list[TaskTime]) -> None:
 
 
 def test_the_simulation_of_such_a_run_counts_each_task_once(tasks: list[TaskTime]) -> None:
-    alone = simulate(tasks, Cluster(1))
+    alone = simulate(tasks, ComputeCluster(1))
     assert alone.wall_s == pytest.approx(sum(task.cpu_s for task in tasks))
-    many = simulate(tasks, Cluster(1000))
+    many = simulate(tasks, ComputeCluster(1000))
     for task in tasks:
         began_s = many.ended_s[task.name] - task.cpu_s
         assert all(many.ended_s[name] <= began_s + 1e-9 for name in task.after)
-    for step in scaling(tasks, Cluster(1), [1, 7, 1000]):
+    for step in scaling(tasks, ComputeCluster(1), [1, 7, 1000]):
         assert step.saved.keys() == LIMITS.keys()
         assert step.speedup <= step.workers + 1e-9
 

@@ -1,7 +1,7 @@
 """Which limit is named: in surveys made so that it is known."""
 
 import pytest
-from mapper_survey.cluster_simulation import Cluster, simulate
+from mapper_survey.cluster_simulation import ComputeCluster, simulate
 from mapper_survey.run_record import Kind, TaskTime
 from mapper_survey.scaling import LIMITS, scaling, without
 
@@ -40,12 +40,12 @@ def survey(
     return [*plans, *tiles, merge]
 
 
-def bottleneck(tasks: list[TaskTime], workers: int, cluster: Cluster | None = None) -> str:
-    return scaling(tasks, cluster or Cluster(1), [workers])[0].bottleneck
+def bottleneck(tasks: list[TaskTime], workers: int, cluster: ComputeCluster | None = None) -> str:
+    return scaling(tasks, cluster or ComputeCluster(1), [workers])[0].bottleneck
 
 
 def test_few_workers_are_the_bottleneck_and_the_speedup_is_their_number() -> None:
-    steps = scaling(survey(), Cluster(1), [1, 2, 10])
+    steps = scaling(survey(), ComputeCluster(1), [1, 2, 10])
     assert [step.bottleneck for step in steps] == ["workers"] * 3
     assert [step.speedup for step in steps] == pytest.approx([1, 2, 10], rel=0.01)
     assert [step.efficiency for step in steps] == pytest.approx([1, 1, 1], rel=0.01)
@@ -56,18 +56,18 @@ def test_each_other_bottleneck_is_named() -> None:
     assert bottleneck(survey(tile_s=(40.0, *(1.0,) * 199)), 1000) == "tiles"
     assert bottleneck(survey(merge_s=30.0), 1000) == "merge"
     heavy = survey(tile_bytes=1000)
-    assert bottleneck(heavy, 1000, Cluster(1, storage_bytes_per_s=5000.0)) == "storage"
-    assert bottleneck(heavy, 1000, Cluster(1, link_bytes_per_s=100.0)) == "links"
-    assert bottleneck(survey(), 1000, Cluster(1, scheduler_s=0.1)) == "scheduler"
+    assert bottleneck(heavy, 1000, ComputeCluster(1, storage_bytes_per_s=5000.0)) == "storage"
+    assert bottleneck(heavy, 1000, ComputeCluster(1, link_bytes_per_s=100.0)) == "links"
+    assert bottleneck(survey(), 1000, ComputeCluster(1, scheduler_s=0.1)) == "scheduler"
 
 
 def test_a_survey_without_work_has_no_bottleneck() -> None:
-    step = scaling(survey((0.0,), (0.0,), 0.0), Cluster(1), [10])[0]
+    step = scaling(survey((0.0,), (0.0,), 0.0), ComputeCluster(1), [10])[0]
     assert (step.bottleneck, step.speedup) == ("none alone", 1.0)
 
 
 def test_what_a_limit_costs_is_what_its_absence_saves() -> None:
-    step = scaling(survey(merge_s=18.0), Cluster(1), [1000])[0]
+    step = scaling(survey(merge_s=18.0), ComputeCluster(1), [1000])[0]
     assert step.wall_s == pytest.approx(1.0 + 1.0 + 18.0)
     assert step.saved["merge"] == pytest.approx(18.0 / 20.0)
     assert step.saved["scheduler"] == 0.0
@@ -75,7 +75,7 @@ def test_what_a_limit_costs_is_what_its_absence_saves() -> None:
 
 @pytest.mark.parametrize("workers", [1, 3, 30])
 def test_tasks_in_pieces_are_the_same_work_and_keep_their_places(workers: int) -> None:
-    tasks, cluster = survey((4.0, 2.0), (3.0, 9.0), 1.0, tile_bytes=77), Cluster(workers)
+    tasks, cluster = survey((4.0, 2.0), (3.0, 9.0), 1.0, tile_bytes=77), ComputeCluster(workers)
     for limit in ("recordings", "tiles"):
         went = without(limit, tasks, cluster)
         assert went.computing_s == pytest.approx(19.0)
@@ -91,7 +91,7 @@ def test_tasks_in_pieces_are_the_same_work_and_keep_their_places(workers: int) -
 @pytest.mark.parametrize("limit", LIMITS)
 def test_no_survey_is_slower_without_a_limit_where_workers_share_nothing(limit: str) -> None:
     tasks = survey(tuple(float(k) for k in range(10)), merge_s=2.0, tile_bytes=1000)
-    cluster = Cluster(50, 0.001, link_bytes_per_s=1e4)
+    cluster = ComputeCluster(50, 0.001, link_bytes_per_s=1e4)
     assert scaling(tasks, cluster, [50])[0].saved[limit] >= -1e-9
 
 
@@ -115,9 +115,9 @@ def two_maps() -> list[TaskTime]:
 
 @pytest.mark.parametrize("tasks", [two_maps(), two_maps()[::-1]])
 def test_maps_that_are_made_one_after_the_other_stay_so_in_pieces(tasks: list[TaskTime]) -> None:
-    assert simulate(tasks, Cluster(9)).wall_s == pytest.approx(2 + 3 + 4 + 0.5 + 6 + 0.25)
-    went = without("tiles", tasks, Cluster(4))
+    assert simulate(tasks, ComputeCluster(9)).wall_s == pytest.approx(2 + 3 + 4 + 0.5 + 6 + 0.25)
+    went = without("tiles", tasks, ComputeCluster(4))
     assert went.ended_s["merge"] == pytest.approx(2.0 + 8.0 / 4 + 0.5)
     assert went.wall_s == pytest.approx(4.5 + 8.0 / 4 + 0.25)
-    assert without("recordings", tasks, Cluster(4)).wall_s == pytest.approx(0.5 + 13.75)
+    assert without("recordings", tasks, ComputeCluster(4)).wall_s == pytest.approx(0.5 + 13.75)
     assert went.computing_s == pytest.approx(18.75)

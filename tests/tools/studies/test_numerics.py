@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studies.numerics.growth import Curve, Panel
+from studies.numerics.growth import Curve, GrowthPanel
 from studies.numerics.run import GROWTHS, PAGE, PICTURE, PLACES, growth_table, places_table
-from studies.numerics.single_places import Measured
+from studies.numerics.single_places import SingleError
 from studies.numerics.sources import MEASURED, NOT_MEASURED
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -26,7 +26,7 @@ MAX_ERRORS = {
 @pytest.mark.parametrize("grow", GROWTHS, ids=lambda grow: grow.__name__)
 def test_ours_stays_near_the_oracle(grow: object) -> None:
     assert callable(grow)
-    panel: Panel = grow(500)
+    panel: GrowthPanel = grow(500)
     assert panel.updates[-1] == 500
     ours, *others = panel.curves
     assert ours.ours
@@ -74,10 +74,10 @@ def test_tables_report_where_numbers_end() -> None:
         Curve("ours", np.array([0.0, 1e-9]), ours=True),
         Curve("plain", np.array([1, np.nan]), ours=False),
     )
-    table = growth_table([Panel("sums", "m", np.array([1, 1000]), curves, "fractions")])
+    table = growth_table([GrowthPanel("sums", "m", np.array([1, 1000]), curves, "fractions")])
     assert "| sums | ours | m | 0 | 1.0e-09 | fractions |" in table
     assert "| sums | plain | m | 1.0e+00 | no number | fractions |" in table
-    row = places_table([(PLACES[0], Measured("1 m", "lost"))]).splitlines()[-1]
+    row = places_table([(PLACES[0], SingleError("1 m", "lost"))]).splitlines()[-1]
     assert row.endswith(f"| 1 m | lost | {PLACES[0].enough} | of the product |")
-    row = places_table([(replace(PLACES[0], numpy="so"), Measured("1 m", "lost"))])
+    row = places_table([(replace(PLACES[0], numpy="so"), SingleError("1 m", "lost"))])
     assert row.endswith("| in numpy: so |")

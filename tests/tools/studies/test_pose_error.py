@@ -4,21 +4,32 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studies.pose_error import START_NS, TARGET, Dive, by_odometry, by_truth, pings_of, rms, table
+from studies.pose_error import (
+    START_NS,
+    TARGET,
+    CircularDive,
+    by_odometry,
+    by_truth,
+    pings_of,
+    rms,
+    table,
+)
 from studies.report import write_section
 
 
 @pytest.fixture(scope="module")
-def dive() -> Dive:
-    return Dive(seconds=9.0, ping_hz=2.0, posts=40, rows=300, voxel_m=0.07)
+def dive() -> CircularDive:
+    return CircularDive(seconds=9.0, ping_hz=2.0, posts=40, rows=300, voxel_m=0.07)
 
 
 @pytest.fixture(scope="module")
-def perfect_m(dive: Dive) -> float:
+def perfect_m(dive: CircularDive) -> float:
     return rms(dive.errors_m(by_truth(dive, dive.config())))
 
 
-def test_odometry_with_jitter_and_drift_is_as_good_as_asked(dive: Dive, perfect_m: float) -> None:
+def test_odometry_with_jitter_and_drift_is_as_good_as_asked(
+    dive: CircularDive, perfect_m: float
+) -> None:
     found_m = rms(dive.errors_m(by_odometry(dive, dive.config())))
     assert found_m <= TARGET * perfect_m
     rigid_m = rms(dive.errors_m(by_odometry(dive, dive.config(motion=False))))
@@ -26,18 +37,18 @@ def test_odometry_with_jitter_and_drift_is_as_good_as_asked(dive: Dive, perfect_
 
 
 @pytest.mark.parametrize("policy", ["nearest", "latest"])
-def test_other_policies_are_worse(dive: Dive, perfect_m: float, policy: str) -> None:
+def test_other_policies_are_worse(dive: CircularDive, perfect_m: float, policy: str) -> None:
     found_m = rms(dive.errors_m(by_odometry(dive, dive.config(policy))))
     assert found_m > 1.1 * perfect_m
 
 
-def test_arrivals_alone_would_not_do(dive: Dive, perfect_m: float) -> None:
+def test_arrivals_alone_would_not_do(dive: CircularDive, perfect_m: float) -> None:
     found_m = rms(dive.errors_m(by_odometry(dive, dive.config(), stamped=False)))
     assert found_m > TARGET * perfect_m
 
 
 def test_image_of_a_slow_vehicle_is_where_the_posts_are() -> None:
-    still = Dive(speed_mps=1e-6, rate_dps=1e-5, seconds=2.0, posts=5, rows=3000, beams=4096)
+    still = CircularDive(speed_mps=1e-6, rate_dps=1e-5, seconds=2.0, posts=5, rows=3000, beams=4096)
     ping = pings_of(still, still.ping(0), START_NS)
     row, beam = np.nonzero(ping.image)
     place_m = still.base_T_sonar[:2, 3]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from studies import scan_truth
 from studies.scan_picture import draw_scan
-from studies.scan_truth import PLACES, Look, look
+from studies.scan_truth import PLACES, JudgedScan, look
 
 if TYPE_CHECKING:
     from sonar_sim.propagation.ground_truth import Truth
@@ -18,7 +18,7 @@ PINGS = 6
 
 
 @pytest.fixture(scope="module", params=PLACES, ids=lambda place: place.scene)
-def looks(request: pytest.FixtureRequest) -> tuple[str, list[Look]]:
+def looks(request: pytest.FixtureRequest) -> tuple[str, list[JudgedScan]]:
     return request.param.scene, look(request.param, PINGS, seed=5)
 
 
@@ -27,7 +27,7 @@ MIN_TRUE = {"harbour": 0.7, "tank": 0.8}
 
 
 def test_most_returns_are_within_a_cell_of_the_first_surface(
-    looks: tuple[str, list[Look]],
+    looks: tuple[str, list[JudgedScan]],
 ) -> None:
     scene, made = looks
     true = np.concatenate([one.true[one.sure] for one in made])
@@ -35,14 +35,14 @@ def test_most_returns_are_within_a_cell_of_the_first_surface(
     assert true.mean() > MIN_TRUE[scene]
 
 
-def test_most_surfaces_that_beams_look_at_are_found(looks: tuple[str, list[Look]]) -> None:
+def test_most_surfaces_that_beams_look_at_are_found(looks: tuple[str, list[JudgedScan]]) -> None:
     _, made = looks
     assert sum(int((one.true & one.sure).sum()) for one in made) > 0.6 * sum(
         one.seen for one in made
     )
 
 
-def test_report_names_place_and_shares(looks: tuple[str, list[Look]]) -> None:
+def test_report_names_place_and_shares(looks: tuple[str, list[JudgedScan]]) -> None:
     scene, made = looks
     place = next(place for place in PLACES if place.scene == scene)
     assert scan_truth.report(place, made).startswith(f"{scene}: {PINGS} pings, ")
@@ -57,7 +57,7 @@ def test_truth_is_the_first_surface_of_the_beam_s_directions() -> None:
     assert [sorted(set(row[np.isfinite(row)])) for row in found] == [[5.0], [7.0], []]
 
 
-def test_picture_shows_every_return(looks: tuple[str, list[Look]]) -> None:
+def test_picture_shows_every_return(looks: tuple[str, list[JudgedScan]]) -> None:
     _, made = looks
     plain = draw_scan(made[0].echo, made[0].scan)
     judged = draw_scan(made[0].echo, made[0].scan, np.zeros(len(made[0].scan), dtype=np.bool_))

@@ -17,8 +17,8 @@ from studies.survey.make_dives import write_survey as write_study
 from studies.survey.run import Judged, Single, kill_every_s, main, verdicts_of
 from studies.survey.runs import (
     Fingerprint,
+    RunUsage,
     SchedulerTime,
-    Watched,
     fingerprint,
     map_in_one_process,
     peak_bytes,
@@ -57,7 +57,7 @@ def judged(
     peak: int = MEMORY_BYTES,
 ) -> Judged:
     reported: dict[str, list[object]] = {f"dive-{k}": ["cut"] for k in range(lost)}
-    return Judged(Watched(2, wall_s, 1.0, peak, killed), 200.0, found, reported)
+    return Judged(RunUsage(2, wall_s, 1.0, peak, killed), 200.0, found, reported)
 
 
 def hold(results: dict[str, Judged], single: Single, *, long: bool) -> bool:
@@ -154,9 +154,9 @@ def test_the_study_goes_through_to_its_report(
         write_study(out, dives)
         return dives
 
-    def watched(survey: Path, out: Path, workers: int, *_: object, **__: object) -> Watched:
+    def watched(survey: Path, out: Path, workers: int, *_: object, **__: object) -> RunUsage:
         run_here(survey, out)
-        return Watched(workers, 1.0, 1.0, 1, 0)
+        return RunUsage(workers, 1.0, 1.0, 1, 0)
 
     monkeypatch.setattr("studies.survey.run.make", made)
     monkeypatch.setattr("studies.survey.run.watch", watched)

@@ -12,7 +12,7 @@ from sonar_sim.classic import pipeline as snr
 from sonar_sim.classic import scan
 from sonar_sim.classic import scan as visual
 from sonar_sim.classic.pipeline import ClassicImages, classic_camera, classic_images, places
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.raycast.depth_camera import DepthCamera, Pinhole
 from sonar_sim.scene.material import MATERIALS
@@ -364,7 +364,7 @@ def nothing_else() -> Defect:
     scans = []
     for name in ("mud", "rusty_steel"):
         scene = Scene((Surface("board", BOARD_M, FACES, MATERIALS[name]),))
-        view = DepthCamera(scene).look(classic_camera(), Pose(np.zeros(3), np.eye(3)))
+        view = DepthCamera(scene).look(classic_camera(), FramePose(np.zeros(3), np.eye(3)))
         scans.append(classic_images(view.depth_m).raw_scan)
     changed = float(np.count_nonzero(scans[0] != scans[1]))
     louder_db = MATERIALS["rusty_steel"].lambert_db - MATERIALS["mud"].lambert_db

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sonar_sim.errors import SonarSimError
-from sonar_sim.geometry.pose import Pose, rotation_of
+from sonar_sim.geometry.pose import FramePose, rotation_of
 from sonar_sim.geometry.trajectory import Trajectory
 
 POSE_NUMBERS = 6
@@ -15,7 +15,7 @@ MAX_PIXELS = 1 << 24
 """Limit of a camera's pixels: some GB of arrays."""
 
 
-def pose(text: str) -> Pose:
+def pose(text: str) -> FramePose:
     """Read `x,y,z,roll,pitch,yaw` in metres and degrees."""
     try:
         numbers = [float(part) for part in text.split(",")]
@@ -24,7 +24,7 @@ def pose(text: str) -> Pose:
     if len(numbers) != POSE_NUMBERS or not all(map(math.isfinite, numbers)):
         raise argparse.ArgumentTypeError(f"{text!r} is not x,y,z,roll,pitch,yaw (metres, degrees)")
     roll, pitch, yaw = (math.radians(number) for number in numbers[3:])
-    return Pose(np.array(numbers[:3]), rotation_of(roll, pitch, yaw))
+    return FramePose(np.array(numbers[:3]), rotation_of(roll, pitch, yaw))
 
 
 def size(text: str) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from oculus_driver.render import COLOURS, Style
 from sonar_sim.classic import classic_camera
 from sonar_sim.classic.writer import write_classic
 from sonar_sim.command.arguments import OK, count, names, pose, positive, seed, size, time_on
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.products import PRODUCTS, ProductRenderer, write_products
 from sonar_sim.products.writer import ProductSettings
 from sonar_sim.raycast.depth_camera import DepthCamera, pinhole_of
@@ -22,7 +22,7 @@ from sonar_sim.scene_file import load_scenario
 NAME = "render"
 HELP = "write pings of a scene with their ground truth as PNG, NPZ and PLY"
 
-Draw = Callable[[Path, int, float, Pose], list[Path]]
+Draw = Callable[[Path, int, float, FramePose], list[Path]]
 """Writes a ping into a folder: number, time, and the sonar's pose."""
 
 
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     return OK
 
 
-def _stops(args: argparse.Namespace, scenario: Scenario) -> Iterator[tuple[float, Pose]]:
+def _stops(args: argparse.Namespace, scenario: Scenario) -> Iterator[tuple[float, FramePose]]:
     """Time and sonar's pose of each ping, evenly over the trajectory."""
     if args.pose is not None:
         yield 0.0, args.pose
@@ -95,7 +95,7 @@ def _physical(args: argparse.Namespace, scenario: Scenario) -> Draw:
     style = Style(height_px=args.height, colours=args.colours)
     look = ProductSettings(style, args.scan_rows)
 
-    def draw(folder: Path, ping_id: int, time_s: float, map_T_sonar: Pose) -> list[Path]:  # noqa: N803
+    def draw(folder: Path, ping_id: int, time_s: float, map_T_sonar: FramePose) -> list[Path]:  # noqa: N803
         moving = None if args.pose is not None else sonar_motion(scenario, time_s)
         sounding = sounder.at(map_T_sonar, ping_id, time_s, moving)
         return write_products(folder, sounding, args.only, look)
@@ -107,7 +107,7 @@ def _classic(args: argparse.Namespace, scenario: Scenario) -> Draw:
     """The published pipeline's products, from the same place."""
     camera = classic_camera(*(args.camera or (760, 169)))
 
-    def draw(folder: Path, ping_id: int, time_s: float, map_T_sonar: Pose) -> list[Path]:  # noqa: N803
+    def draw(folder: Path, ping_id: int, time_s: float, map_T_sonar: FramePose) -> list[Path]:  # noqa: N803
         view = DepthCamera(scenario.scene, time_s).look(camera, map_T_sonar)
         return write_classic(folder, view, args.seed + ping_id)
 

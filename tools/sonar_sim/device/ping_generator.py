@@ -15,7 +15,7 @@ from oculus_driver.virtual_sonar.resample import with_settings_echo
 from oculus_driver.wire import FireFlags
 from sonar_sim.device.fire_settings import BITS_32, part_number_of, settings_for
 from sonar_sim.effects.plan import AUTO, EffectWarning
-from sonar_sim.geometry.pose import Mounting, Pose, SonarMotion
+from sonar_sim.geometry.pose import FramePose, Mounting, SonarMotion
 from sonar_sim.receiver.gain import gain_db
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
@@ -32,7 +32,7 @@ SIMULATORS_KEPT = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PingTime:
+class TransmitState:
     """A ping's number, times, and the vehicle's state at the transmission.
 
     Attributes:
@@ -46,7 +46,7 @@ class PingTime:
     ping_id: int
     boot_s: float
     time_s: float
-    map_T_base: Pose  # noqa: N815 frames are named
+    map_T_base: FramePose  # noqa: N815 frames are named
     velocity_mps: NDArray[np.float64]
     turn_rates_rps: NDArray[np.float64]
 
@@ -89,7 +89,7 @@ class PingGenerator:
         """The sonar as the fire message sets it."""
         return settings_for(demand, self._sonar, self._scene.water)
 
-    def make(self, demand: FireRequest, when: PingTime) -> bytes:
+    def make(self, demand: FireRequest, when: TransmitState) -> bytes:
         """Simulate a ping and encode it.
 
         Args:
@@ -106,7 +106,7 @@ class PingGenerator:
         image: NDArray[Any] = ping.image  # whole numbers, as quantisation is always on
         return self._encoded(demand, sonar, image, when)
 
-    def _motion(self, when: PingTime) -> SonarMotion:
+    def _motion(self, when: TransmitState) -> SonarMotion:
         """Of the sonar, which sits off the vehicle's origin."""
         mounting = self._mounting.pose
         body_mps = when.velocity_mps + np.cross(when.turn_rates_rps, mounting.position_m)
@@ -120,7 +120,7 @@ class PingGenerator:
         demand: FireRequest,
         sonar: SonarSettings,
         image: NDArray[Any],
-        when: PingTime,
+        when: TransmitState,
     ) -> bytes:
         water, map_T_base = self._scene.water, when.map_T_base  # noqa: N806 frames are named
         depth_m = max(0.0, -float(map_T_base.position_m[2]))
@@ -172,7 +172,7 @@ class PingGenerator:
         return whole
 
 
-def _tilt_deg(map_T_base: Pose) -> tuple[float, float]:  # noqa: N803 frames are named
+def _tilt_deg(map_T_base: FramePose) -> tuple[float, float]:  # noqa: N803 frames are named
     """Roll, positive to starboard, and pitch, positive nose up."""
     up = map_T_base.rotation[2]
     return math.degrees(math.atan2(up[1], up[2])), math.degrees(math.asin(np.clip(up[0], -1, 1)))

@@ -19,7 +19,7 @@ from oculus_driver.virtual_sonar.server import VirtualSonar
 from sonar_sim.device.simulated_device import SimulatedDevice
 from sonar_sim.effects.plan import AUTO, EffectSelection
 from sonar_sim.errors import SonarSimError
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.geometry.trajectory import Trajectory
 from sonar_sim.navigation.odometry_output import OdometryOutput, OdometrySender
 from sonar_sim.scene.scenario import Scenario
@@ -46,7 +46,7 @@ class Route(Trajectory):
         self._ends = ends
         self.duration_s = trajectory.duration_s if ends == "stop" else DAY_S
 
-    def pose(self, time_s: float) -> Pose:
+    def pose(self, time_s: float) -> FramePose:
         """The base in the map frame."""
         return self._there.pose(self._place(time_s)[0])
 

@@ -9,7 +9,7 @@ from oculus_driver.sound_speed import pressure_bar_at
 from oculus_driver.virtual_sonar.device import FireRequest, Identity, VirtualDevice
 from sonar_sim.capture import POWER_UP_S
 from sonar_sim.device.fire_settings import PROCESSING_S, initial_request, listening_s, period_s
-from sonar_sim.device.ping_generator import PingGenerator, PingTime
+from sonar_sim.device.ping_generator import PingGenerator, TransmitState
 from sonar_sim.effects.plan import AUTO
 from sonar_sim.geometry.trajectory import Trajectory
 from sonar_sim.scene.scenario import Scenario
@@ -147,7 +147,7 @@ class SimulatedDevice(VirtualDevice):
         transmit_s = max(self._transmit_s, self._clock())
         sonar = self._maker.settings(demand)
         map_T_base = self._route.pose(transmit_s)  # noqa: N806 frames are named
-        when = PingTime(
+        when = TransmitState(
             self._next_id,
             transmit_s - self._boot_s,
             transmit_s,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sonar_sim.effects.echoes import COLUMNS, CoarseFan, Echoes
 from sonar_sim.effects.image_difference import Tolerance, level_change_db
 from sonar_sim.geometry.matmul import chunked_matmul
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.propagation.beam_pattern import (
     azimuth_amplitude,
     main_lobe_end,
@@ -183,7 +183,7 @@ def cloud_filling(
     cloud: Cloud,
     grid: CoarseGrid,
     fan: CoarseFan,
-    map_T_sonar: Pose,  # noqa: N803 frames in the name
+    map_T_sonar: FramePose,  # noqa: N803 frames in the name
     end_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Part of each cell's listened water that a cloud fills, as bright as it is, (rows, COLUMNS).

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.raycast import meshes
 from sonar_sim.raycast.fan import solid_angle_sr
 from sonar_sim.scene.material import specular_lobe
@@ -228,7 +228,7 @@ def coarse_echoes(
     scene: Scene,
     sonar: SonarSettings,
     fan: CoarseFan,
-    map_T_sonar: Pose,  # noqa: N803 frames in the name
+    map_T_sonar: FramePose,  # noqa: N803 frames in the name
     met: CoarseHits,
 ) -> Echoes:
     """Give what the rays met its scattering strengths; what is out of range is left out."""

@@ -31,7 +31,7 @@ from sonar_sim.effects.plan import AUTO, Decision, EffectPlan, EffectSelection
 from sonar_sim.effects.preview import PingInstance, PingPreview
 from sonar_sim.effects.previewer import Previewer
 from sonar_sim.effects.registry import EFFECTS
-from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.physics import Physics
 
 MARGIN_DB = 1.5
@@ -127,10 +127,10 @@ class _Cell:
         return np.array(self.position) * self.step_m
 
     @property
-    def pose(self) -> Pose:
+    def pose(self) -> FramePose:
         """From which all its pings are looked from."""
         turned = Rotation.from_rotvec(np.array(self.turned) * ANGLE_RAD)
-        return Pose(self.middle_m, turned.as_matrix())
+        return FramePose(self.middle_m, turned.as_matrix())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,7 +171,7 @@ class Planner:
 
     def at(
         self,
-        map_T_sonar: Pose,  # noqa: N803 frames in the name
+        map_T_sonar: FramePose,  # noqa: N803 frames in the name
         ping_id: int = 0,
         time_s: float = 0.0,
         motion: SonarMotion | None = None,
@@ -184,7 +184,7 @@ class Planner:
         view = self._look.at(map_T_sonar, ping_id, time_s)
         return self._own(self._judged(view, view), ping)
 
-    def _near(self, map_T_sonar: Pose, time_s: float) -> _Cell | None:  # noqa: N803
+    def _near(self, map_T_sonar: FramePose, time_s: float) -> _Cell | None:  # noqa: N803
         """The ping's cell, unless its middle is behind a wall."""
         for parts in CELLS_IN_RANGE:
             cell = self._cell(map_T_sonar, time_s, self._look.sonar.range_m / parts)
@@ -226,13 +226,13 @@ class Planner:
             own = own.with_more(more)
         return PlannedPing(shared.plan.with_more(own), physics, view)
 
-    def _clouds_near(self, map_T_sonar: Pose) -> bool:  # noqa: N803
+    def _clouds_near(self, map_T_sonar: FramePose) -> bool:  # noqa: N803
         position_m, reach_m = map_T_sonar.position_m, self._look.sonar.range_m
         clouds = self._look.scene.clouds
         nearest = (np.clip(position_m, cloud.low_m, cloud.high_m) for cloud in clouds)
         return any(np.linalg.norm(point_m - position_m) < reach_m for point_m in nearest)
 
-    def _cell(self, pose: Pose, time_s: float, step_m: float) -> _Cell:
+    def _cell(self, pose: FramePose, time_s: float, step_m: float) -> _Cell:
         return _Cell(
             position=_rounded(pose.position_m, step_m),
             step_m=step_m,

@@ -21,7 +21,7 @@ from sonar_sim.effects.coarse_picture import (
 from sonar_sim.effects.echoes import COLUMNS, CoarseFan, Echoes
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.planes import MirrorPlane
-from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.physics import Cloud
 from sonar_sim.raycast.meshes import Meshes
@@ -63,7 +63,7 @@ class VisibleCloud:
 class PingInstance:
     """What a ping has of its own when several are decided by one look."""
 
-    map_T_sonar: Pose  # noqa: N815 frames in the name
+    map_T_sonar: FramePose  # noqa: N815 frames in the name
     ping_id: int
     time_s: float
     motion: SonarMotion | None
@@ -91,7 +91,7 @@ class PingPreview:
 
     scene: Scene
     sonar: SonarSettings
-    map_T_sonar: Pose  # noqa: N815 frames in the name
+    map_T_sonar: FramePose  # noqa: N815 frames in the name
     motion: SonarMotion | None
     time_s: float
     ping_id: int
@@ -112,7 +112,7 @@ class PingPreview:
         return own
 
     @property
-    def own_pose(self) -> Pose:
+    def own_pose(self) -> FramePose:
         """Of the ping itself."""
         return self.map_T_sonar if self.ping is None else self.ping.map_T_sonar
 

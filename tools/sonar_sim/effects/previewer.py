@@ -18,7 +18,7 @@ from sonar_sim.effects.echoes import (
 from sonar_sim.effects.planes import mirror_planes
 from sonar_sim.effects.preview import PingPreview
 from sonar_sim.geometry.matmul import chunked_matmul
-from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.raycast.meshes import Meshes
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.sonar import SonarSettings
@@ -74,7 +74,7 @@ class Previewer:
 
     def at(
         self,
-        map_T_sonar: Pose,  # noqa: N803
+        map_T_sonar: FramePose,  # noqa: N803
         ping_id: int = 0,
         time_s: float = 0.0,
         motion: SonarMotion | None = None,
@@ -139,7 +139,7 @@ class Previewer:
         behind.turn[hit] = met.turn
         return behind
 
-    def _points(self, map_T_sonar: Pose, time_s: float) -> Echoes:  # noqa: N803
+    def _points(self, map_T_sonar: FramePose, time_s: float) -> Echoes:  # noqa: N803
         """The scene's point targets ahead and in range; what hides them is not asked."""
         targets = self._scene.targets
         point_m = np.array([t.position_at_m(time_s) for t in targets]).reshape(-1, 3)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pose:
+class FramePose:
     """Where a frame stands in its parent.
 
     Attributes:
@@ -19,9 +19,9 @@ class Pose:
     position_m: NDArray[np.float64]
     rotation: NDArray[np.float64]
 
-    def __matmul__(self, child: "Pose") -> "Pose":
+    def __matmul__(self, child: "FramePose") -> "FramePose":
         """Chain: the child's pose, given in this frame, in this frame's parent."""
-        return Pose(
+        return FramePose(
             self.position_m + self.rotation @ child.position_m, self.rotation @ child.rotation
         )
 
@@ -41,12 +41,12 @@ class Mounting:
     yaw_deg: float = 0.0
 
     @property
-    def pose(self) -> Pose:
+    def pose(self) -> FramePose:
         """The sonar frame in the base frame."""
         rotation = rotation_of(
             math.radians(self.roll_deg), math.radians(self.pitch_deg), math.radians(self.yaw_deg)
         )
-        return Pose(np.asarray(self.position_m, dtype=np.float64), rotation)
+        return FramePose(np.asarray(self.position_m, dtype=np.float64), rotation)
 
 
 def rotation_of(roll_rad: float, pitch_rad: float, yaw_rad: float) -> NDArray[np.float64]:
@@ -102,11 +102,11 @@ class SonarMotion:
     linear_mps: NDArray[np.float64]
     angular_rps: NDArray[np.float64]
 
-    def pose(self, start: Pose, time_s: float) -> Pose:
+    def pose(self, start: FramePose, time_s: float) -> FramePose:
         """The sonar's pose a while after `start`."""
         turn = rotation_by(np.asarray(self.angular_rps) * time_s)
         moved = start.position_m + np.asarray(self.linear_mps) * time_s
-        return Pose(moved, start.rotation @ turn)
+        return FramePose(moved, start.rotation @ turn)
 
 
 def rotation_by(vector_rad: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from sonar_sim.errors import SceneError
-from sonar_sim.geometry.pose import Pose, rotation_of
+from sonar_sim.geometry.pose import FramePose, rotation_of
 
 KNOT_S = 0.05
 SHORTEST_S, LONGEST_S = 0.01, 1e5
@@ -76,11 +76,11 @@ class Trajectory:
         )
         self._state = CubicSpline(knots_s, _with_waves(knots_s, rounded, motion))
 
-    def pose(self, time_s: float) -> Pose:
+    def pose(self, time_s: float) -> FramePose:
         """The base in the map frame."""
         x, y, z, yaw, roll, pitch = self._state(time_s)
         rotation = rotation_of(math.radians(roll), math.radians(pitch), math.radians(yaw))
-        return Pose(np.array([x, y, z]), rotation)
+        return FramePose(np.array([x, y, z]), rotation)
 
     def velocity_mps(self, time_s: float) -> NDArray[np.float64]:
         """Velocity in the body frame, (3,)."""
@@ -115,7 +115,7 @@ STILL: Triple = (0.0, 0.0, 0.0)
 class ObjectMotion(Protocol):
     """Where an object is at a time. It has to be sendable to another process."""
 
-    def pose(self, time_s: float) -> Pose:
+    def pose(self, time_s: float) -> FramePose:
         """The object's frame in the map, map_T_object."""
 
 
@@ -145,14 +145,14 @@ class Drift:
     period_s: float = 10.0
     phase_deg: float = 0.0
 
-    def pose(self, time_s: float) -> Pose:
+    def pose(self, time_s: float) -> FramePose:
         """The object's frame in the map."""
         swing = math.sin(2.0 * math.pi * time_s / self.period_s + math.radians(self.phase_deg))
         start = np.add(self.position_m, np.multiply(self.velocity_mps, time_s))
         yaw_deg = self.yaw_deg + self.yaw_rate_dps * time_s
         steady_deg = (self.roll_deg, self.pitch_deg, yaw_deg)
         attitude_rad = np.radians(np.add(steady_deg, np.multiply(self.swing_deg, swing)))
-        return Pose(
+        return FramePose(
             start + np.multiply(self.swing_m, swing),
             rotation_of(*attitude_rad),
         )
@@ -168,6 +168,6 @@ class Tour:
 
     path: Trajectory
 
-    def pose(self, time_s: float) -> Pose:
+    def pose(self, time_s: float) -> FramePose:
         """The object's frame in the map."""
         return self.path.pose(time_s % self.path.duration_s)

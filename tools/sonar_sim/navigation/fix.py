@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oculus_driver.sound_speed import pressure_bar_at
-from sonar_sim.geometry.pose import Pose, quaternion_of
+from sonar_sim.geometry.pose import FramePose, quaternion_of
 from sonar_sim.scene.vehicle import OdometryErrors, OdometrySample, Vehicle
 from sonar_sim.scene.water import Water
 
@@ -114,7 +114,7 @@ class Fix:
         )
 
 
-def ned_R_frd(pose: Pose) -> NDArray[np.float64]:  # noqa: N802 frames are named
+def ned_R_frd(pose: FramePose) -> NDArray[np.float64]:  # noqa: N802 frames are named
     """Attitude of a base in the map, (3, 3), from FRD to NED."""
     rotation: NDArray[np.float64] = NED_R_ENU @ pose.rotation @ FRD_R_FLU
     return rotation

@@ -10,14 +10,14 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from sonar_sim.capture import POWER_UP_S
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.geometry.trajectory import Trajectory
 from sonar_sim.navigation.fix import Fix
 from sonar_sim.navigation.formats import Format, format_named
 from sonar_sim.navigation.links import OdometryLink, link_named
 from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene.scene import Scene
-from sonar_sim.scene.vehicle import Odometry, OdometrySample
+from sonar_sim.scene.vehicle import OdometrySample, SimulatedOdometry
 
 __all__ = ["OdometryOutput", "OdometrySender", "output_named"]
 
@@ -30,7 +30,7 @@ class Altimeter:
         self._scene = EmbreeScene()
         self._mesh = TriangleMesh(self._scene, triangles) if len(triangles) else None
 
-    def altitude_m(self, map_T_base: Pose) -> float | None:  # noqa: N803 frames are named
+    def altitude_m(self, map_T_base: FramePose) -> float | None:  # noqa: N803 frames are named
         """Distance to the first surface below; None where nothing is."""
         if self._mesh is None:
             return None
@@ -91,7 +91,7 @@ class OdometrySender:
         self._scenario = scenario
         self._route = route
         self._unix_ns = unix_ns
-        self._odometry = Odometry(route, scenario.vehicle, seed)
+        self._odometry = SimulatedOdometry(route, scenario.vehicle, seed)
         self._altimeter = Altimeter(scenario.scene)
 
     async def open(self) -> None:

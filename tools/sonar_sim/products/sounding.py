@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import AUTO, Choice
 from sonar_sim.engine import PingEngine
-from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.ground_truth import Truth
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.raycast.depth_camera import DepthCamera, DepthImage, Pinhole
@@ -41,7 +41,7 @@ class PingProducts:
 
     scene: Scene
     sonar: SonarSettings
-    map_T_sonar: Pose  # noqa: N815 frames in the name
+    map_T_sonar: FramePose  # noqa: N815 frames in the name
     ping_id: int
     time_s: float
     image: NDArray[Any]
@@ -85,7 +85,7 @@ class ProductRenderer:
 
     def at(
         self,
-        map_T_sonar: Pose,  # noqa: N803
+        map_T_sonar: FramePose,  # noqa: N803
         ping_id: int = 0,
         time_s: float = 0.0,
         motion: SonarMotion | None = None,

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.clouds import cloud_gain
 from sonar_sim.propagation.mirror import RELATIVE_GAP, reaches_mirror
@@ -53,8 +53,8 @@ class _Way:
     def __init__(
         self,
         here: PingGeometry,
-        there: Pose,
-        back: Pose,
+        there: FramePose,
+        back: FramePose,
         position_m: NDArray[np.float64],
     ) -> None:
         physics = here.physics
@@ -76,9 +76,11 @@ class _Way:
             self.factor /= max(out_m, MIN_SPREAD_M) * max(heard_m, MIN_SPREAD_M)
 
 
-def _ways(here: PingGeometry, position_m: NDArray[np.float64]) -> list[tuple[Pose, Pose, float]]:
+def _ways(
+    here: PingGeometry, position_m: NDArray[np.float64]
+) -> list[tuple[FramePose, FramePose, float]]:
     """Pairs of poses there and back, with the mirrors' gain."""
-    ways: list[tuple[Pose, Pose, float]] = []
+    ways: list[tuple[FramePose, FramePose, float]] = []
     visible = not here.physics.shadows or _free(here, here.pose.position_m, position_m)
     if visible:
         gain = _swallowed(here, position_m)
@@ -95,7 +97,7 @@ def _ways(here: PingGeometry, position_m: NDArray[np.float64]) -> list[tuple[Pos
 
 
 def _bounced(
-    here: PingGeometry, mirror: Mirror, image: Pose, position_m: NDArray[np.float64]
+    here: PingGeometry, mirror: Mirror, image: FramePose, position_m: NDArray[np.float64]
 ) -> bool:
     """Whether sound gets to a target by a mirror, unhindered on both parts of the way."""
     height = float(np.dot(mirror.normal, position_m - mirror.point_m))
@@ -125,7 +127,7 @@ def _free(
     return bool(met.face[0] < 0 or met.range_m[0] > range_m - HIDDEN_M)
 
 
-def _later(here: PingGeometry, position_m: NDArray[np.float64]) -> Pose:
+def _later(here: PingGeometry, position_m: NDArray[np.float64]) -> FramePose:
     """The sonar when the echo is back."""
     if here.motion is None or here.physics.pose_blocks == 1:
         return here.pose

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sonar_sim import _core
 from sonar_sim.geometry.matmul import chunked_matmul, rows_dot
-from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.clouds import cloud_gain
 from sonar_sim.propagation.mirror import MIRROR_GAP_M, RELATIVE_GAP, reaches_mirror
 from sonar_sim.propagation.physics import Mirror, Physics
@@ -20,7 +20,7 @@ LEG_SIZE = 16
 
 
 def leg_in_frame(
-    map_T_object: Pose,  # noqa: N803
+    map_T_object: FramePose,  # noqa: N803
     origin_m: NDArray[np.float64],
     rotation: NDArray[np.float64],
     drift_m: NDArray[np.float64] | None = None,
@@ -64,7 +64,7 @@ class PingGeometry:
 
     meshes: Meshes
     physics: Physics
-    pose: Pose
+    pose: FramePose
     motion: SonarMotion | None
     time_s: float
     listening_s: float
@@ -215,13 +215,13 @@ def pair_gain(here: PingGeometry, mirror: Mirror) -> float:
     return math.sqrt(2.0) if not here.physics.speckle and across < SAME_COLUMN else 1.0
 
 
-def mirrored(pose: Pose, mirror: Mirror) -> Pose | None:
+def mirrored(pose: FramePose, mirror: Mirror) -> FramePose | None:
     """The mirror's image of a pose, or None behind the mirror."""
     height = float(np.dot(mirror.normal, pose.position_m - mirror.point_m))
     if height <= 0.0:
         return None
     moved = pose.position_m - 2.0 * height * mirror.normal
-    return Pose(moved, _reflector(mirror) @ pose.rotation)
+    return FramePose(moved, _reflector(mirror) @ pose.rotation)
 
 
 def _reflector(mirror: Mirror) -> NDArray[np.float64]:

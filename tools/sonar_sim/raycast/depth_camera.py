@@ -11,7 +11,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
 
@@ -114,7 +114,7 @@ class DepthCamera:
         if len(triangles):
             self._mesh = TriangleMesh(self._scene, triangles.astype(np.float32))
 
-    def look(self, camera: Pinhole, map_T_sonar: Pose) -> DepthImage:  # noqa: N803
+    def look(self, camera: Pinhole, map_T_sonar: FramePose) -> DepthImage:  # noqa: N803
         """Cast the camera's rays; what lies outside its near and far planes is not seen."""
         rays = camera.rays().reshape(-1, 3)
         length = np.linalg.norm(rays, axis=1)
@@ -141,7 +141,7 @@ class DepthCamera:
     def _cast(
         self,
         directions: NDArray[np.float64],
-        map_T_sonar: Pose,  # noqa: N803
+        map_T_sonar: FramePose,  # noqa: N803
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Slant range and triangle of each unit direction; triangle -1 is nothing."""
         if self._mesh is None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sonar_sim import _core
 from sonar_sim.errors import SceneError
 from sonar_sim.geometry.matmul import chunked_matmul
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.scene.scene import Scene, Surface
 
 SEA = -2
@@ -55,7 +55,7 @@ class FrameGroup:
     embree: EmbreeScene
     mesh: TriangleMesh
     centre_m: NDArray[np.float64]
-    pose: Callable[[float], Pose]
+    pose: Callable[[float], FramePose]
     first_face: int
 
 
@@ -113,9 +113,9 @@ class Meshes:
         """The sea is given in the map's frame, after all groups."""
         return len(self.groups)
 
-    def poses(self, time_s: float) -> list[Pose]:
+    def poses(self, time_s: float) -> list[FramePose]:
         """map_T_object of each group and of the sea."""
-        here = Pose(np.zeros(3), np.eye(3))
+        here = FramePose(np.zeros(3), np.eye(3))
         return [*(group.pose(time_s) for group in self.groups), here]
 
     def cast(
@@ -197,7 +197,7 @@ class Meshes:
 
 def _run(
     group: FrameGroup,
-    map_T_object: Pose,  # noqa: N803
+    map_T_object: FramePose,  # noqa: N803
     origin_m: NDArray[np.float64],
     direction: NDArray[np.float32],
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
@@ -256,10 +256,10 @@ class _Part:
         return FrameGroup(embree, mesh, centre, self._pose, first_face)
 
 
-def _pose_of(surface: Surface) -> Callable[[float], Pose]:
+def _pose_of(surface: Surface) -> Callable[[float], FramePose]:
     if surface.motion is not None:
         return surface.motion.pose
-    here = Pose(np.zeros(3), np.eye(3))
+    here = FramePose(np.zeros(3), np.eye(3))
     return lambda _time_s: here
 
 

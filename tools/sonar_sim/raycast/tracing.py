@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sonar_sim import _core
 from sonar_sim.geometry.matmul import chunked_matmul
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.raycast.fan import RayFan, refined_fan
 from sonar_sim.raycast.meshes import NOTHING, Hits, Meshes
 
@@ -54,7 +54,7 @@ class Trace:
 def trace(
     meshes: Meshes,
     fan: RayFan,
-    map_T_sonar: Pose,  # noqa: N803
+    map_T_sonar: FramePose,  # noqa: N803
     time_s: float,
     reach_m: float,
     *,

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sonar_sim.geometry.pose import Mounting, Pose, SonarMotion
+from sonar_sim.geometry.pose import FramePose, Mounting, SonarMotion
 from sonar_sim.geometry.trajectory import Trajectory
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
@@ -42,7 +42,7 @@ class Scenario:
         return min(self.ping_rate_hz, speed_mps / (2.0 * self.sonar.range_m))
 
 
-def sonar_pose(scenario: Scenario, time_s: float) -> Pose:
+def sonar_pose(scenario: Scenario, time_s: float) -> FramePose:
     """The sonar in the map."""
     return scenario.trajectory.pose(time_s) @ scenario.mounting.pose
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.errors import SceneError
-from sonar_sim.geometry.pose import Pose, rotation_of
+from sonar_sim.geometry.pose import FramePose, rotation_of
 from sonar_sim.geometry.trajectory import Trajectory
 
 Triple = tuple[float, float, float]
@@ -97,12 +97,12 @@ class OdometrySample:
 
     time_s: float
     arrival_s: float
-    pose: Pose
+    pose: FramePose
     velocity_mps: NDArray[np.float64]
     turn_rates_rps: NDArray[np.float64]
 
 
-class Odometry:
+class SimulatedOdometry:
     """A vehicle's navigation on one path. Equal seeds give equal records."""
 
     def __init__(self, trajectory: Trajectory, vehicle: Vehicle, seed: int = 0) -> None:
@@ -138,7 +138,7 @@ class Odometry:
         return OdometrySample(
             time_s,
             time_s + errors.latency_s + errors.jitter_s * generator.standard_exponential(),
-            Pose(position_m, yaw @ truth.rotation @ tilt),
+            FramePose(position_m, yaw @ truth.rotation @ tilt),
             velocity + errors.velocity_noise_mps * white[2],
             turn_rates + math.radians(errors.turn_rate_noise_dps) * white[3],
         )

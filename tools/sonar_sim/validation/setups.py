@@ -7,7 +7,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from sonar_sim.engine import PingEngine
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.receiver.beamformer import BeamFormer, beam_former
 from sonar_sim.receiver.gain import FULL_SCALE_DB
@@ -24,9 +24,9 @@ MEAN = Physics(spreading=True, lambert=True, specular=True, shadows=True, sine_b
 """Mean powers, nothing but geometry and scattering; each echo in its own cell."""
 
 
-def pose_at(position_m: Vector) -> Pose:
+def pose_at(position_m: Vector) -> FramePose:
     """Level, looking along +x."""
-    return Pose(np.array(position_m), np.eye(3))
+    return FramePose(np.array(position_m), np.eye(3))
 
 
 def narrow_sonar(range_m: float, row_m: float = 0.004, beams: int = 64) -> SonarSettings:
@@ -71,7 +71,7 @@ def target(position_m: Vector, name: str = "target") -> PointTarget:
     return PointTarget(name, position_m, 0.0)
 
 
-def cell_power(engine: PingEngine, pose: Pose, physics: Physics) -> NDArray[np.float64]:
+def cell_power(engine: PingEngine, pose: FramePose, physics: Physics) -> NDArray[np.float64]:
     """Echo power over the source's at 1 m, (rows, beams)."""
     shown = engine.ping(pose, physics).amplitude.astype(np.float64)
     level = 10.0 ** ((FULL_SCALE_DB - engine.sonar.source_level_db) / 10.0)
@@ -80,7 +80,7 @@ def cell_power(engine: PingEngine, pose: Pose, physics: Physics) -> NDArray[np.f
 
 
 def power_of(
-    scene: Scene, sonar: SonarSettings, pose: Pose, physics: Physics = MEAN
+    scene: Scene, sonar: SonarSettings, pose: FramePose, physics: Physics = MEAN
 ) -> NDArray[np.float64]:
     """`cell_power` of a scene seen once."""
     return cell_power(PingEngine(scene, sonar), pose, physics)

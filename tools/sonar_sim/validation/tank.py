@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from oculus_driver.render import Style
 from sonar_sim.engine import PingEngine
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.products.images import fan_picture
 from sonar_sim.products.sounding import ProductRenderer
 from sonar_sim.propagation.physics import Physics
@@ -63,9 +63,9 @@ def tank_scene(target: str) -> Scene:
     return Scene(tuple(surfaces), sea=Sea(rms_height_m=0.0))
 
 
-def tank_pose() -> Pose:
+def tank_pose() -> FramePose:
     """Level, at half the tank's depth, looking at the target."""
-    return Pose(np.array([SONAR_X_M, 0.0, -TANK_DEPTH_M / 2.0]), np.eye(3))
+    return FramePose(np.array([SONAR_X_M, 0.0, -TANK_DEPTH_M / 2.0]), np.eye(3))
 
 
 def _surface(

@@ -12,24 +12,24 @@ from pathlib import Path
 from tqdm import tqdm
 
 from studies.accuracy_cost.front import Lag, lag, mean_point, plane_of
-from studies.accuracy_cost.results import Results, key_of, read_results, write_results
+from studies.accuracy_cost.results import StudyResults, key_of, read_results, write_results
 from studies.accuracy_cost.running import Job, perform, run, wanted_keys
 from studies.accuracy_cost.study import (
     MODULES,
     AccuracyCostError,
-    Dive,
     Knob,
     Selection,
     Study,
+    StudyDive,
     load_all,
 )
 from studies.report import IMAGES, ROOT
 
-__all__ = ["RECORDED", "Verdict", "main", "measure_quick", "verdict", "verdicts"]
+__all__ = ["RECORDED", "DefaultVerdict", "main", "measure_quick", "verdict", "verdicts"]
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class DefaultVerdict:
     """What a knob's default is worth.
 
     Attributes:
@@ -57,13 +57,13 @@ class Verdict:
         )
 
 
-def measure_quick(module: str, study: Study, folder: Path) -> Results:
+def measure_quick(module: str, study: Study, folder: Path) -> StudyResults:
     """Measure the quick subset, in this process.
 
     Raises:
         AccuracyCostError: a setting cannot be measured.
     """
-    results = Results({"study": study.name}, [column.name for column in study.columns])
+    results = StudyResults({"study": study.name}, [column.name for column in study.columns])
     selection = Selection(quick=True)
     for dive in selection.dives_of(study):
         place = folder / study.name / f"{dive.name}-{dive.seed}"
@@ -78,8 +78,8 @@ def measure_quick(module: str, study: Study, folder: Path) -> Results:
 
 
 def verdict(
-    study: Study, knob: Knob, dives: Sequence[Dive], errors: Results, costs: Results
-) -> Verdict:
+    study: Study, knob: Knob, dives: Sequence[StudyDive], errors: StudyResults, costs: StudyResults
+) -> DefaultVerdict:
     """Judge a knob's default by the mean over dives; errors and costs may be of different runs."""
     plane = plane_of(study, knob)
     points = [
@@ -92,12 +92,14 @@ def verdict(
     (default,) = (point for point in points if not point.setting.overrides)
     others = [point for point in points if point.setting.overrides]
     known = not math.isnan(default.cost)
-    return Verdict(study.name, knob, lag(default, others) if known else None)
+    return DefaultVerdict(study.name, knob, lag(default, others) if known else None)
 
 
 def verdicts(
-    studies: Mapping[str, Study], errors: Mapping[str, Results], costs: Mapping[str, Results]
-) -> list[Verdict]:
+    studies: Mapping[str, Study],
+    errors: Mapping[str, StudyResults],
+    costs: Mapping[str, StudyResults],
+) -> list[DefaultVerdict]:
     """Judge the defaults of all quick knobs; results are by the study's name."""
     return [
         verdict(study, knob, dives, errors[study.name], costs[study.name])
@@ -163,7 +165,7 @@ def _plot(studies: Mapping[str, Study], args: argparse.Namespace) -> int:
     return 0
 
 
-def _results(study: Study, out: Path) -> Results:
+def _results(study: Study, out: Path) -> StudyResults:
     """What was measured here, or else what is committed."""
     for folder in (out, RECORDED):
         path = folder / f"{study.name}.csv"

@@ -10,7 +10,7 @@ from studies.accuracy_cost.plots import (
     has_bins,
     measured_knob,
 )
-from studies.accuracy_cost.results import Results
+from studies.accuracy_cost.results import StudyResults
 from studies.accuracy_cost.study import Selection, Study
 from studies.accuracy_cost.tables import section
 from studies.report import PAGES, write_section
@@ -21,7 +21,7 @@ PAGE = PAGES["accuracy-cost"]
 
 
 def draw(
-    study: Study, results: Results, selection: Selection, pictures: Path, *, write: bool
+    study: Study, results: StudyResults, selection: Selection, pictures: Path, *, write: bool
 ) -> Iterator[Path]:
     """Draw the pictures of a selection; with all knobs the summary too. Yields their files."""
     for knob in selection.knobs_of(study):

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from studies.accuracy_cost.results import Results, key_of
-from studies.accuracy_cost.study import Dive, Knob, Setting, Study
+from studies.accuracy_cost.results import StudyResults, key_of
+from studies.accuracy_cost.study import Knob, Setting, Study, StudyDive
 
 __all__ = [
     "SAME_COST",
@@ -108,7 +108,7 @@ def plane_of(study: Study, knob: Knob | None = None) -> Plane:
     return Plane(study.cost, error, chance.get(error))
 
 
-def point_on(plane: Plane, results: Results, setting: Setting, dive: Dive) -> Point:
+def point_on(plane: Plane, results: StudyResults, setting: Setting, dive: StudyDive) -> Point:
     """A setting on a dive; NaN where it is not measured."""
     figures = results.rows.get(key_of(setting, dive), {})
     chance = figures.get(plane.chance, 0.0) if plane.chance else 0.0
@@ -120,7 +120,9 @@ def point_on(plane: Plane, results: Results, setting: Setting, dive: Dive) -> Po
     )
 
 
-def mean_point(plane: Plane, results: Results, setting: Setting, dives: Sequence[Dive]) -> Point:
+def mean_point(
+    plane: Plane, results: StudyResults, setting: Setting, dives: Sequence[StudyDive]
+) -> Point:
     """The mean over dives; NaN where it is not measured on all."""
     on = [point_on(plane, results, setting, dive) for dive in dives]
     return Point(

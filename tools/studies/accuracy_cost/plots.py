@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from studies.accuracy_cost.front import Plane, Point, front, mean_point, plane_of, point_on
-from studies.accuracy_cost.results import Results, key_of
+from studies.accuracy_cost.results import StudyResults, key_of
 from studies.accuracy_cost.study import DEFAULT, Column, Knob, Selection, Setting, Study
 
 __all__ = [
@@ -190,13 +190,13 @@ AXIS_WIDTH = 45
 """Characters of an axis title's line."""
 
 
-def measured_knob(results: Results, knob: Knob) -> bool:
+def measured_knob(results: StudyResults, knob: Knob) -> bool:
     """Whether any setting of a knob but the default is in the results."""
     measured = {key.setting for key in results.rows}
     return any(setting.key in measured for setting in knob.settings if setting.overrides)
 
 
-def draw_knob(study: Study, results: Results, knob: Knob, path: Path) -> None:
+def draw_knob(study: Study, results: StudyResults, knob: Knob, path: Path) -> None:
     """Draw error against cost of a knob's settings: a panel a dive, and the mean over them."""
     plane = plane_of(study, knob)
     groups = _groups(study, results, knob.settings, plane)
@@ -220,7 +220,7 @@ def draw_knob(study: Study, results: Results, knob: Knob, path: Path) -> None:
     save(figure, path)
 
 
-def draw_summary(study: Study, results: Results, path: Path) -> None:
+def draw_summary(study: Study, results: StudyResults, path: Path) -> None:
     """Draw all that was measured: every knob, the front over all, the whole configurations."""
     settings = Selection().settings_of(study)
     plane = plane_of(study)
@@ -265,7 +265,7 @@ def _draw_all(axes: Axes, points: Sequence[Point], wholes: Mapping[str, Setting]
 
 
 def _groups(
-    study: Study, results: Results, settings: Sequence[Setting], plane: Plane
+    study: Study, results: StudyResults, settings: Sequence[Setting], plane: Plane
 ) -> list[tuple[str, list[Point]]]:
     """Titles of panels and what is in them."""
     groups = [
@@ -328,7 +328,7 @@ PROMISED = 0.1
 COLOURS = ("#d62728", "#7b3294", "#e08214", "#1f77b4", "#2ca02c", "#666666")
 
 
-def has_bins(results: Results) -> bool:
+def has_bins(results: StudyResults) -> bool:
     """Whether a study counts the voxels of each probability."""
     return f"{BIN}0_voxels" in results.columns
 
@@ -341,7 +341,7 @@ def bins_of(figures: dict[str, float]) -> NDArray[np.float64]:
     return rows[rows[:, 2] >= MIN_VOXELS]
 
 
-def draw_reliability(study: Study, results: Results, path: Path) -> None:
+def draw_reliability(study: Study, results: StudyResults, path: Path) -> None:
     """Draw a panel a dive with the default and the whole configurations."""
     figure = new_figure(*panel_size(len(study.dives)))
     for axes, dive in zip(panels(figure, len(study.dives)), study.dives, strict=True):

@@ -14,9 +14,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from studies.accuracy_cost.study import Dive, Setting, Study
+from studies.accuracy_cost.study import Setting, Study, StudyDive
 
-__all__ = ["Key", "Results", "append", "key_of", "open_results", "read_results", "write_results"]
+__all__ = [
+    "Key",
+    "StudyResults",
+    "append",
+    "key_of",
+    "open_results",
+    "read_results",
+    "write_results",
+]
 
 KEYS = ("study", "dive", "seed", "setting")
 IDENTITY = ("study", "commit", "machine")
@@ -30,13 +38,13 @@ class Key(NamedTuple):
     setting: str
 
 
-def key_of(setting: Setting, dive: Dive) -> Key:
+def key_of(setting: Setting, dive: StudyDive) -> Key:
     """The row of a setting on a dive; the defaults have a name there."""
     return Key(dive.name, dive.seed, setting.key or "default")
 
 
 @dataclass(slots=True)
-class Results:
+class StudyResults:
     """Figures of a study.
 
     Attributes:
@@ -60,7 +68,7 @@ class Results:
         return head + _line(*KEYS, *self.columns) + "".join(self.line(key) for key in order)
 
 
-def read_results(path: Path) -> Results:
+def read_results(path: Path) -> StudyResults:
     """Read a file; what is no whole row is left out, so that it is measured again.
 
     Raises:
@@ -72,7 +80,7 @@ def read_results(path: Path) -> Results:
     head = {name: value for name, _, value in (line.partition(": ") for line in comments)}
     table = csv.reader(line for line in whole if not line.startswith("#"))
     titles = next(table, [])
-    results = Results(head, titles[len(KEYS) :])
+    results = StudyResults(head, titles[len(KEYS) :])
     for cells in table:
         try:
             _, dive, seed, setting, *texts = cells
@@ -83,12 +91,12 @@ def read_results(path: Path) -> Results:
     return results
 
 
-def open_results(path: Path, study: Study, head: Mapping[str, str]) -> Results:
+def open_results(path: Path, study: Study, head: Mapping[str, str]) -> StudyResults:
     """Go on with a file, or begin it; one of another commit or machine is put aside, beside it.
 
     What a stop has cut is mended on disk too, so that rows can be appended.
     """
-    fresh = Results({"study": study.name, **head}, [column.name for column in study.columns])
+    fresh = StudyResults({"study": study.name, **head}, [column.name for column in study.columns])
     results = fresh
     if path.exists():
         found = read_results(path)
@@ -101,7 +109,7 @@ def open_results(path: Path, study: Study, head: Mapping[str, str]) -> Results:
     return results
 
 
-def write_results(path: Path, results: Results, order: Sequence[Key]) -> None:
+def write_results(path: Path, results: StudyResults, order: Sequence[Key]) -> None:
     """Replace a file; atomic."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(".new")
@@ -109,7 +117,7 @@ def write_results(path: Path, results: Results, order: Sequence[Key]) -> None:
     beside.rename(path)
 
 
-def append(path: Path, results: Results, key: Key, figures: Mapping[str, float]) -> None:
+def append(path: Path, results: StudyResults, key: Key, figures: Mapping[str, float]) -> None:
     """Add a row to the results, and to their file.
 
     Raises:

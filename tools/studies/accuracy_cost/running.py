@@ -19,11 +19,27 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from studies.accuracy_cost.results import Key, Results, append, key_of, open_results
-from studies.accuracy_cost.study import AccuracyCostError, Dive, Selection, Setting, Study, load
+from studies.accuracy_cost.results import Key, StudyResults, append, key_of, open_results
+from studies.accuracy_cost.study import (
+    AccuracyCostError,
+    Selection,
+    Setting,
+    Study,
+    StudyDive,
+    load,
+)
 from studies.report import ROOT, machine
 
-__all__ = ["Job", "Outcome", "Tally", "commit", "outcomes", "perform", "run", "wanted_keys"]
+__all__ = [
+    "Job",
+    "MeasurementTally",
+    "Outcome",
+    "commit",
+    "outcomes",
+    "perform",
+    "run",
+    "wanted_keys",
+]
 
 
 MEASURED = (
@@ -75,7 +91,7 @@ class Job:
     """
 
     module: str
-    dive: Dive
+    dive: StudyDive
     setting: Setting | None
     folder: Path
 
@@ -188,7 +204,7 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(slots=True)
-class Tally:
+class MeasurementTally:
     """How many measurements there are, were there before, and failed."""
 
     total: int = 0
@@ -202,7 +218,7 @@ class _Log:
 
     study: Study
     path: Path
-    results: Results
+    results: StudyResults
 
     def take(self, outcome: Outcome) -> str:
         """Write what a measurement gave; returns why it has failed, or nothing."""
@@ -222,7 +238,9 @@ def wanted_keys(study: Study, selection: Selection) -> list[Key]:
     return [key_of(setting, dive) for dive in selection.dives_of(study) for setting in settings]
 
 
-def run(studies: Mapping[str, Study], selection: Selection, out: Path, jobs: int) -> Tally:
+def run(
+    studies: Mapping[str, Study], selection: Selection, out: Path, jobs: int
+) -> MeasurementTally:
     """Measure what `out` does not hold yet of a selection; failures are reported as they come.
 
     Raises:
@@ -243,7 +261,9 @@ def run(studies: Mapping[str, Study], selection: Selection, out: Path, jobs: int
             for job in _jobs(module, study, selection, out / "dives" / head["commit"])
         ]
         missing = [job for job in wanted if _key(job) not in logs[job.module].results.rows]
-        return _measure(logs, missing, jobs, Tally(len(wanted), len(wanted) - len(missing)))
+        return _measure(
+            logs, missing, jobs, MeasurementTally(len(wanted), len(wanted) - len(missing))
+        )
 
 
 def _command(study: Study) -> dict[str, str]:
@@ -263,7 +283,9 @@ def _jobs(module: str, study: Study, selection: Selection, folder: Path) -> list
     ]
 
 
-def _measure(logs: Mapping[str, _Log], missing: list[Job], workers: int, tally: Tally) -> Tally:
+def _measure(
+    logs: Mapping[str, _Log], missing: list[Job], workers: int, tally: MeasurementTally
+) -> MeasurementTally:
     """Prepare the dives, then measure on them, ordered for an estimate of the time left."""
     preparing = {job.folder: Job(job.module, job.dive, None, job.folder) for job in missing}
     on_dive = Counter(job.folder for job in missing)

@@ -11,11 +11,11 @@ __all__ = [
     "MODULES",
     "AccuracyCostError",
     "Column",
-    "Dive",
     "Knob",
     "Selection",
     "Setting",
     "Study",
+    "StudyDive",
     "Value",
     "load",
     "load_all",
@@ -93,7 +93,7 @@ class Column:
 
 
 @dataclass(frozen=True, slots=True)
-class Dive:
+class StudyDive:
     """A dive (or scene, or link) that settings are measured on.
 
     Attributes:
@@ -119,7 +119,7 @@ class Study(Protocol):
         """What is turned."""
 
     @property
-    def dives(self) -> Sequence[Dive]:
+    def dives(self) -> Sequence[StudyDive]:
         """On what."""
 
     @property
@@ -138,10 +138,10 @@ class Study(Protocol):
     def cost(self) -> str:
         """Column on the time axis."""
 
-    def prepare(self, dive: Dive, folder: Path) -> None:
+    def prepare(self, dive: StudyDive, folder: Path) -> None:
         """Make a dive's files in a folder, once; what is there and whole is kept."""
 
-    def measure(self, setting: Setting, dive: Dive, folder: Path) -> dict[str, float]:
+    def measure(self, setting: Setting, dive: StudyDive, folder: Path) -> dict[str, float]:
         """Measure a setting on a prepared dive; returns a figure for each column.
 
         A figure that does not exist for a setting is NaN (an oracle's error, nothing mapped).
@@ -203,7 +203,7 @@ class Selection:
     knobs: Sequence[str] = ()
     quick: bool = False
 
-    def dives_of(self, study: Study) -> list[Dive]:
+    def dives_of(self, study: Study) -> list[StudyDive]:
         """The dives of it."""
         return [dive for dive in study.dives if dive.quick or not self.quick]
 

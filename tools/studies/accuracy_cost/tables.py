@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from studies.accuracy_cost.command import verdict
 from studies.accuracy_cost.front import SAME_COST, Plane, Point, mean_point, plane_of
 from studies.accuracy_cost.plots import BIN, has_bins
-from studies.accuracy_cost.results import Results, key_of
+from studies.accuracy_cost.results import StudyResults, key_of
 from studies.accuracy_cost.study import DEFAULT, Knob, Study
 
 __all__ = ["IMAGES", "remarks", "section"]
 
 
-def remarks(study: Study, results: Results) -> list[str]:
+def remarks(study: Study, results: StudyResults) -> list[str]:
     """Paragraphs of Markdown, for the page; most studies have none."""
     if study.name != "mapping":
         return []
@@ -52,7 +52,7 @@ What to turn first on a weak computer: the cheapest setting of each knob with at
 KNOBS = "All knobs; each figure is the error at the cost, `=` the default's."
 
 
-def section(study: Study, results: Results) -> str:
+def section(study: Study, results: StudyResults) -> str:
     """All that stands between a study's marks, as Markdown."""
     head = results.head
     dives = ", ".join(f"{dive.name} (random seed {dive.seed})" for dive in study.dives)
@@ -80,7 +80,7 @@ def _wrapped(text: str) -> str:
     return textwrap.fill(text, 100, break_on_hyphens=False)
 
 
-def _whole_rows(study: Study, results: Results) -> list[str]:
+def _whole_rows(study: Study, results: StudyResults) -> list[str]:
     """All figures of the default and of whole configurations."""
     wholes = (DEFAULT, *study.wholes)
     rows = [f"| | {' | '.join(whole.label for whole in wholes)} |", "|---|" + "---:|" * len(wholes)]
@@ -92,7 +92,7 @@ def _whole_rows(study: Study, results: Results) -> list[str]:
     return rows
 
 
-def _saving_rows(study: Study, results: Results) -> list[str]:
+def _saving_rows(study: Study, results: StudyResults) -> list[str]:
     """Knobs that save anything, those that save most first."""
     found = [(knob, _saving(study, results, knob)) for knob in study.knobs]
     savings = sorted(
@@ -108,7 +108,7 @@ def _saving_rows(study: Study, results: Results) -> list[str]:
     return rows if savings else ["No knob saves time at so little error."]
 
 
-def _saving(study: Study, results: Results, knob: Knob) -> Point | None:
+def _saving(study: Study, results: StudyResults, knob: Knob) -> Point | None:
     """The cheapest setting that is nearly as good as the default, if it is cheaper at all."""
     points = _points(study, results, knob)
     (default,) = (point for point in points if not point.setting.overrides)
@@ -120,7 +120,7 @@ def _saving(study: Study, results: Results, knob: Knob) -> Point | None:
     return min(good, key=lambda point: point.cost, default=None)
 
 
-def _knob_rows(study: Study, results: Results) -> list[str]:
+def _knob_rows(study: Study, results: StudyResults) -> list[str]:
     has_published = any(knob.published is not None for knob in study.knobs)
     titles = ["knob", "default", "published", "least error", "least cost", "on the front", "effect"]
     rows = [titles, ["---"] * len(titles), *(_knob_row(study, results, k) for k in study.knobs)]
@@ -130,7 +130,7 @@ def _knob_rows(study: Study, results: Results) -> list[str]:
     ]
 
 
-def _knob_row(study: Study, results: Results, knob: Knob) -> list[str]:
+def _knob_row(study: Study, results: StudyResults, knob: Knob) -> list[str]:
     points = _points(study, results, knob)
     known = [point for point in points if point.known]
     (default,) = (point for point in points if not point.setting.overrides)
@@ -147,12 +147,12 @@ def _knob_row(study: Study, results: Results, knob: Knob) -> list[str]:
     return [cell.replace("|", "/") for cell in cells]
 
 
-def _points(study: Study, results: Results, knob: Knob) -> list[Point]:
+def _points(study: Study, results: StudyResults, knob: Knob) -> list[Point]:
     plane = plane_of(study, knob)
     return [mean_point(plane, results, setting, study.dives) for setting in knob.settings]
 
 
-def _place(study: Study, results: Results, knob: Knob) -> str:
+def _place(study: Study, results: StudyResults, knob: Knob) -> str:
     """Whether the default is on the front, by how much it is not, and by how much it may."""
     judged = verdict(study, knob, study.dives, results, results).lag
     if judged is None:

@@ -13,7 +13,7 @@ from typing import Self
 
 import msgpack
 
-__all__ = ["Broker", "Odometry", "Program", "Sonar"]
+__all__ = ["Broker", "CircleOdometry", "Program", "Sonar"]
 
 RATE_HZ = 50.0
 RADIUS_M = 6.0
@@ -86,7 +86,7 @@ class Broker(Program):
             super().start()
 
 
-class Odometry:
+class CircleOdometry:
     """Native records of a vehicle on a circle, `with`.
 
     Args:

@@ -25,7 +25,7 @@ from typing import Any
 from mapperd.config.tree import Config, OctreeConfig
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import StoreReader
-from studies.chaos.peers import Broker, Odometry, Sonar
+from studies.chaos.peers import Broker, CircleOdometry, Sonar
 from studies.chaos.shim import Shim
 
 __all__ = ["FAULTS", "Trouble", "trouble"]
@@ -106,7 +106,7 @@ mqtt: {{ host: 127.0.0.1, port: {broker} }}
 """
 
 
-class World:
+class ChaosWorld:
     """The daemon and all that it talks to.
 
     Args:
@@ -117,7 +117,7 @@ class World:
     def __init__(self, folder: Path, recording: Path, stack: ExitStack) -> None:
         self.folder = folder
         ports = free_ports(5)
-        self.odometry = stack.enter_context(Odometry(ports[1]))
+        self.odometry = stack.enter_context(CircleOdometry(ports[1]))
         self.sonar = Sonar(recording, ports[0], ports[3], folder / "sonar.log")
         self.broker = Broker(ports[2], folder)
         self.shim = stack.enter_context(closing(Shim(folder)))
@@ -195,7 +195,7 @@ def free_ports(count: int) -> list[int]:
         return [int(one.getsockname()[1]) for one in sockets]
 
 
-def play(world: World, script: list[Trouble], duration_s: float) -> Counter[str]:
+def play(world: ChaosWorld, script: list[Trouble], duration_s: float) -> Counter[str]:
     """Let everything happen; returns how often each did.
 
     Raises:
@@ -219,7 +219,7 @@ def play(world: World, script: list[Trouble], duration_s: float) -> Counter[str]
     return happened
 
 
-def wait(world: World, until_s: float) -> None:
+def wait(world: ChaosWorld, until_s: float) -> None:
     """Sleep, as long as the daemon lives."""
     while (left_s := until_s - time.monotonic()) > 0:
         if world.daemon.poll() is not None:
@@ -236,7 +236,7 @@ def show(now_s: float, duration_s: float, happened: Counter[str]) -> None:
     )
 
 
-def stored_map(world: World) -> str:
+def stored_map(world: ChaosWorld) -> str:
     """Fingerprint of the map on disk."""
     [path] = sorted(world.state.rglob("*.map"))
     whole = SonarMap(Config(octree=OctreeConfig(voxel_resolution=RESOLUTION_M)))
@@ -245,7 +245,7 @@ def stored_map(world: World) -> str:
     return whole.sha256()
 
 
-def replayed_map(world: World) -> dict[str, Any]:
+def replayed_map(world: ChaosWorld) -> dict[str, Any]:
     """Summary of the recording, played again as it was mapped."""
     command: list[str | Path] = [
         sys.executable,
@@ -274,7 +274,7 @@ def main() -> int:
     with ExitStack() as stack:
         folder = args.keep or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         folder.mkdir(parents=True, exist_ok=True)
-        world = World(folder, args.recording.resolve(), stack)
+        world = ChaosWorld(folder, args.recording.resolve(), stack)
         world.broker.start()
         time.sleep(BOOT_S)
         world.sonar.start()

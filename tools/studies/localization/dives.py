@@ -20,7 +20,7 @@ import matplotlib.pyplot as plt
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from sonar_sim import Pose, Simulator
+from sonar_sim import FramePose, Simulator
 from sonar_sim.geometry.pose import quaternion_of, rotation_of
 
 from mapperd.config.tree import Config
@@ -30,8 +30,8 @@ from mapperd.localization.extraction import Surroundings, scan_of
 from mapperd.localization.levelling import level_T_base
 from mapperd.localization.maps import VolumeMap
 from mapperd.localization.scan import Scan
-from studies.localization.runs import Dive, Moment, dive, settings
-from studies.localization.world import WORLDS, World
+from studies.localization.runs import FilterUpdate, LocalizationDive, dive, settings
+from studies.localization.world import WORLDS, DiveWorld
 
 __all__ = ["ping_scans"]
 
@@ -43,7 +43,7 @@ NEAR_M = 0.5
 """Above and below the vehicle's height: surfaces drawn as the map."""
 
 
-def draw_errors(path: Path, moments: list[Moment], title: str) -> None:
+def draw_errors(path: Path, moments: list[FilterUpdate], title: str) -> None:
     """Place and heading of the best mode, against the odometry alone."""
     minutes = [m.time_s / 60.0 for m in moments]
     picture, (place, heading) = plt.subplots(2, 1, figsize=(9, 5), sharex=True)
@@ -62,7 +62,7 @@ def draw_errors(path: Path, moments: list[Moment], title: str) -> None:
     plt.close(picture)
 
 
-def draw_clouds(path: Path, known: VolumeMap, moments: list[Moment], title: str) -> None:
+def draw_clouds(path: Path, known: VolumeMap, moments: list[FilterUpdate], title: str) -> None:
     """Particles on the map at some instants, the true place a cross."""
     shown = [m for m in moments if m.particles is not None]
     picture, panels = plt.subplots(1, len(shown), figsize=(3.4 * len(shown), 3.2), squeeze=False)
@@ -89,7 +89,7 @@ def draw_clouds(path: Path, known: VolumeMap, moments: list[Moment], title: str)
 Floats = NDArray[np.float64]
 
 
-def ping_scans(world: World, config: Config, seed: int) -> Callable[[int, Floats, int], Scan]:
+def ping_scans(world: DiveWorld, config: Config, seed: int) -> Callable[[int, Floats, int], Scan]:
     """What makes the scan of a ping's number, place (6,) and stamp; some 0.2 s of one core each."""
     sonar = world.scenario.sonar
     simulator = Simulator(world.scenario.scene, sonar, seed)
@@ -97,7 +97,7 @@ def ping_scans(world: World, config: Config, seed: int) -> Callable[[int, Floats
     bearing = np.arcsin(sines)
 
     def scan(number: int, place: Floats, stamp_ns: int) -> Scan:
-        pose = Pose(place[:3], rotation_of(*place[3:]))
+        pose = FramePose(place[:3], rotation_of(*place[3:]))
         ping = simulator.ping(pose, number)
         echo = ping_image_of_array(ping.image, sonar.range_m, bearing, config.sonar)
         around = Surroundings(
@@ -144,7 +144,7 @@ class Followed(msgspec.Struct, frozen=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Relocalization:
     """Of one dive that begins anywhere, or from where the vehicle was carried off.
 
     Attributes:
@@ -159,14 +159,14 @@ class Found:
 
 
 def follow(
-    world: World, known: VolumeMap, minutes: float, seed: int, *, pings: bool = False
-) -> tuple[Followed, list[Moment]]:
+    world: DiveWorld, known: VolumeMap, minutes: float, seed: int, *, pings: bool = False
+) -> tuple[Followed, list[FilterUpdate]]:
     """Dive from a start that is known."""
     config, duration_s = settings(world.place, seed), 60.0 * minutes
     began_s = time.process_time()
     instants = tuple(duration_s * k / INSTANTS for k in range(INSTANTS))
     scans = ping_scans(world, config, seed) if pings else None
-    what = Dive(duration_s=duration_s, seed=seed)
+    what = LocalizationDive(duration_s=duration_s, seed=seed)
     moments = list(dive(world, known, what, config, scans=scans, keep_particles_s=instants))
     errors = np.array([m.error_m for m in moments])
     turns = np.degrees([m.turn_error_rad for m in moments])
@@ -186,25 +186,27 @@ def follow(
     return row, moments
 
 
-def find(world: World, known: VolumeMap, seed: int, *, carried_off: bool = False) -> Found:
+def find(
+    world: DiveWorld, known: VolumeMap, seed: int, *, carried_off: bool = False
+) -> Relocalization:
     """Dive from anywhere, or be carried off, until the right mode lasts."""
     off_s = CARRIED_OFF_S if carried_off else None
     longest_s = 4.0 * WITHIN_M / (2.0 * world.place.speed_mps) + (off_s or 0.0)
     start = "known" if carried_off else "anywhere"
-    what = Dive(start, longest_s, seed, off_s)
+    what = LocalizationDive(start, longest_s, seed, off_s)
     moments = dive(world, known, what, settings(world.place, seed))
     return judged(moments, world.place.right_m, off_s or 0.0)
 
 
-def draw_finding(path: Path, world: World, known: VolumeMap, seed: int) -> None:
+def draw_finding(path: Path, world: DiveWorld, known: VolumeMap, seed: int) -> None:
     """Particles of a dive that begins anywhere."""
-    what = Dive("anywhere", FINDING_S[-1] + 2.0, seed)
+    what = LocalizationDive("anywhere", FINDING_S[-1] + 2.0, seed)
     config = settings(world.place, seed)
     moments = list(dive(world, known, what, config, keep_particles_s=FINDING_S))
     draw_clouds(path, known, moments, world.place.scene)
 
 
-def judged(moments: Iterable[Moment], right_m: float, after_s: float = 0.0) -> Found:
+def judged(moments: Iterable[FilterUpdate], right_m: float, after_s: float = 0.0) -> Relocalization:
     """When the right mode was found, and the reports before."""
     begin_m, since_m, sure, wrong = None, None, 0, 0
     for moment in moments:
@@ -223,10 +225,10 @@ def judged(moments: Iterable[Moment], right_m: float, after_s: float = 0.0) -> F
             break
         if since_m is not None and way_m - since_m > LASTING_M:
             break
-    return Found(since_m, sure, wrong)
+    return Relocalization(since_m, sure, wrong)
 
 
-def finding_line(name: str, found: list[Found]) -> str:
+def finding_line(name: str, found: list[Relocalization]) -> str:
     """One line."""
     after_m = sorted(one.after_m for one in found if one.after_m is not None)
     wrong, sure = sum(one.wrong for one in found), sum(one.wrong_and_sure for one in found)
@@ -251,7 +253,7 @@ def main() -> int:
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     for scene in args.scenes:
-        world = World(WORLDS[scene])
+        world = DiveWorld(WORLDS[scene])
         known = world.known(20 * world.place.voxel_m)
         if args.minutes > 0:
             row, moments = follow(world, known, args.minutes, args.seed, pings=args.pings)

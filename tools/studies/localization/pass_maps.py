@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from sonar_sim import Pose, Scenario
+from sonar_sim import FramePose, Scenario
 from sonar_sim.capture import EPOCH_NS, CaptureSettings, ping_times_s, write_capture
 from sonar_sim.geometry.pose import Mounting, rotation_of
 from sonar_sim.geometry.trajectory import Motion, Trajectory, Waypoint
@@ -36,14 +36,14 @@ from mapperd.pipeline.pose_lookup import OdometryPoses
 from mapperd.session.replay import Replay, Window
 from oculus_driver.recording import open_recording
 from studies.localization.runs import settings
-from studies.localization.world import Drift, Place, Track, angles, drifted
+from studies.localization.world import DiveArea, DiveTrack, OdometryDrift, angles, drifted
 
 __all__ = [
     "AHEAD",
     "FIRST",
     "SECOND",
-    "Course",
     "Pass",
+    "PassCourse",
     "course",
     "localized",
     "mapped",
@@ -65,7 +65,7 @@ NOISE_M, NOISE_DEG = 0.005, 0.1
 TURN_RATE_DPS = 15.0
 AHEAD = Mounting(position_m=(0.3, 0.0, 0.0), pitch_deg=0.0)
 """At the bow, looking along it."""
-FRESH = Drift(0.002, math.radians(0.1) / 60.0)
+FRESH = OdometryDrift(0.002, math.radians(0.1) / 60.0)
 """A tenth of what odometry drifts by: a first pass under a fix."""
 
 
@@ -83,17 +83,17 @@ class Pass:
 
     corners: tuple[Corner, ...]
     away: tuple[Corner, ...] = ()
-    drift: Drift = field(default_factory=Drift)
+    drift: OdometryDrift = field(default_factory=OdometryDrift)
     ping_rate_hz: float = 4.0
     seed: int = 1
 
-    def over(self, scenario: Scenario, place: Place) -> Scenario:
+    def over(self, scenario: Scenario, place: DiveArea) -> Scenario:
         """The scenario with this path."""
         path = _trajectory((*self.away, *self.corners), place)
         rate_hz = self.ping_rate_hz
         return dataclasses.replace(scenario, trajectory=path, mounting=AHEAD, ping_rate_hz=rate_hz)
 
-    def quiet_s(self, place: Place) -> float:
+    def quiet_s(self, place: DiveArea) -> float:
         """Before the sonar sounds."""
         if not self.away:
             return 0.0
@@ -110,7 +110,9 @@ SECOND = Pass(
 )
 
 
-def record(path: Path, what: Pass, scenario: Scenario, place: Place, processes: int = 1) -> Floats:
+def record(
+    path: Path, what: Pass, scenario: Scenario, place: DiveArea, processes: int = 1
+) -> Floats:
     """Simulate a pass into a recording.
 
     Args:
@@ -135,14 +137,14 @@ def record(path: Path, what: Pass, scenario: Scenario, place: Place, processes: 
         return write_capture(path, driven, settings, progress, records).points_m
 
 
-def ping_poses(what: Pass, scenario: Scenario, place: Place) -> tuple[Floats, list[Pose]]:
+def ping_poses(what: Pass, scenario: Scenario, place: DiveArea) -> tuple[Floats, list[FramePose]]:
     """When the pings leave, in seconds on the path, and where the vehicle truly is then."""
     driven = what.over(scenario, place)
     times_s = ping_times_s(driven, CaptureSettings(quiet_s=what.quiet_s(place)))
     return np.array(times_s), [driven.trajectory.pose(t) for t in times_s]
 
 
-def navigation(path: Trajectory, place: Place, what: Pass) -> list[OdometrySample]:
+def navigation(path: Trajectory, place: DiveArea, what: Pass) -> list[OdometrySample]:
     """Odometry of a path: right at its beginning, from there on with its drift.
 
     Depth, roll and pitch are a sensor's and do not drift.
@@ -150,7 +152,7 @@ def navigation(path: Trajectory, place: Place, what: Pass) -> list[OdometrySampl
     time_s = np.arange(0.0, path.duration_s, 1.0 / RECORD_HZ)
     poses = [path.pose(float(t)) for t in time_s]
     true = np.array([[*pose.position_m, *angles(pose.rotation)] for pose in poses])
-    drifting = _begun_at(true[0], drifted(Track(time_s, true), place, what.drift, what.seed))
+    drifting = _begun_at(true[0], drifted(DiveTrack(time_s, true), place, what.drift, what.seed))
     place_m = np.column_stack([drifting[:, :2], true[:, 2]])
     speed_mps = np.gradient(place_m, time_s, axis=0)
     noise = np.random.default_rng((what.seed, 4)).normal(size=(2, *place_m.shape))
@@ -162,7 +164,7 @@ def navigation(path: Trajectory, place: Place, what: Pass) -> list[OdometrySampl
             OdometrySample(
                 t,
                 t + LATENCY_S,
-                Pose(place_m[k] + NOISE_M * noise[0, k], rotation @ tilt),
+                FramePose(place_m[k] + NOISE_M * noise[0, k], rotation @ tilt),
                 rotation.T @ speed_mps[k],
                 path.turn_rates_rps(t),
             )
@@ -170,7 +172,7 @@ def navigation(path: Trajectory, place: Place, what: Pass) -> list[OdometrySampl
     return samples
 
 
-def _trajectory(corners: tuple[Corner, ...], place: Place) -> Trajectory:
+def _trajectory(corners: tuple[Corner, ...], place: DiveArea) -> Trajectory:
     points = [Waypoint(x, y, place.z_m, yaw) for x, y, yaw in corners]
     return Trajectory(points, Motion(place.speed_mps, TURN_RATE_DPS, heave_m=0.02))
 
@@ -192,7 +194,7 @@ START_M, START_RAD = 0.5, math.radians(6.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Course:
+class PassCourse:
     """The vehicle at the updates of the filter.
 
     Attributes:
@@ -218,7 +220,7 @@ class Course:
         return off
 
 
-def plain(place: Place, seed: int) -> Config:
+def plain(place: DiveArea, seed: int) -> Config:
     """Settings that map at the poses of the odometry."""
     config = settings(place, seed)
     mounting = MountingConfig(
@@ -234,7 +236,7 @@ def plain(place: Place, seed: int) -> Config:
     )
 
 
-def localized(place: Place, seed: int, known: Path, start: Pose) -> Config:
+def localized(place: DiveArea, seed: int, known: Path, start: FramePose) -> Config:
     """Settings that map at the poses of localization on a map, begun near a pose."""
     config = plain(place, seed)
     sigma = np.array([START_M, START_M, START_RAD])
@@ -274,7 +276,7 @@ def mapped(recording: Path, config: Config, out: Path) -> int:
     return int(msgspec.json.decode((out / "summary.json").read_bytes())["pings_mapped"])
 
 
-def course(recording: Path, config: Config, path: Trajectory) -> Course:
+def course(recording: Path, config: Config, path: Trajectory) -> PassCourse:
     """Localization on the way, by the same bytes and settings as `mapped`.
 
     Args:
@@ -304,7 +306,7 @@ def course(recording: Path, config: Config, path: Trajectory) -> Course:
             )
             rows.append([time_s, *np.concatenate(at)])
     table = np.array(rows)
-    return Course(table[:, 0], *(table[:, 1 + 3 * k : 4 + 3 * k] for k in range(3)))
+    return PassCourse(table[:, 0], *(table[:, 1 + 3 * k : 4 + 3 * k] for k in range(3)))
 
 
 def _of_base(pose: BasePose) -> Floats:

@@ -15,9 +15,16 @@ from mapperd.localization.map_filter import MapFilter
 from mapperd.localization.maps import VolumeMap
 from mapperd.localization.scan import Scan
 from studies.localization.scans import cast_scan
-from studies.localization.world import Drift, Place, Track, World, drifted, track_of
+from studies.localization.world import (
+    DiveArea,
+    DiveTrack,
+    DiveWorld,
+    OdometryDrift,
+    drifted,
+    track_of,
+)
 
-__all__ = ["Dive", "Moment", "dive", "settings"]
+__all__ = ["FilterUpdate", "LocalizationDive", "dive", "settings"]
 
 Floats = NDArray[np.float64]
 ScanMaker = Callable[[int, Floats, int], Scan]
@@ -28,7 +35,7 @@ PARTICLES = 10_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Moment:
+class FilterUpdate:
     """One update.
 
     Attributes:
@@ -58,7 +65,7 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True)
-class Dive:
+class LocalizationDive:
     """What is dived.
 
     Attributes:
@@ -74,11 +81,11 @@ class Dive:
     duration_s: float = 1800.0
     seed: int = 1
     carried_off_s: float | None = None
-    drift: Drift = field(default_factory=Drift)
+    drift: OdometryDrift = field(default_factory=OdometryDrift)
     interval_s: float = 0.4
 
 
-def settings(place: Place, seed: int) -> Config:
+def settings(place: DiveArea, seed: int) -> Config:
     """A sonar's; docs/guides/localization.md gives the reason."""
     amcl = AmclConfig(
         robot_model_type="omnidirectional_drive",
@@ -122,14 +129,14 @@ def settings(place: Place, seed: int) -> Config:
 
 
 def dive(
-    world: World,
+    world: DiveWorld,
     known: VolumeMap,
-    what: Dive,
+    what: LocalizationDive,
     config: Config,
     *,
     scans: ScanMaker | None = None,
     keep_particles_s: tuple[float, ...] = (),
-) -> Iterator[Moment]:
+) -> Iterator[FilterUpdate]:
     """Dive, and yield the estimate of the filter after each update.
 
     Args:
@@ -164,7 +171,7 @@ def dive(
         if waiting and track.time_s[k] >= waiting[0]:
             waiting.pop(0)
             cloud = particles.particles.poses
-        yield Moment(
+        yield FilterUpdate(
             float(track.time_s[k]),
             float(track.way_m[k]),
             place[[0, 1, 5]],
@@ -174,7 +181,7 @@ def dive(
         )
 
 
-def _track(place: Place, what: Dive) -> Track:
+def _track(place: DiveArea, what: LocalizationDive) -> DiveTrack:
     first = track_of(place, what.duration_s, what.interval_s, what.seed)
     if what.carried_off_s is None:
         return first
@@ -182,7 +189,7 @@ def _track(place: Place, what: Dive) -> Track:
     after = first.time_s >= what.carried_off_s
     rows = min(len(first.place), len(other.place))
     places = np.where(after[:rows, None], other.place[:rows], first.place[:rows])
-    return Track(first.time_s[:rows], places, int(np.argmax(after)))
+    return DiveTrack(first.time_s[:rows], places, int(np.argmax(after)))
 
 
 def _near(place: Floats, random: np.random.Generator) -> PlanarGaussian:
@@ -191,7 +198,7 @@ def _near(place: Floats, random: np.random.Generator) -> PlanarGaussian:
     return PlanarGaussian(float(mean[0]), float(mean[1]), float(mean[2]), np.diag(sigma**2))
 
 
-def _reckoned_m(track: Track, odometry: Floats) -> Floats:
+def _reckoned_m(track: DiveTrack, odometry: Floats) -> Floats:
     """(N,) how far odometry is off that was put on the true beginning."""
     turn = track.place[0, 5] - odometry[0, 2]
     c, s = math.cos(turn), math.sin(turn)

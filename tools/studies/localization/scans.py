@@ -16,7 +16,7 @@ from sonar_sim.geometry.pose import rotation_of
 from mapperd.localization.extraction import floor_gate_m
 from mapperd.localization.levelling import fan_points
 from mapperd.localization.scan import Scan
-from studies.localization.world import World
+from studies.localization.world import DiveWorld
 
 __all__ = ["Shares", "cast_scan"]
 
@@ -66,7 +66,7 @@ SHARES = {
 }
 
 
-def cast_scan(world: World, place: Floats, stamp_ns: int, random: np.random.Generator) -> Scan:
+def cast_scan(world: DiveWorld, place: Floats, stamp_ns: int, random: np.random.Generator) -> Scan:
     """One scan.
 
     Args:
@@ -121,7 +121,7 @@ def cast_scan(world: World, place: Floats, stamp_ns: int, random: np.random.Gene
 
 
 def _surfaces(
-    world: World,
+    world: DiveWorld,
     origin_m: Floats,
     map_R_sonar: Floats,  # noqa: N803 frames are named
     bearing: Floats,

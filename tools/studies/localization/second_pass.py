@@ -24,15 +24,15 @@ from demo.map_truth import TrueSurface, read_voxels
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from sonar_sim import Pose
+from sonar_sim import FramePose
 from sonar_sim.scene.scenario import sonar_pose
 from sonar_sim.scene.sonar import SonarSettings
 
 from studies.localization.pass_maps import (
     FIRST,
     SECOND,
-    Course,
     Pass,
+    PassCourse,
     course,
     localized,
     mapped,
@@ -40,13 +40,13 @@ from studies.localization.pass_maps import (
     plain,
     record,
 )
-from studies.localization.world import HARBOUR, Place, World
+from studies.localization.world import HARBOUR, DiveArea, DiveWorld
 
 __all__ = [
     "Agreement",
     "Fans",
-    "Panel",
-    "Study",
+    "MapPanel",
+    "SecondPass",
     "agreement",
     "draw",
     "in_fans",
@@ -78,7 +78,7 @@ class Fans:
         sonar: its aperture and range.
     """
 
-    poses: Sequence[Pose]
+    poses: Sequence[FramePose]
     sonar: SonarSettings
 
 
@@ -129,7 +129,7 @@ MAX_M = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Panel:
+class MapPanel:
     """A second pass's map.
 
     Attributes:
@@ -145,7 +145,7 @@ class Panel:
     track_m: Floats
 
 
-def draw(path: Path, first_m: Floats, panels: list[Panel], course: Course) -> None:
+def draw(path: Path, first_m: Floats, panels: list[MapPanel], course: PassCourse) -> None:
     """Two maps from above, each column of voxels in the colour of its middle one; errors below."""
     picture = plt.figure(figsize=(10, 11.5))
     rows = picture.add_gridspec(3, 2, height_ratios=(1.6, 1.6, 1.0), hspace=0.3)
@@ -171,14 +171,14 @@ def draw(path: Path, first_m: Floats, panels: list[Panel], course: Course) -> No
     plt.close(picture)
 
 
-def _window_m(first_m: Floats, course: Course) -> Floats:
+def _window_m(first_m: Floats, course: PassCourse) -> Floats:
     """(2, 2) corners around the ways and what stands beside them; single far voxels lie outside."""
     most = np.quantile(first_m[:, :2], (0.005, 0.98), axis=0)
     both = np.concatenate([most, course.true[:, :2], course.odometry[:, :2]])
     return np.stack([both.min(axis=0) - 1.0, both.max(axis=0) + 1.0])
 
 
-def _draw_errors(axes: Axes, course: Course, what: str) -> None:
+def _draw_errors(axes: Axes, course: PassCourse, what: str) -> None:
     since_s = course.time_s - course.time_s[0]
     for track, name, colour in (
         (course.odometry, "odometry", "#9a9a9a"),
@@ -220,7 +220,7 @@ class Compared(msgspec.Struct, frozen=True):
     truth_p95_m: float
 
 
-class Found(msgspec.Struct, frozen=True):
+class SecondPassResult(msgspec.Struct, frozen=True):
     """What came out; metres, degrees."""
 
     voxel_m: float
@@ -239,7 +239,7 @@ class Found(msgspec.Struct, frozen=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Study:
+class SecondPass:
     """What is dived.
 
     Attributes:
@@ -248,16 +248,16 @@ class Study:
         truth_voxels: of a map that are compared with the scene, which takes some time a voxel.
     """
 
-    place: Place = PLACE
+    place: DiveArea = PLACE
     first: Pass = FIRST
     second: Pass = SECOND
     truth_voxels: int = 5_000
 
 
-def run(study: Study, out: Path) -> Found:
+def run(study: SecondPass, out: Path) -> SecondPassResult:
     """Simulate, map, compare, and draw into a folder; recordings that are there are taken."""
     out.mkdir(parents=True, exist_ok=True)
-    place, world = study.place, World(study.place)
+    place, world = study.place, DiveWorld(study.place)
     paths = out / "first.mcap", out / "second.mcap"
     for path, what in zip(paths, (study.first, study.second), strict=True):
         if not path.exists():
@@ -275,7 +275,7 @@ def run(study: Study, out: Path) -> Found:
     compared, panels = _compared(study, world, maps, way, surface)
     draw(out / "second-pass.png", maps["first"], panels, way)
     errors_m, odometry_m = way.errors_m(way.estimate), way.errors_m(way.odometry)
-    return Found(
+    return SecondPassResult(
         place.voxel_m,
         (first, second),
         compared["corrected"],
@@ -291,8 +291,12 @@ def run(study: Study, out: Path) -> Found:
 
 
 def _compared(
-    study: Study, world: World, maps: dict[str, Floats], way: Course, surface: TrueSurface
-) -> tuple[dict[str, Compared], list[Panel]]:
+    study: SecondPass,
+    world: DiveWorld,
+    maps: dict[str, Floats],
+    way: PassCourse,
+    surface: TrueSurface,
+) -> tuple[dict[str, Compared], list[MapPanel]]:
     """Where both passes were looking, by the map's name, and its part of the picture."""
     voxel_m, first_m = study.place.voxel_m, _seen_by_both(study, world, maps["first"])
     compared, panels = {}, []
@@ -307,18 +311,18 @@ def _compared(
             f"second pass {name}: {there.median_m:.2f} m median, {there.p95_m:.2f} m 95 %, "
             f"{there.within_voxel:.0%} within a voxel of the first"
         )
-        panels.append(Panel(title, second_m, distance_m, estimate[:, :2]))
+        panels.append(MapPanel(title, second_m, distance_m, estimate[:, :2]))
     return compared, panels
 
 
-def _seen_by_both(study: Study, world: World, centres_m: Floats) -> Floats:
+def _seen_by_both(study: SecondPass, world: DiveWorld, centres_m: Floats) -> Floats:
     """Those of a map's voxels that lay in the fans of both passes."""
     passes = [_fans(world, study.place, what) for what in (study.first, study.second)]
     inside = [in_fans(centres_m, fans) for fans in passes]
     return centres_m[np.all(inside, axis=0)]
 
 
-def _fans(world: World, place: Place, what: Pass) -> Fans:
+def _fans(world: DiveWorld, place: DiveArea, what: Pass) -> Fans:
     driven = what.over(world.scenario, place)
     times_s, _ = ping_poses(what, world.scenario, place)
     step = max(1, round(FANS_S * what.ping_rate_hz))
@@ -338,7 +342,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("out/second-pass"))
     args = parser.parse_args(argv)
-    found = run(Study(), args.out)
+    found = run(SecondPass(), args.out)
     print(msgspec.json.format(msgspec.json.encode(found)).decode())
     worst_m = max(found.corrected.to_first.median_m, found.corrected.from_first.median_m)
     return 0 if worst_m <= found.voxel_m else 1

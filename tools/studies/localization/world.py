@@ -18,7 +18,16 @@ from mapperd.localization.maps import VolumeMap, volume_map
 from mapperd.mapping.queries import MapQueries
 from mapperd.mapping.sonar_map import SonarMap
 
-__all__ = ["WORLDS", "Drift", "Place", "Track", "World", "angles", "drifted", "track_of"]
+__all__ = [
+    "WORLDS",
+    "DiveArea",
+    "DiveTrack",
+    "DiveWorld",
+    "OdometryDrift",
+    "angles",
+    "drifted",
+    "track_of",
+]
 
 
 Floats = NDArray[np.float64]
@@ -27,7 +36,7 @@ SURE = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class DiveArea:
     """How a scene is driven through.
 
     Attributes:
@@ -62,7 +71,7 @@ class Place:
     right_m: float = 1.0
 
 
-HARBOUR = Place(
+HARBOUR = DiveArea(
     "harbour",
     (-20, -10),
     (20, 1.5),
@@ -74,10 +83,10 @@ HARBOUR = Place(
     -6.5,
     water_north_m=4.0,
 )
-PILES = Place(
+PILES = DiveArea(
     "pile_field", (-10, -1.8), (10, 1.8), -4.4, 20.0, 0.5, (-14, -9, -8), (14, 9, 0.5), -6.5
 )
-TANK = Place(
+TANK = DiveArea(
     "tank",
     (-0.9, -0.9),
     (0.9, 0.4),
@@ -96,14 +105,14 @@ TANK = Place(
 WORLDS = {place.scene: place for place in (HARBOUR, PILES, TANK)}
 
 
-class World:
+class DiveWorld:
     """A place, with what its rays meet and the map that is known of it.
 
     Args:
         place: which.
     """
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: DiveArea) -> None:
         self.place = place
 
     @cached_property
@@ -210,7 +219,7 @@ def _points_on(triangles_m: Floats, step_m: float) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class Drift:
+class OdometryDrift:
     """How odometry errs.
 
     Attributes:
@@ -231,7 +240,7 @@ differ by up to 6 degrees."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Track:
+class DiveTrack:
     """The base at the times of the pings.
 
     Attributes:
@@ -251,7 +260,7 @@ class Track:
         return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def track_of(place: Place, duration_s: float, interval_s: float, seed: int) -> Track:
+def track_of(place: DiveArea, duration_s: float, interval_s: float, seed: int) -> DiveTrack:
     """Random legs through the place's box, the bow as far off the way as the current asks for."""
     random = np.random.default_rng((seed, 1))
     low, high = np.array(place.low_m, float), np.array(place.high_m, float)
@@ -279,14 +288,14 @@ def track_of(place: Place, duration_s: float, interval_s: float, seed: int) -> T
     time_s = np.arange(0.0, min(duration_s, path.duration_s), interval_s)
     poses = [path.pose(float(t)) for t in time_s]
     rows = [[*p.position_m, *angles(p.rotation)] for p in poses]
-    return Track(time_s, np.array(rows))
+    return DiveTrack(time_s, np.array(rows))
 
 
-def _waypoint(here: Floats, place: Place, yaw_deg: float) -> Waypoint:
+def _waypoint(here: Floats, place: DiveArea, yaw_deg: float) -> Waypoint:
     return Waypoint(float(here[0]), float(here[1]), place.z_m, yaw_deg)
 
 
-def drifted(track: Track, place: Place, drift: Drift, seed: int) -> Floats:
+def drifted(track: DiveTrack, place: DiveArea, drift: OdometryDrift, seed: int) -> Floats:
     """(N, 3) x, y, yaw of the odometry, from an origin of its own."""
     random = np.random.default_rng((seed, 2))
     sign = random.choice([-1.0, 1.0], 2)
@@ -311,7 +320,7 @@ def drifted(track: Track, place: Place, drift: Drift, seed: int) -> Floats:
     return np.column_stack([np.cumsum(turned, axis=0), heading + wrong])
 
 
-def _current_mps(time_s: float | Floats, place: Place) -> Floats:
+def _current_mps(time_s: float | Floats, place: DiveArea) -> Floats:
     """(2,) or (N, 2), map frame; as much slower as the vehicle is."""
     toward = 2 * math.pi * np.asarray(time_s) / CURRENT_TURN_S
     size = CURRENT_MPS * place.speed_mps / 0.5

@@ -18,7 +18,7 @@ _FORM = re.compile(r"(?P<guard>[^\s].*?[.?!]) (?P<naive>Naively,? .+\.)")
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class HardCase:
     """One hard case.
 
     Attributes:
@@ -39,7 +39,7 @@ class Case:
         return self.file.removesuffix(".py").split("_")[1]
 
 
-def case_of(file: str, name: str, docstring: str | None) -> Case:
+def case_of(file: str, name: str, docstring: str | None) -> HardCase:
     """A test's docstring taken apart.
 
     Raises:
@@ -51,10 +51,10 @@ def case_of(file: str, name: str, docstring: str | None) -> Case:
             f"{file}: {name}: the docstring of a hard case states what it guards against, and "
             'then, in a sentence that begins with "Naively", what would happen without care'
         )
-    return Case(file, name, match["guard"], match["naive"])
+    return HardCase(file, name, match["guard"], match["naive"])
 
 
-def cases(folder: Path = CASES) -> Iterator[Case]:
+def cases(folder: Path = CASES) -> Iterator[HardCase]:
     """All hard cases, in the order of files and lines; without tests of catalogues.
 
     Raises:
@@ -68,7 +68,7 @@ def cases(folder: Path = CASES) -> Iterator[Case]:
                 yield case_of(path.name, node.name, ast.get_docstring(node))
 
 
-def catalogue(found: list[Case]) -> str:
+def catalogue(found: list[HardCase]) -> str:
     """Return the lists, a section an area."""
     rank = {area: (place, "") for place, area in enumerate(AREAS)}
     last = len(AREAS)
@@ -77,11 +77,11 @@ def catalogue(found: list[Case]) -> str:
     return "\n".join([counted, *(_section(a, list(c)) for a, c in groupby(ordered, _area_of))])
 
 
-def _area_of(case: Case) -> str:
+def _area_of(case: HardCase) -> str:
     return case.area
 
 
-def _section(area: str, found: list[Case]) -> str:
+def _section(area: str, found: list[HardCase]) -> str:
     items = "\n".join(f"- `{c.name}`: {c.guard}" for c in found)
     return f"\n### {area.capitalize()} ({len(found)})\n\n{items}"
 

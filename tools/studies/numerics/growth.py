@@ -20,7 +20,7 @@ from oculus_driver.clock_fit import ClockFit
 
 __all__ = [
     "Curve",
-    "Panel",
+    "GrowthPanel",
     "checkpoints",
     "clock",
     "echoes",
@@ -50,7 +50,7 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
-class Panel:
+class GrowthPanel:
     """One picture.
 
     Attributes:
@@ -79,7 +79,7 @@ UNIT = 2.0**-24
 OCCUPIED_SHARE = 0.45
 
 
-def log_odds(updates: int, seed: int = 1) -> Panel:
+def log_odds(updates: int, seed: int = 1) -> GrowthPanel:
     """A voxel that is seen now free, now occupied, at all intensities."""
     chance = np.random.default_rng(seed)
     # Stretches of one kind, so that both clamps, and the way between them, are visited.
@@ -89,7 +89,7 @@ def log_odds(updates: int, seed: int = 1) -> Panel:
     ours = _held(kind, intensity, at)
     exact = _followed(kind, intensity, at, single=False)
     single = _followed(kind, intensity, at, single=True)
-    return Panel(
+    return GrowthPanel(
         "log-odds of a voxel",
         "log-odds",
         at,
@@ -156,7 +156,7 @@ S = 1_000_000_000
 EPOCH_NS = 1_700_000_000 * S
 
 
-def turns(updates: int) -> Panel:
+def turns(updates: int) -> GrowthPanel:
     """A vehicle that turns by some thousandths of a radian, a million times about one axis."""
     axis, step = np.array([0.36, -0.48, 0.8]), 0.003
     at = checkpoints(updates)
@@ -186,7 +186,7 @@ def turns(updates: int) -> Panel:
                 )
             )
     ours, norm, sheared = np.array(errors).T
-    return Panel(
+    return GrowthPanel(
         "attitude carried on by small turns",
         "rad; part",
         at,
@@ -209,7 +209,7 @@ def _matrix32(turn: Floats) -> NDArray[np.float32]:
     return np.array(rows, dtype=np.float32)
 
 
-def way(updates: int, seed: int = 2) -> Panel:
+def way(updates: int, seed: int = 2) -> GrowthPanel:
     """Dead reckoning at 10 Hz and about 1 m/s: a million steps are 28 hours and 100 km."""
     speed = np.random.default_rng(seed).uniform(0.5, 1.5, updates + 1)
     at = checkpoints(updates)
@@ -226,7 +226,7 @@ def way(updates: int, seed: int = 2) -> Panel:
     steps = 0.05 * (speed[1:] + speed[:-1])
     exact = _summed(speed, at)
     single = np.cumsum(steps.astype(np.float32), dtype=np.float32)[at - 1]
-    return Panel(
+    return GrowthPanel(
         "way summed up by dead reckoning",
         "m",
         at,
@@ -250,7 +250,7 @@ def _summed(speed: Floats, at: NDArray[np.int64]) -> Floats:
     return np.array(held)
 
 
-def clock(updates: int, ppm: int = 87) -> Panel:
+def clock(updates: int, ppm: int = 87) -> GrowthPanel:
     """A sender's clock that drifts, followed by a record every 2 s: a million are 23 days."""
     at = checkpoints(updates)
     wanted = set(at.tolist())
@@ -271,7 +271,7 @@ def clock(updates: int, ppm: int = 87) -> Panel:
             error = math.nan if host is None else (host - EPOCH_NS - true_ns) / S
             errors.append((abs(error), abs(plain - x)))
     ours, squares = np.array(errors).T
-    return Panel(
+    return GrowthPanel(
         f"clock that drifts by {ppm} ppm, fitted all along",
         "s",
         at,
@@ -288,7 +288,7 @@ GRAIN = 2.0**-12
 """Log-likelihoods are whole multiples of this, so that a double holds their sums exactly."""
 
 
-def weights(updates: int, seed: int = 3) -> Panel:
+def weights(updates: int, seed: int = 3) -> GrowthPanel:
     """Particles weighed a million times and never resampled."""
     chance = np.random.default_rng(seed)
     particles = ParticleFilter(filter_rule(Config()), 1)
@@ -319,7 +319,7 @@ def weights(updates: int, seed: int = 3) -> Panel:
                 )
             )
     ours, multiplied, rounded = np.array(errors).T
-    return Panel(
+    return GrowthPanel(
         "weights of particles, never resampled",
         "part of the weight",
         at,
@@ -337,7 +337,7 @@ def _shares(logs: Floats) -> Floats:
     return np.asarray(shares / shares.sum())
 
 
-def echoes(updates: int, seed: int = 4) -> Panel:
+def echoes(updates: int, seed: int = 4) -> GrowthPanel:
     """Echoes of random phase in one cell of the simulator, whose cells are single precision."""
     chance = np.random.default_rng(seed)
     phase = chance.uniform(0.0, 2.0 * np.pi, updates)
@@ -348,7 +348,7 @@ def echoes(updates: int, seed: int = 4) -> Panel:
     decibels = 20.0 * np.abs(np.log10(np.abs(single) / np.abs(exact)))
     levels = _levels32(updates, set(at.tolist()))
     equal = np.abs(levels - 10.0 * np.log10(at))
-    return Panel(
+    return GrowthPanel(
         "echoes added up in one cell",
         "dB",
         at,

@@ -19,8 +19,8 @@ from studies.numerics import (
     single_places,
     single_simulator,
 )
-from studies.numerics.growth import Panel
-from studies.numerics.single_places import Measured, Place
+from studies.numerics.growth import GrowthPanel
+from studies.numerics.single_places import SingleError, SinglePlace
 from studies.numerics.sources import NOT_MEASURED
 from studies.report import IMAGES, PAGES, write_section
 
@@ -32,7 +32,7 @@ COLOURS = 64
 """Of the picture: enough for lines and text, and a third of the bytes."""
 
 
-def draw(panels: Sequence[Panel], file: Path) -> None:
+def draw(panels: Sequence[GrowthPanel], file: Path) -> None:
     """A picture of all panels, two side by side."""
     mpl.use("Agg")
     from matplotlib import pyplot as plt  # noqa: PLC0415 after the backend is chosen
@@ -58,13 +58,13 @@ def draw(panels: Sequence[Panel], file: Path) -> None:
     Image.open(drawn).convert("RGB").quantize(COLOURS).save(file, optimize=True)
 
 
-def _bottom(panel: Panel) -> float:
+def _bottom(panel: GrowthPanel) -> float:
     """Under the least error that is any; an error of nothing is drawn there."""
     errors = np.concatenate([curve.error for curve in panel.curves])
     return float(errors[errors > 0].min()) / 10
 
 
-def growth_table(panels: Sequence[Panel]) -> str:
+def growth_table(panels: Sequence[GrowthPanel]) -> str:
     """Errors after a tenth, and after all, of the updates."""
     rows = [
         "| what is updated | how | unit | after a thousandth | after all | judged by |",
@@ -84,7 +84,7 @@ def _number(error: float) -> str:
     return "no number" if not np.isfinite(error) else f"{error:.1e}" if error else "0"
 
 
-def places_table(measured: Sequence[tuple[Place, Measured]]) -> str:
+def places_table(measured: Sequence[tuple[SinglePlace, SingleError]]) -> str:
     """Where single precision is, and what it costs."""
     rows = [
         "| where | what | worst error | so | why it is enough | measured |",
@@ -113,7 +113,7 @@ def _names(files: Sequence[str]) -> str:
     return f"{len(files)} of `{folder}`" if many else ", ".join(f"`{name}`" for name in files)
 
 
-GROWTHS: tuple[Callable[[int], Panel], ...] = (
+GROWTHS: tuple[Callable[[int], GrowthPanel], ...] = (
     growth.log_odds,
     growth.turns,
     growth.way,

@@ -13,7 +13,7 @@ from mapperd.imaging.ping_image import PingImage, display_units
 from mapperd.mapping.queries import MapQueries
 from mapperd.mapping.sonar_map import BLOCK_VOXELS, SonarMap
 from studies.numerics.growth import UNIT
-from studies.numerics.single_places import Measured, Place
+from studies.numerics.single_places import SingleError, SinglePlace
 
 __all__ = ["PLACES"]
 
@@ -27,7 +27,7 @@ def _chance(log_odds: Floats) -> Floats:
     return np.asarray(1.0 / (1.0 + np.exp(-log_odds)))
 
 
-def _handed_out() -> Measured:
+def _handed_out() -> SingleError:
     """Log-odds that a map of known values is asked for."""
     sonar_map = SonarMap(Config())
     chance = np.random.default_rng(1)
@@ -39,10 +39,10 @@ def _handed_out() -> Measured:
     _, given, _ = sonar_map.core.voxels()
     handed = np.sort(given.astype(np.float64))
     off, wrong = np.abs(handed - exact), np.abs(_chance(handed) - _chance(exact))
-    return Measured(f"{off.max():.1e} log-odds", f"probability off by {wrong.max():.0e}")
+    return SingleError(f"{off.max():.1e} log-odds", f"probability off by {wrong.max():.0e}")
 
 
-def _probability() -> Measured:
+def _probability() -> SingleError:
     """Of a map's occupied voxels, in the order of the log-odds that they are made of."""
     sonar_map = SonarMap(Config())
     chance = np.random.default_rng(15)
@@ -52,10 +52,10 @@ def _probability() -> Measured:
     _, given, _ = sonar_map.core.voxels()
     exact = np.sort(_chance(given.astype(np.float64)))
     off = np.abs(np.sort(sonar_map.voxels("occupied").probability.astype(np.float64)) - exact)
-    return Measured(f"{off.max():.1e}", "a threshold is met or not by that much")
+    return SingleError(f"{off.max():.1e}", "a threshold is met or not by that much")
 
 
-def _intensity() -> Measured:
+def _intensity() -> SingleError:
     """Samples of all widths as 0..255."""
     chance = np.random.default_rng(2)
     worst = 0.0
@@ -68,16 +68,16 @@ def _intensity() -> Measured:
     settings = Config()
     span = settings.iwlo.intensity_max - settings.filtering.intensity_threshold
     step = settings.iwlo.L_occ * settings.iwlo.sharpness / 4.0 / span * worst
-    return Measured(f"{worst:.1e} of 255", f"a step is off by {step:.0e} log-odds; 8 bit: 0")
+    return SingleError(f"{worst:.1e} of 255", f"a step is off by {step:.0e} log-odds; 8 bit: 0")
 
 
-def _look_ups() -> Measured:
+def _look_ups() -> SingleError:
     """Everything thrice as large gives the same log-odds, but other roundings on the way."""
     first, second = _scaled(1.0), _scaled(3.0)
     keys = first.keys() | second.keys()
     off = np.array([np.abs(first.get(key, NOTHING) - second.get(key, NOTHING)) for key in keys])
     seen = sum(np.count_nonzero(log_odds) for log_odds in first.values())
-    return Measured(
+    return SingleError(
         f"{off.max():.1e} log-odds",
         f"{np.count_nonzero(off)} of {seen} voxels take the next point of the grid",
     )
@@ -105,7 +105,7 @@ def _scaled(scale: float) -> dict[bytes, Floats]:
     return {key.tobytes(): block for key, block in zip(keys, log_odds, strict=True)}
 
 
-def _distances() -> Measured:
+def _distances() -> SingleError:
     """A distance field of scattered voxels, by scipy's transform in double precision."""
     edge, chance = 0.05, np.random.default_rng(4)
     config = Config()
@@ -124,39 +124,39 @@ def _distances() -> Measured:
     empty[tuple(cells.T)] = False
     exact = edge * distance_transform_edt(empty)
     off = np.abs(got - np.minimum(exact, 60 * edge))
-    return Measured(
+    return SingleError(
         f"{off.max():.1e} m",
         f"of distances up to {min(exact.max(), 60 * edge):.1f} m, in voxels of 5 cm",
     )
 
 
 PLACES = (
-    Place(
+    SinglePlace(
         "`VoxelMap.query`, `voxels`; `.ot` files",
         "log-odds handed out (stored: whole units of 2^-11)",
         _handed_out,
         "the file format's own width; what is stored keeps all its digits",
     ),
-    Place(
+    SinglePlace(
         "`mapping.Voxels`, `map_queries`, the client's mirror, LAS",
         "probabilities handed out",
         _probability,
         "thresholds are compared in log-odds, in double precision; half the memory of a cloud",
     ),
-    Place(
+    SinglePlace(
         "`echo`",
         "intensities",
         _intensity,
         "samples of 8 bit are exact; 32-bit ones are divided in double precision first",
     ),
-    Place(
+    SinglePlace(
         "`evidence_grid`, `kernels`, `iwlo`",
         "shares of a footprint, weights w(I), places of voxels in the grid",
         _look_ups,
         "places count from the sonar, and within a cell from its centre; a point of the grid is "
         "0.3 voxels wide; eight lanes of a vector unit instead of four",
     ),
-    Place(
+    SinglePlace(
         "`distance_field`, `volume_map`",
         "distances to the nearest voxel",
         _distances,

@@ -25,11 +25,11 @@ from mapperd.localization.particle_filter import (
 from mapperd.server.state_messages import first_returns
 from mapperd.wire.blocks import path_message
 
-__all__ = ["PLACES", "Measured", "Place"]
+__all__ = ["PLACES", "SingleError", "SinglePlace"]
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class SingleError:
     """What was found.
 
     Attributes:
@@ -42,7 +42,7 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class SinglePlace:
     """One of them.
 
     Attributes:
@@ -55,7 +55,7 @@ class Place:
 
     where: str
     what: str
-    measure: Callable[[], Measured]
+    measure: Callable[[], SingleError]
     enough: str
     numpy: str = ""
 
@@ -76,15 +76,15 @@ def _field() -> tuple[LikelihoodField, Floats]:
     return LikelihoodField.of_grid(grid, HIT), exact
 
 
-def _likelihoods() -> Measured:
+def _likelihoods() -> SingleError:
     field, exact = _field()
     off = np.abs(field.values() / exact - 1.0).max()
-    return Measured(
+    return SingleError(
         f"{off:.1e} of a likelihood", f"256 beams: at most {256 * off:.0e} of a weight's log"
     )
 
 
-def _weighing() -> Measured:
+def _weighing() -> SingleError:
     """A scan of 256 beams weighed by the field, against the sum of logarithms in doubles."""
     field, _ = _field()
     bearing = np.linspace(-1.1, 1.1, 256)
@@ -101,10 +101,10 @@ def _weighing() -> Measured:
         values[inside] = field.values()[row[inside], column[inside]]
         exact = math.fsum(np.log(values.astype(np.float64)).tolist())
         worst = max(worst, abs(got - exact))
-    return Measured(f"{worst:.1e} of a weight's log", "a particle's weight is off by that part")
+    return SingleError(f"{worst:.1e} of a weight's log", "a particle's weight is off by that part")
 
 
-def _levels() -> Measured:
+def _levels() -> SingleError:
     """Levels of an image, and means of windows as differences of running sums over 3000 rows."""
     chance = np.random.default_rng(7)
     image = np.minimum(chance.rayleigh(12.0, (3000, 64)), 255.0)
@@ -118,30 +118,30 @@ def _levels() -> Measured:
     means = ((single[window:] - single[:-window]) * np.float32(1 / window)).astype(np.float64)
     off = np.abs(means - (double[window:] - double[:-window]) / window).max()
     plain = np.abs(levels - exact)[image >= 1.0].max()
-    return Measured(
+    return SingleError(
         f"{plain:.0e} dB a level, {off:.0e} dB a mean", "a return stands 12 dB above it"
     )
 
 
-def _notch() -> Measured:
+def _notch() -> SingleError:
     chance = np.random.default_rng(8)
     image = np.minimum(chance.rayleigh(20.0, (800, 256)), 255.0).astype(np.float32)
     settings = CrosstalkConfig(filter_strength=0.9)
     off = np.abs(notched(image, settings) - notched(image.astype(np.float64), settings)).max()
-    return Measured(f"{off:.1e} of 255", "a step of an 8-bit image is 1")
+    return SingleError(f"{off:.1e} of 255", "a step of an 8-bit image is 1")
 
 
-def _path() -> Measured:
+def _path() -> SingleError:
     """What a client reads of the points that it receives."""
     lines = []
     for far_m in (10_000.0, 5e6):
         at = np.random.default_rng(9).uniform(-far_m, far_m, (900, 3))
         off = np.abs(places_of(path_message(0, at)) - at).max()
         lines.append(f"{off:.1e} m at {far_m / 1000:.0f} km")
-    return Measured(", ".join(lines), "a path is drawn; poses are in double precision")
+    return SingleError(", ".join(lines), "a path is drawn; poses are in double precision")
 
 
-def _returns() -> Measured:
+def _returns() -> SingleError:
     """One return in each beam, as far as a sonar of low frequency sees."""
     rows, bearings = 2400, np.linspace(-1.1, 1.1, 512)
     image = np.zeros((rows, 512), np.float32)
@@ -151,72 +151,72 @@ def _returns() -> Measured:
     range_m = (row + 0.5) * 0.05
     exact = range_m[:, None] * np.column_stack([np.cos(bearings), -np.sin(bearings)])
     off = np.abs(points[:, :2] - exact).max()
-    return Measured(f"{off:.1e} m at 120 m", "a row of the image is 2 mm and more")
+    return SingleError(f"{off:.1e} m at 120 m", "a row of the image is 2 mm and more")
 
 
-def _heights() -> Measured:
+def _heights() -> SingleError:
     lines = []
     for deep_m in (11_000, 200):
         height = np.random.default_rng(10).uniform(-deep_m, 0.0, 100_000)
         lines.append(f"{np.abs(height.astype(np.float32) - height).max():.0e} m at {deep_m} m")
-    return Measured(", ".join(lines), "a voxel is 5 cm")
+    return SingleError(", ".join(lines), "a voxel is 5 cm")
 
 
-def _pictures() -> Measured:
+def _pictures() -> SingleError:
     """Grey of 16-bit samples at a gamma, as pictures of pings have them."""
     samples = np.arange(2**16, dtype=np.uint16)
     share = np.clip(samples.astype(np.float32) / np.float32(65535.0), 0.0, 1.0)
     grey = np.rint(share ** np.float32(0.6) * 255.0)
     off = np.abs(grey - np.rint((samples / 65535.0) ** 0.6 * 255.0))
-    return Measured(f"{np.sum(off > 0)} of 65536 levels by a grey", "only looked at")
+    return SingleError(f"{np.sum(off > 0)} of 65536 levels by a grey", "only looked at")
 
 
 PLACES = (
-    Place(
+    SinglePlace(
         "`likelihood_field`",
         "likelihoods of a map's cells",
         _likelihoods,
         "half the memory, twice the cells in a cache; the model's constants are rough guesses",
     ),
-    Place(
+    SinglePlace(
         "`field_weight`",
         "likelihoods looked up for a block of particles; products and logarithms are doubles",
         _weighing,
         "particles differ by tenths of a logarithm",
     ),
-    Place(
+    SinglePlace(
         "`levels`, `first_return`",
         "levels in dB and running sums of them",
         _levels,
         "a scan is taken of every ping; sums restart in each",
         "means alone, whose running sums lie within the search for a return; levels are ours",
     ),
-    Place(
+    SinglePlace(
         "`fft_notch`, `crosstalk`, `robot_bands`",
         "images while they are filtered; measured of the notch",
         _notch,
         "the samples have 8 or 16 bit",
     ),
-    Place(
+    SinglePlace(
         "`stream.way`, particles, `topside`",
         "points of the path",
         _path,
         "12 bytes a point on the link; far away 12 more hold what rounding left",
     ),
-    Place(
+    SinglePlace(
         "`stream.pictures`",
         "first returns, fan and bearings",
         _returns,
         "they count from the sonar, not from the map's zero",
     ),
-    Place(
+    SinglePlace(
         "GeoTIFF",
         "heights",
         _heights,
         "what survey programs read",
         "the file holds no more than a rounding of each height",
     ),
-    Place(
+    SinglePlace(
         "pictures of pings",
         "levels before they are greys",
         _pictures,

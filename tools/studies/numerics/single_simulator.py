@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 from sonar_sim.engine import PingEngine
-from sonar_sim.geometry.pose import Pose
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.raycast.meshes import Meshes
 from sonar_sim.receiver.beamformer import beam_former
@@ -12,12 +12,12 @@ from sonar_sim.scene.material import MATERIALS
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.sonar import SonarSettings
 
-from studies.numerics.single_places import Measured, Place
+from studies.numerics.single_places import SingleError, SinglePlace
 
 __all__ = ["PLACES"]
 
 
-def _rays() -> Measured:
+def _rays() -> SingleError:
     """A slanting plane 1000 km from the map's origin, against its equation."""
     far = np.array([1e6, -2e6, -50.0])
     corners = np.array([[0.0, -200.0, -100.0], [0.0, 200.0, -100.0], [150.0, 0.0, 120.0]])
@@ -31,16 +31,18 @@ def _rays() -> Measured:
     exact = normal @ (corners[0] + [40.0, 0, 0]) / (rounded.astype(np.float64) @ normal)
     hit = np.isfinite(met.range_m)
     off = np.abs(met.range_m[hit] - exact[hit]).max()
-    return Measured(f"{off:.1e} m of {exact[hit].max():.0f} m", "a hundredth of the thinnest row")
+    return SingleError(
+        f"{off:.1e} m of {exact[hit].max():.0f} m", "a hundredth of the thinnest row"
+    )
 
 
-def _scattering() -> Measured:
+def _scattering() -> SingleError:
     """A scene and its mirror image: other numbers all along, and the same image mirrored."""
     image = _amplitude(1.0)
     mirrored = _amplitude(-1.0)[:, ::-1]
     lit = image > image.max() / 1000.0
     off = 20.0 * np.abs(np.log10(mirrored[lit] / image[lit]))
-    return Measured(f"{off.max():.0e} dB, down to -60 dB", "a pixel's step is 0.03 dB and more")
+    return SingleError(f"{off.max():.0e} dB, down to -60 dB", "a pixel's step is 0.03 dB and more")
 
 
 def _amplitude(side: float) -> NDArray[np.float64]:
@@ -61,21 +63,21 @@ def _amplitude(side: float) -> NDArray[np.float64]:
         gain=True,
         sine_bearings=True,
     )
-    ping = PingEngine(scene, sonar).ping(Pose(np.zeros(3), np.eye(3)), physics)
+    ping = PingEngine(scene, sonar).ping(FramePose(np.zeros(3), np.eye(3)), physics)
     return ping.amplitude.astype(np.float64)
 
 
-def _echoes() -> Measured:
+def _echoes() -> SingleError:
     """Ten thousand echoes of random phase in each of 200 cells."""
     phase = np.random.default_rng(12).uniform(0.0, 2 * np.pi, (10_000, 200))
     field = np.exp(1j * phase).astype(np.complex64)
     single = np.cumsum(field, axis=0, dtype=np.complex64)[-1].astype(np.complex128)
     exact = field.sum(axis=0, dtype=np.complex128)
     decibels = 20 * np.abs(np.log10(np.abs(single) / np.abs(exact)))
-    return Measured(f"{decibels.max():.0e} dB", "a pixel's step is 0.03 dB and more")
+    return SingleError(f"{decibels.max():.0e} dB", "a pixel's step is 0.03 dB and more")
 
 
-def _beams() -> Measured:
+def _beams() -> SingleError:
     """The beam former's transform, against a plain convolution in double precision."""
     sonar = SonarSettings(beams=256)
     physics = Physics(beam_width_rad=sonar.beam_width_rad, side_lobe_db=30.0, sine_bearings=True)
@@ -93,10 +95,10 @@ def _beams() -> Measured:
     first = former.firsts
     exact = np.array([np.convolve(row, taps, "valid") for row in padded])[:, first : first + 256]
     off = np.abs(got - exact).max() / np.sqrt(np.mean(np.abs(exact) ** 2))
-    return Measured(f"{-20 * np.log10(off):.0f} dB under the echoes", "side lobes are at -30 dB")
+    return SingleError(f"{-20 * np.log10(off):.0f} dB under the echoes", "side lobes are at -30 dB")
 
 
-def _pixels() -> Measured:
+def _pixels() -> SingleError:
     """Amplitudes to pixels of 8 and 16 bit at a gamma, against powers in double precision."""
     beams = np.random.default_rng(14).rayleigh(0.3, (1000, 256)).astype(np.float32)
     shown = amplitude(np.square(beams), np.ones(1000, np.float32))
@@ -108,36 +110,36 @@ def _pixels() -> Measured:
         exact = np.rint(end * np.minimum(shown.astype(np.float64), 1.0) ** (127 / 255))
         off = np.abs(got - exact)
         lines.append(f"{100 * np.mean(off > 0):.2g} % of {bits}-bit pixels by {off.max():.0f}")
-    return Measured("; ".join(lines), "speckle moves every pixel by 5 dB")
+    return SingleError("; ".join(lines), "speckle moves every pixel by 5 dB")
 
 
 PLACES = (
-    Place(
+    SinglePlace(
         "`meshes`, `tracing` (Embree)",
         "corners, directions and ranges",
         _rays,
         "corners count from their scene's middle, the sonar's pose stays in double precision",
     ),
-    Place(
+    SinglePlace(
         "`footprint`, `placing`, `nodes`, `scatter_*`",
         "what a patch sends back, and where it is heard",
         _scattering,
         "patches are placed in rows and columns about the sonar, in metres from it",
     ),
-    Place(
+    SinglePlace(
         "`deposit`, `random`, `hearing`",
         "echoes and the cells that they fall into",
         _echoes,
         "twice the numbers a vector and a cache; bits do not depend on the number of threads",
         "a cell's echoes are added where they are made, and have no twin in double precision",
     ),
-    Place(
+    SinglePlace(
         "`convolution`, `beams`",
         "beams, by Fourier transform",
         _beams,
         "eight rows at a time",
     ),
-    Place(
+    SinglePlace(
         "`receiver`, `fast_math`",
         "gain, gamma and the quantiser",
         _pixels,

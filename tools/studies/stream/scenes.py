@@ -22,7 +22,7 @@ from mapperd.wire.messages import BLOCK_EDGE, MapFacts
 from studies.stream.link import SERVER, LinkShape, NotPermittedError, joined_hosts
 from studies.stream.staleness import Knowledge, Staleness, staleness
 from studies.stream.watching import read_log
-from studies.stream.world import RESOLUTION_M, World, mirror_of
+from studies.stream.world import RESOLUTION_M, StreamWorld, mirror_of
 
 __all__ = [
     "FleetOutcome",
@@ -170,7 +170,7 @@ def tether(folder: Path, capture: Path, shape: LinkShape, dice: int, log: Log) -
             log(f"no hosts ({error}): the link is a relay in a process")
             server, client, link = "", "", None
         world = stack.enter_context(
-            World(
+            StreamWorld(
                 folder,
                 capture,
                 host=SERVER if server else "127.0.0.1",
@@ -212,7 +212,7 @@ def tether(folder: Path, capture: Path, shape: LinkShape, dice: int, log: Log) -
 
 def fleet(folder: Path, capture: Path, clients: int, seconds: float, log: Log) -> FleetOutcome:
     """Many clients whose links break and stall; the daemon is ended twice, once by force."""
-    with World(folder, capture, use_store=True) as world:
+    with StreamWorld(folder, capture, use_store=True) as world:
         world.start_daemon()
         dive = world.start_dive()
         halves = [clients - clients // 2, clients // 2]
@@ -250,7 +250,7 @@ def fleet(folder: Path, capture: Path, clients: int, seconds: float, log: Log) -
 
 def watchers(folder: Path, capture: Path, clients: int, seconds: float, log: Log) -> WatcherOutcome:
     """The daemon's cost with so many clients that want everything but images."""
-    with World(folder, capture) as world:
+    with StreamWorld(folder, capture) as world:
         world.start_daemon()
         programs = [
             world.start(_answers(world, f"watcher-{number}", everything=True), f"watcher-{number}")
@@ -275,11 +275,13 @@ def watchers(folder: Path, capture: Path, clients: int, seconds: float, log: Log
         )
 
 
-def _watch(world: World, name: str, namespace: str, address: str = "") -> subprocess.Popen[bytes]:
+def _watch(
+    world: StreamWorld, name: str, namespace: str, address: str = ""
+) -> subprocess.Popen[bytes]:
     return world.start(_answers(world, name, address, until_complete=True), name, namespace)
 
 
-def _relayed(world: World) -> str:
+def _relayed(world: StreamWorld) -> str:
     """Address of a bad link to the daemon, inside a process."""
     words = [sys.executable, "-m", "studies.stream.relay", world.address]
     program = world.start(words, "relay", piped=True)
@@ -288,7 +290,7 @@ def _relayed(world: World) -> str:
 
 
 def _answers(
-    world: World,
+    world: StreamWorld,
     name: str,
     address: str = "",
     *,
@@ -302,13 +304,13 @@ def _answers(
     return words + (["--everything"] if everything else [])
 
 
-def _fleet(world: World, dice: int, clients: int, seconds: float) -> subprocess.Popen[bytes]:
+def _fleet(world: StreamWorld, dice: int, clients: int, seconds: float) -> subprocess.Popen[bytes]:
     words = [sys.executable, "-m", "studies.stream.fleet", world.address, str(world.token)]
     words += ["--clients", str(clients), "--seconds", str(seconds), "--dice", str(dice)]
     return world.start(words, f"fleet-{dice}", piped=True)
 
 
-def _facts(world: World) -> MapFacts:
+def _facts(world: StreamWorld) -> MapFacts:
     """Of the map as the stream sends them; what a digest depends on."""
     config = world.config()
     occupied, free = config.mapping.occupied_threshold, config.mapping.free_threshold
@@ -334,7 +336,7 @@ def _ages(reference: dict[str, Any], judged: dict[str, Any], joined_ns: int) -> 
     return staleness(known[0], known[1], moments, places, radius_m=NEAR_M, block_m=block_m)
 
 
-def _until_over(world: World, log: Log) -> None:
+def _until_over(world: StreamWorld, log: Log) -> None:
     """Until no ping comes any more."""
     last, same = -1, 0
     while same < QUIET_S:

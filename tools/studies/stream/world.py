@@ -24,7 +24,7 @@ from mapperd.wire.messages import BLOCK_EDGE, Interest, MapFacts
 from studies.report import ROOT
 from studies.stream.sent_steps import sent_steps
 
-__all__ = ["RESOLUTION_M", "World", "mirror_of"]
+__all__ = ["RESOLUTION_M", "StreamWorld", "mirror_of"]
 
 RESOLUTION_M = 0.1
 SONAR, ODOMETRY, STREAM = 52100, 52200, 7471
@@ -43,7 +43,7 @@ server: {{ address: "{host}:{stream}", token_file: {token}, max_clients: 200 }}
 """
 
 
-class World:
+class StreamWorld:
     """A sonar, a vehicle, a daemon; `with`.
 
     Args:

@@ -106,7 +106,7 @@ PAUSE_S = 300.0
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class SurveyPlan:
     """What is dived.
 
     Attributes:
@@ -134,15 +134,15 @@ class Plan:
         return self.along * self.spacing_m - self.beside_m
 
 
-FULL = Plan()
+FULL = SurveyPlan()
 """Ten dives of about twelve minutes, two hours in all, over 880 m times 760 m."""
 
-SMALL = Plan(along=1, across=1, leg_m=4.0, spacing_m=6.0, beside_m=3.0, beams=256)
+SMALL = SurveyPlan(along=1, across=1, leg_m=4.0, spacing_m=6.0, beside_m=3.0, beams=256)
 """Two dives of seconds, for tests and first steps."""
 
 
 @dataclass(frozen=True, slots=True)
-class Dive:
+class SimulatedDive:
     """One of a survey.
 
     Attributes:
@@ -160,15 +160,17 @@ class Dive:
     seed: int
 
 
-def dives(plan: Plan) -> list[Dive]:
+def dives(plan: SurveyPlan) -> list[SimulatedDive]:
     """All of a plan, in time."""
-    made: list[Dive] = []
+    made: list[SimulatedDive] = []
     start_s = 0.0
     spans = ((-MARGIN_M, plan.leg_m + MARGIN_M), (-MARGIN_M, plan.width_m + MARGIN_M))
     ground = seabed(*spans, plan.seed)
     for k, corners in enumerate(_paths(plan)):
         scene = {**ground, **_carried(plan, corners)}
-        dive = Dive(f"dive-{k + 1:02}", start_s, _duration_s(scene), scene, 1000 * plan.seed + k)
+        dive = SimulatedDive(
+            f"dive-{k + 1:02}", start_s, _duration_s(scene), scene, 1000 * plan.seed + k
+        )
         start_s += dive.duration_s + PAUSE_S
         made.append(dive)
     return made
@@ -178,7 +180,7 @@ Corner = tuple[float, float, float]
 """x, y (m) and heading (deg, unwrapped)."""
 
 
-def _paths(plan: Plan) -> Iterator[list[Corner]]:
+def _paths(plan: SurveyPlan) -> Iterator[list[Corner]]:
     """Out on one line and back on the next one to port; the heading turns there, not at the end."""
     for k in range(plan.along):
         near_m = k * plan.spacing_m
@@ -213,7 +215,7 @@ def _duration_s(scene: Tree) -> float:
     return path_of(msgspec.convert(scene["trajectory"], PathSection)).duration_s
 
 
-def _carried(plan: Plan, corners: list[Corner]) -> dict[str, Any]:
+def _carried(plan: SurveyPlan, corners: list[Corner]) -> dict[str, Any]:
     """Sections of the sonar, its mounting straight down, the path, and navigation by beacons."""
     depth_m = DEPTH_M - ALTITUDE_M
     return {

@@ -25,13 +25,13 @@ import yaml
 from sonar_sim import load_scenario
 from sonar_sim.capture import EPOCH_NS, POWER_UP_S, CaptureSettings, ping_times_s
 from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
-from sonar_sim.scene.vehicle import Odometry, in_order_of_arrival, odometry_record
+from sonar_sim.scene.vehicle import SimulatedOdometry, in_order_of_arrival, odometry_record
 from sonar_sim.simulator import Simulator
 from sonar_sim.wire import Network, compass_heading_deg, delivered, ping_message
 from tqdm import tqdm
 
 from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, RecordingWriter
-from studies.survey.dives import FULL, PING_RATE_HZ, SMALL, Dive, Plan, dives
+from studies.survey.dives import FULL, PING_RATE_HZ, SMALL, SimulatedDive, SurveyPlan, dives
 
 if TYPE_CHECKING:
     from multiprocessing.sharedctypes import Synchronized
@@ -133,7 +133,7 @@ Progress = Callable[[int, int], None]
 Arrival = tuple[float, str, bytes]
 
 
-def record(dive: Dive, folder: Path, progress: Progress | None = None) -> Path:
+def record(dive: SimulatedDive, folder: Path, progress: Progress | None = None) -> Path:
     """Write `NAME.yaml`, the scene, and `NAME.mcap`; a recording that is there is kept.
 
     The recording is there whole or not at all. Equal dives give equal bytes.
@@ -151,7 +151,7 @@ def record(dive: Dive, folder: Path, progress: Progress | None = None) -> Path:
     return path
 
 
-def _write(path: Path, dive: Dive, scenario: Scenario, progress: Progress | None) -> None:
+def _write(path: Path, dive: SimulatedDive, scenario: Scenario, progress: Progress | None) -> None:
     start_ns = EPOCH_NS + round(dive.start_s * 1e9)
     pings = _sonar_link(dive, scenario, progress)
     odometry = _odometry_link(dive, scenario, start_ns)
@@ -164,7 +164,9 @@ def _write(path: Path, dive: Dive, scenario: Scenario, progress: Progress | None
             recording.write(links[name], data, start_ns + round(time_s * 1e9))
 
 
-def _sonar_link(dive: Dive, scenario: Scenario, progress: Progress | None) -> Iterator[Arrival]:
+def _sonar_link(
+    dive: SimulatedDive, scenario: Scenario, progress: Progress | None
+) -> Iterator[Arrival]:
     sonar, water = scenario.sonar, scenario.scene.water
     simulator = Simulator(
         scenario.scene,
@@ -195,8 +197,8 @@ def _sonar_link(dive: Dive, scenario: Scenario, progress: Progress | None) -> It
             progress(number + 1, len(times_s))
 
 
-def _odometry_link(dive: Dive, scenario: Scenario, start_ns: int) -> Iterator[Arrival]:
-    odometry = Odometry(scenario.trajectory, scenario.vehicle, dive.seed)
+def _odometry_link(dive: SimulatedDive, scenario: Scenario, start_ns: int) -> Iterator[Arrival]:
+    odometry = SimulatedOdometry(scenario.trajectory, scenario.vehicle, dive.seed)
     for sample in in_order_of_arrival(odometry.samples()):
         record = odometry_record(sample, start_ns + round(sample.time_s * 1e9))
         yield sample.arrival_s, "odometry", record
@@ -210,7 +212,7 @@ _done: "list[Synchronized[int]]" = []
 """Pings of all processes, in a worker process."""
 
 
-def make(folder: Path, plan: Plan, processes: int) -> list[Path]:
+def make(folder: Path, plan: SurveyPlan, processes: int) -> list[Path]:
     """Record all dives of a plan that are not there yet; returns the recordings, in time."""
     todo = dives(plan)
     if processes == 1:
@@ -233,7 +235,7 @@ def damage(folder: Path, recordings: Sequence[Path], seed: int) -> list[Damage]:
     return done
 
 
-def record_all(todo: Sequence[Dive], folder: Path, processes: int) -> list[Path]:
+def record_all(todo: Sequence[SimulatedDive], folder: Path, processes: int) -> list[Path]:
     """Record dives in processes of their own, with a progress bar; what fails ends it soon."""
     # Forking would copy the threads' locks of whatever runs here; spawning does not.
     context = multiprocessing.get_context("spawn")
@@ -255,7 +257,7 @@ def _start(done: "Synchronized[int]") -> None:
     _done.append(done)
 
 
-def _record(dive: Dive, folder: Path) -> Path:
+def _record(dive: SimulatedDive, folder: Path) -> Path:
     counted = 0
 
     def progress(pings: int, _of: int) -> None:
@@ -277,7 +279,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--processes", type=int, default=os.cpu_count() or 1, help="change nothing in the files")
     add("--damage", action="store_true", help="also damage copies of the first two recordings")
     args = parser.parse_args(argv)
-    plan: Plan = PLANS[args.scale]
+    plan: SurveyPlan = PLANS[args.scale]
     if args.beams is not None:
         plan = replace(plan, beams=args.beams)
     recordings = make(args.out, plan, args.processes)

@@ -26,8 +26,8 @@ from mapper_survey.run_record import TaskTime, read_task_times
 from studies.survey.make_dives import PLANS, damage, make
 from studies.survey.runs import (
     Fingerprint,
+    RunUsage,
     SchedulerTime,
-    Watched,
     fingerprint,
     map_in_one_process,
     scheduler_time,
@@ -58,7 +58,7 @@ class Judged(msgspec.Struct, frozen=True):
         lost: what was lost, by dive, from `survey.json`.
     """
 
-    run: Watched
+    run: RunUsage
     recorded_s: float
     map: Fingerprint
     lost: dict[str, list[Any]]

@@ -120,7 +120,7 @@ WORKER = "spawn_main"
 """In the command line of a worker: Dask's nanny spawns it from the process of the command."""
 
 
-class Watched(msgspec.Struct, frozen=True):
+class RunUsage(msgspec.Struct, frozen=True):
     """What a run took.
 
     Attributes:
@@ -147,7 +147,7 @@ def watch(
     *,
     kill_every_s: float | None = None,
     seed: int = 1,
-) -> Watched:
+) -> RunUsage:
     """Run a survey.
 
     Args:
@@ -188,7 +188,7 @@ def watch(
     if code != 0:
         raise RuntimeError(f"mapper-survey ended with {code}")
     wall_s = time.perf_counter() - began_s
-    return Watched(workers, wall_s, sum(cpu_s.values()), peak, killed)
+    return RunUsage(workers, wall_s, sum(cpu_s.values()), peak, killed)
 
 
 def _look(command: int, cpu_s: dict[int, float]) -> list[int]:

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from mapperd.cli.mapperctl.command import main
-from mapperd.cli.mapperctl.connection import Connection, Target
+from mapperd.cli.mapperctl.connection import ControlConnection, DaemonTarget
 from mapperd.config.catalog import parameters
 from mapperd.events import Severity
 from tests.mapperd.cli.mapperctl.conftest import Running
@@ -159,7 +159,7 @@ def test_certificate_of_somebody_else_is_not_trusted(
 
 
 def test_as_many_as_allowed(call: Call, running: Running) -> None:
-    others = [Connection(Target(running.socket), 30.0) for _ in range(4)]
+    others = [ControlConnection(DaemonTarget(running.socket), 30.0) for _ in range(4)]
     code, _, output = call("status")
     assert code == 75
     assert "4 clients are connected; allowed: that many" in output
@@ -169,7 +169,7 @@ def test_as_many_as_allowed(call: Call, running: Running) -> None:
 
 def test_connection_lasts_while_it_waits(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mapperd.server.session.QUIET_S", 1.5)
-    with Connection(Target(running.socket), 30.0) as connection:
+    with ControlConnection(DaemonTarget(running.socket), 30.0) as connection:
         connection.wait(3.5)
         assert connection.ask("status")["phase"] == "mapping"
 

@@ -6,7 +6,7 @@ import signal
 import time
 from pathlib import Path
 
-from studies.accuracy_cost.study import Column, Dive, Knob, Setting
+from studies.accuracy_cost.study import Column, Knob, Setting, StudyDive
 
 FIGURES = {
     "": (10.0, 1.0),
@@ -38,7 +38,7 @@ class _Fake:
             None, 0.05, "Leave it.",
         ),
     )  # fmt: skip
-    dives = (Dive("calm", 1, quick=True), Dive("storm", 2))
+    dives = (StudyDive("calm", 1, quick=True), StudyDive("storm", 2))
     wholes = (Setting("published", {"old": 1}),)
     columns = (
         Column("error_m", "error, m"),
@@ -48,13 +48,13 @@ class _Fake:
     error = "error_m"
     cost = "cpu_ms"
 
-    def prepare(self, dive: Dive, folder: Path) -> None:
+    def prepare(self, dive: StudyDive, folder: Path) -> None:
         with (folder / "prepared").open("a") as log:
             log.write(f"{dive.name}\n")
         if os.environ.get("FAKE_UNPREPARED") == dive.name:
             raise OSError("no\nsea")
 
-    def measure(self, setting: Setting, dive: Dive, folder: Path) -> dict[str, float]:
+    def measure(self, setting: Setting, dive: StudyDive, folder: Path) -> dict[str, float]:
         assert (folder / "prepared").exists()
         with (folder / "measured").open("a") as log:
             log.write(f"{setting.key}\n")

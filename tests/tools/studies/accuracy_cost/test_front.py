@@ -18,7 +18,7 @@ from studies.accuracy_cost.front import (
     mean_point,
     plane_of,
 )
-from studies.accuracy_cost.results import Results, key_of
+from studies.accuracy_cost.results import StudyResults, key_of
 from studies.accuracy_cost.study import DEFAULT, Setting, Study
 
 NAN = math.nan
@@ -94,7 +94,7 @@ def test_a_difference_that_may_be_chance_is_no_lag() -> None:
 
 
 def test_the_mean_over_dives_is_surer_than_each(fake: Study) -> None:
-    results = Results({"study": "fake"}, ["error_m", "cpu_ms", "error_chance_m"])
+    results = StudyResults({"study": "fake"}, ["error_m", "cpu_ms", "error_chance_m"])
     for dive, chance in zip(fake.dives, (0.3, 0.4), strict=True):
         row = {"error_m": 1.0, "cpu_ms": 1.0, "error_chance_m": chance}
         results.rows[key_of(DEFAULT, dive)] = row

@@ -9,10 +9,10 @@ import msgspec
 import numpy as np
 import pytest
 from studies.accuracy_cost.localization import STUDY, dives, measuring
-from studies.accuracy_cost.localization.dives import PLANS, Plan, Run
+from studies.accuracy_cost.localization.dives import PLANS, FilterPlan, FilterRun
 from studies.accuracy_cost.localization.knobs import SCALES, config_for, published_overrides
 from studies.accuracy_cost.localization.measuring import Moments, figures_of
-from studies.accuracy_cost.study import Dive, Setting
+from studies.accuracy_cost.study import Setting, StudyDive
 from studies.localization.world import WORLDS
 
 from mapperd.config.tree import AmclConfig, Config, LocalizationConfig
@@ -108,12 +108,12 @@ def test_a_run_without_a_pose_is_a_lost_one() -> None:
 
 
 @pytest.fixture(scope="module")
-def tank(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Dive, Path]]:
+def tank(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[StudyDive, Path]]:
     """A few seconds in the tank, on a coarse map alone."""
-    dive, folder = Dive("tank", 5), tmp_path_factory.mktemp("tank")
+    dive, folder = StudyDive("tank", 5), tmp_path_factory.mktemp("tank")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(dives, "CELLS", (5.0,))
-        patch.setitem(PLANS, "tank", Plan("tank", 6.0, 1, 2))
+        patch.setitem(PLANS, "tank", FilterPlan("tank", 6.0, 1, 2))
         STUDY.prepare(dive, folder)
         yield dive, folder
 
@@ -121,7 +121,7 @@ def tank(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Dive, Path]
 COARSE = Setting("coarse", {"scale.cells": 5.0, "localization.search_poses": 0})
 
 
-def test_prepared_scans_are_those_that_were_cast(tank: tuple[Dive, Path]) -> None:
+def test_prepared_scans_are_those_that_were_cast(tank: tuple[StudyDive, Path]) -> None:
     dive, folder = tank
     (run,) = dives.load_runs(dive, folder)
     assert len(run.scans) == len(run.true) == len(run.odometry) == 15
@@ -135,7 +135,7 @@ def test_prepared_scans_are_those_that_were_cast(tank: tuple[Dive, Path]) -> Non
     assert math.hypot(run.start.x_m - run.true[0, 0], run.start.y_m - run.true[0, 1]) < 1.5
 
 
-def test_what_is_prepared_is_kept(tank: tuple[Dive, Path]) -> None:
+def test_what_is_prepared_is_kept(tank: tuple[StudyDive, Path]) -> None:
     dive, folder = tank
     before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
     assert set(before) == {"cells-5.map", "run-0.npz"}
@@ -145,7 +145,7 @@ def test_what_is_prepared_is_kept(tank: tuple[Dive, Path]) -> None:
 
 @pytest.mark.slow
 def test_a_dive_is_localized_alike_every_time_and_better_than_by_odometry(
-    tank: tuple[Dive, Path],
+    tank: tuple[StudyDive, Path],
 ) -> None:
     dive, folder = tank
     once, again = (STUDY.measure(COARSE, dive, folder) for _ in range(2))
@@ -158,12 +158,12 @@ def test_a_dive_is_localized_alike_every_time_and_better_than_by_odometry(
 
 @pytest.mark.slow
 def test_errors_are_those_of_the_pose_that_the_vehicle_would_use(
-    tank: tuple[Dive, Path],
+    tank: tuple[StudyDive, Path],
 ) -> None:
     dive, folder = tank
     (run,) = dives.load_runs(dive, folder)
     true = run.true + np.array([0.0, 7.0, 0.0, 0.0, 0.0, 1.0])
-    moved = Run(run.scans, true, run.odometry, run.start)
+    moved = FilterRun(run.scans, true, run.odometry, run.start)
     config = config_for(TANK, COARSE.overrides, 1)
     path = dives.map_path(folder, 5.0)
     ((here,), _), ((there,), _) = (measuring.localize(path, [r], 1, config) for r in (run, moved))
@@ -191,8 +191,8 @@ def test_runs_that_are_lost_know_nothing_or_are_wrong(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(dives, "CELLS", ())
-    monkeypatch.setitem(PLANS, "lost", Plan("pile_field", 0.8, 3, 1, anywhere=1, wrong=1))
-    dive = Dive("lost", 5)
+    monkeypatch.setitem(PLANS, "lost", FilterPlan("pile_field", 0.8, 3, 1, anywhere=1, wrong=1))
+    dive = StudyDive("lost", 5)
     STUDY.prepare(dive, tmp_path)
     anywhere, wrong, known = dives.load_runs(dive, tmp_path)
     assert anywhere.start is None

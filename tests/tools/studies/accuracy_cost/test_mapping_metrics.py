@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from studies.accuracy_cost.mapping.measuring import mean_difference
 from studies.accuracy_cost.mapping.metrics import (
-    Box,
-    World,
+    SolidBox,
+    Solids,
     reliability,
     roc_area,
     sampled,
     surfaces,
 )
 
-PLANE = World((Box((0.0, 0.0, -5.0), (100.0, 100.0, 10.0)),))
+PLANE = Solids((SolidBox((0.0, 0.0, -5.0), (100.0, 100.0, 10.0)),))
 """Its top is the plane z = 0."""
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from studies.accuracy_cost.mapping.metrics import Box, Floor, Pile, Solid, World
+from studies.accuracy_cost.mapping.metrics import Floor, Pile, Solid, SolidBox, Solids
 
 AROUND = np.random.default_rng(5).uniform(-2.5, 2.5, (120, 3))
 
@@ -21,7 +21,7 @@ def to_mesh(solid: Solid, points_m: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("solid", "within_m"),
     [
-        (Box((0.3, -0.2, 0.1), (1.0, 2.0, 0.6)), 1e-9),
+        (SolidBox((0.3, -0.2, 0.1), (1.0, 2.0, 0.6)), 1e-9),
         (Pile((0.1, 0.2, -0.3), 0.7, 1.8), 1.5e-3),
         (Floor(0.2, swell_m=0.1, half_m=4.0), 0.03),
     ],
@@ -45,7 +45,7 @@ def test_distance_to_a_slope_is_along_its_normal(off_m: float) -> None:
 
 
 def test_inside_is_negative() -> None:
-    box, pile = Box((0, 0, 0), (1.0, 1.0, 1.0)), Pile((0, 0, 0), 0.5, 1.0)
+    box, pile = SolidBox((0, 0, 0), (1.0, 1.0, 1.0)), Pile((0, 0, 0), 0.5, 1.0)
     points = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.6, 0.0, 0.0]])
     assert box.distance_m(points) == pytest.approx([-0.5, -0.1, 0.1])
     assert pile.distance_m(points) == pytest.approx([-0.5, -0.1, 0.1])
@@ -56,19 +56,19 @@ def test_inside_is_negative() -> None:
 
 
 def test_the_nearest_solid_counts() -> None:
-    world = World((Box((0, 0, 0), (1.0, 1.0, 1.0)), Box((3.0, 0, 0), (1.0, 1.0, 1.0))))
+    world = Solids((SolidBox((0, 0, 0), (1.0, 1.0, 1.0)), SolidBox((3.0, 0, 0), (1.0, 1.0, 1.0))))
     assert world.distance_m(np.array([[1.0, 0, 0], [2.2, 0, 0]])) == pytest.approx([0.5, 0.3])
 
 
 def test_a_voxel_is_solid_when_a_corner_of_it_is() -> None:
-    world = World((Box((0.0, 0.0, -0.5), (10.0, 10.0, 1.0)),))
+    world = Solids((SolidBox((0.0, 0.0, -0.5), (10.0, 10.0, 1.0)),))
     heights = np.array([-0.5, -0.05, 0.04, 0.049, 0.051, 0.5])
     centres = np.stack([np.zeros(6), np.zeros(6), heights], axis=1)
     assert world.touched(centres, 0.1).tolist() == [True, True, True, True, False, False]
 
 
 def test_a_pole_through_the_middle_of_a_voxel_is_found() -> None:
-    world = World((Pile((0.0, 0.0, 0.0), 0.03, 4.0),))
+    world = Solids((Pile((0.0, 0.0, 0.0), 0.03, 4.0),))
     assert world.touched(np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]]), 0.4).tolist() == [
         True,
         False,

@@ -19,7 +19,7 @@ from studies.accuracy_cost.mapping.knobs import (
 from studies.accuracy_cost.mapping.measuring import CONVERGED, Driven, drive, same_rule
 from studies.accuracy_cost.mapping.metrics import reliability
 from studies.accuracy_cost.mapping.recalibration import FILE, estimates_and_truth
-from studies.accuracy_cost.study import Dive, Setting
+from studies.accuracy_cost.study import Setting, StudyDive
 
 from mapperd.config.loader import load_config
 from mapperd.config.tree import Config
@@ -235,4 +235,4 @@ def test_other_rules_are_not_compared_with_the_converged_map() -> None:
 
 def test_an_unknown_dive_is_refused() -> None:
     with pytest.raises(KeyError):
-        made_by(Dive("moon", 1))
+        made_by(StudyDive("moon", 1))

@@ -3,7 +3,7 @@
 import pytest
 from studies.accuracy_cost.command import RECORDED
 from studies.accuracy_cost.drawing import PAGE
-from studies.accuracy_cost.results import Results, read_results
+from studies.accuracy_cost.results import StudyResults, read_results
 from studies.accuracy_cost.running import wanted_keys
 from studies.accuracy_cost.study import MODULES, Selection, Study, load
 from studies.accuracy_cost.tables import IMAGES, section
@@ -18,17 +18,17 @@ def study(request: pytest.FixtureRequest) -> Study:
 
 
 @pytest.fixture
-def recorded(study: Study) -> Results:
+def recorded(study: Study) -> StudyResults:
     """Its committed figures."""
     return read_results(RECORDED / f"{study.name}.csv")
 
 
-def test_every_setting_is_recorded(study: Study, recorded: Results) -> None:
+def test_every_setting_is_recorded(study: Study, recorded: StudyResults) -> None:
     assert list(recorded.rows) == wanted_keys(study, Selection())
     assert list(recorded.columns) == [column.name for column in study.columns]
 
 
-def test_the_page_holds_the_recorded_figures(study: Study, recorded: Results) -> None:
+def test_the_page_holds_the_recorded_figures(study: Study, recorded: StudyResults) -> None:
     assert section(study, recorded) in PAGE.read_text(encoding="utf-8")
 
 

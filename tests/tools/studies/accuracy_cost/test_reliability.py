@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 from studies.accuracy_cost.plots import bins_of, draw_reliability, has_bins
-from studies.accuracy_cost.results import Results, key_of
+from studies.accuracy_cost.results import StudyResults, key_of
 from studies.accuracy_cost.study import DEFAULT, Study
 
 
@@ -28,7 +28,7 @@ def test_a_diagram_has_a_line_for_each_configuration_that_is_measured(
     fake: Study, tmp_path: Path
 ) -> None:
     dive = fake.dives[0]
-    results = Results({}, list(figures(1000)), {key_of(DEFAULT, dive): figures(1000)})
+    results = StudyResults({}, list(figures(1000)), {key_of(DEFAULT, dive): figures(1000)})
     assert has_bins(results)
     draw_reliability(fake, results, tmp_path / "one.png")
     results.rows[key_of(fake.wholes[0], dive)] = figures(2000, 0.8)

@@ -2,13 +2,13 @@
 
 from studies.accuracy_cost.mapping import STUDY
 from studies.accuracy_cost.mapping.knobs import PUBLISHED
-from studies.accuracy_cost.results import Results, key_of
+from studies.accuracy_cost.results import StudyResults, key_of
 from studies.accuracy_cost.study import DEFAULT, Selection, Study
 from studies.accuracy_cost.tables import remarks
 
 
 def test_each_dive_has_its_own_figures() -> None:
-    results = Results({}, [])
+    results = StudyResults({}, [])
     for number, dive in enumerate(STUDY.dives, 1):
         for setting in Selection().settings_of(STUDY):
             cost = {DEFAULT.key: 2.0, PUBLISHED.key: 30.0}.get(setting.key, 50.0)
@@ -20,4 +20,4 @@ def test_each_dive_has_its_own_figures() -> None:
 
 
 def test_other_studies_have_none(fake: Study) -> None:
-    assert remarks(fake, Results({}, [])) == []
+    assert remarks(fake, StudyResults({}, [])) == []

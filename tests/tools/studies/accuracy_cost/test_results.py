@@ -13,7 +13,7 @@ from studies.accuracy_cost.results import (
     read_results,
     write_results,
 )
-from studies.accuracy_cost.study import Dive, Setting, Study
+from studies.accuracy_cost.study import Setting, Study, StudyDive
 
 HEAD = {"commit": "abc", "machine": "a computer, 2 cores", "command": "accuracy-cost run"}
 FIGURES = {"error_m": 0.123456789, "cpu_ms": math.nan, "share": 1.0}
@@ -31,7 +31,7 @@ def path(tmp_path: Path, fake: Study) -> Path:
 
 
 def test_a_row_is_named_by_its_overrides_whatever_their_order() -> None:
-    dive = Dive("calm", 1)
+    dive = StudyDive("calm", 1)
     assert key_of(Setting("x", {"b": 2, "a": 1}), dive) == ROWS[1]
     assert key_of(Setting("y", {}), dive) == ROWS[0]
 

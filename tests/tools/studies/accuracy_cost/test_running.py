@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from studies.accuracy_cost import running
 from studies.accuracy_cost.results import Key, read_results
-from studies.accuracy_cost.running import Job, Tally, outcomes, run, wanted_keys
+from studies.accuracy_cost.running import Job, MeasurementTally, outcomes, run, wanted_keys
 from studies.accuracy_cost.study import DEFAULT, AccuracyCostError, Selection, Study
 
 QUICK = Selection(quick=True)
@@ -27,7 +27,7 @@ def measured(out: Path) -> list[str]:
     ]
 
 
-def run_fake(fake: Study, out: Path, selection: Selection = QUICK) -> Tally:
+def run_fake(fake: Study, out: Path, selection: Selection = QUICK) -> MeasurementTally:
     return run({"fake_study": fake}, selection, out, jobs=1)
 
 
@@ -45,15 +45,15 @@ def test_a_selection_measures_each_setting_once(fake: Study) -> None:
 
 
 def test_a_run_goes_on_where_it_was_stopped(fake: Study, tmp_path: Path) -> None:
-    assert run_fake(fake, tmp_path) == Tally(4, 0, 0)
+    assert run_fake(fake, tmp_path) == MeasurementTally(4, 0, 0)
     assert sorted(measured(tmp_path)) == ["", "size=0.5", "size=2", "size=3"]
     file = tmp_path / "fake.csv"
     lines = file.read_text().splitlines(keepends=True)
     file.write_text("".join(lines[:-1]) + lines[-1][:-4])
-    assert run_fake(fake, tmp_path) == Tally(4, 3, 0)
+    assert run_fake(fake, tmp_path) == MeasurementTally(4, 3, 0)
     assert len(measured(tmp_path)) == 5
     assert lines[-1] in file.read_text()
-    assert run_fake(fake, tmp_path) == Tally(4, 4, 0)
+    assert run_fake(fake, tmp_path) == MeasurementTally(4, 4, 0)
     assert len(measured(tmp_path)) == 5
 
 
@@ -66,7 +66,7 @@ def test_a_setting_that_fails_is_one_line_and_the_rest_goes_on(
     monkeypatch.setenv("FAKE_0.5", "raises")
     monkeypatch.setenv("FAKE_2", "dies")
     monkeypatch.setenv("FAKE_3", "forgets")
-    assert run_fake(fake, tmp_path) == Tally(4, 0, 3)
+    assert run_fake(fake, tmp_path) == MeasurementTally(4, 0, 3)
     stated = sorted(capsys.readouterr().err.splitlines())
     assert len(stated) == 3
     assert stated[0] == "fake: calm (size=0.5) ValueError: no such setting"
@@ -82,7 +82,7 @@ def test_a_dive_that_cannot_be_prepared_fails_all_its_settings_and_no_others(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setenv("FAKE_UNPREPARED", "storm")
-    assert run_fake(fake, tmp_path, Selection(knobs=("size",))) == Tally(8, 0, 4)
+    assert run_fake(fake, tmp_path, Selection(knobs=("size",))) == MeasurementTally(8, 0, 4)
     assert re.fullmatch("fake: storm .*OSError: no sea\n", capsys.readouterr().err)
     assert {key.dive for key in read_results(tmp_path / "fake.csv").rows} == {"calm"}
 

@@ -23,7 +23,7 @@ from studies.accuracy_cost.simulation.reference import (
     margin_beams,
 )
 from studies.accuracy_cost.simulation.scenes import making_of
-from studies.accuracy_cost.study import Dive, Setting
+from studies.accuracy_cost.study import Setting, StudyDive
 
 
 def test_names_are_read_into_effects_tolerance_and_sampling() -> None:
@@ -126,7 +126,7 @@ def test_its_values_are_read_as_the_levels_that_they_fit_best() -> None:
     assert np.isnan(read[0, 3])
 
 
-TINY = Dive("tiny", seed=3)
+TINY = StudyDive("tiny", seed=3)
 ALL = {"sim_effects": "all"}
 Measured = Callable[..., dict[str, float]]
 
@@ -200,7 +200,7 @@ def test_what_is_cut_off_at_full_scale_is_so_in_the_expected_picture(
     usual = scenes.scenario_of(TINY)
     loud = replace(usual, sonar=replace(usual.sonar, gain_percent=90.0))
     monkeypatch.setattr(ours, "scenario_of", lambda _: loud)
-    dive = Dive(TINY.name, seed=4)  # an engine of its own
+    dive = StudyDive(TINY.name, seed=4)  # an engine of its own
     whole, cut = (
         ours.Ours(making_of({"sim.effect.saturation": on}), dive).pictures()[0].expected.max()
         for on in (False, True)

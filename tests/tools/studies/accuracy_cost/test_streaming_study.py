@@ -14,11 +14,11 @@ from studies.accuracy_cost.streaming.clients import (
     StreamClient,
     StreamSender,
 )
-from studies.accuracy_cost.streaming.dives import PLANS, Link, LinkShape
+from studies.accuracy_cost.streaming.dives import PLANS, LinkRate, SimulatedLink
 from studies.accuracy_cost.streaming.knobs import constants, stream_setting
-from studies.accuracy_cost.streaming.measuring import Moment, moment, summary
+from studies.accuracy_cost.streaming.measuring import MapDeviation, moment, summary
 from studies.accuracy_cost.streaming.truth import Ages, Blocks, coded, distances_m
-from studies.accuracy_cost.study import Dive, Setting
+from studies.accuracy_cost.study import Setting, StudyDive
 
 from mapperd.config.tree import Config, OctreeConfig
 from mapperd.mapping.sonar_map import SonarMap
@@ -78,7 +78,7 @@ def test_what_is_no_setting_is_turned_for_a_while() -> None:
 
 def test_messages_take_their_turn_on_the_link_and_are_acknowledged() -> None:
     pacer = Pacer()
-    link = Link(LinkShape(rate=1000.0, delay_s=0.5), pacer)
+    link = SimulatedLink(LinkRate(rate=1000.0, delay_s=0.5), pacer)
     for message in (b"a" * 1000, b"b" * 500):
         pacer.note_sent(len(message), 0.0)
         link.carry(message)
@@ -94,7 +94,7 @@ def test_messages_take_their_turn_on_the_link_and_are_acknowledged() -> None:
 
 def test_no_more_is_on_its_way_than_the_wire_holds_twice() -> None:
     pacer = Pacer()
-    link = Link(LinkShape(rate=10_000.0, delay_s=0.25), pacer)
+    link = SimulatedLink(LinkRate(rate=10_000.0, delay_s=0.25), pacer)
     for _ in range(30):
         pacer.note_sent(1000, 0.0)
         link.carry(bytes(1000))
@@ -257,7 +257,7 @@ def test_a_block_that_is_again_what_was_reported_is_not_old() -> None:
 
 
 def test_ages_are_reported_by_their_quantiles_and_moments_by_their_mean() -> None:
-    moments = [Moment(0.1, 0.2, 0.3, 8.0, 2), Moment(0.3, 0.2, 0.1, 0.0, 0)]
+    moments = [MapDeviation(0.1, 0.2, 0.3, 8.0, 2), MapDeviation(0.3, 0.2, 0.1, 0.0, 0)]
     figures = summary(moments, [(1.0, 5.0), (2.0, 6.0), (3.0, 7.0)])
     assert (figures["near_age_median_s"], figures["far_age_median_s"]) == (2.0, 6.0)
     assert figures["near_age_p95_s"] == pytest.approx(2.9)
@@ -266,9 +266,9 @@ def test_ages_are_reported_by_their_quantiles_and_moments_by_their_mean() -> Non
 
 
 @pytest.fixture(scope="module")
-def short(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Dive, Path]]:
+def short(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[StudyDive, Path]]:
     """A few small pings."""
-    dive, folder = Dive("short", 1), tmp_path_factory.mktemp("short")
+    dive, folder = StudyDive("short", 1), tmp_path_factory.mktemp("short")
     with pytest.MonkeyPatch.context() as patch:
         plan = replace(PLANS["short"], pings=18, joins=3, beams=32, rows=40)
         patch.setitem(PLANS, "short", plan)
@@ -277,7 +277,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Dive, Path
 
 
 @pytest.mark.slow
-def test_a_dive_is_reported_alike_every_time(short: tuple[Dive, Path]) -> None:
+def test_a_dive_is_reported_alike_every_time(short: tuple[StudyDive, Path]) -> None:
     dive, folder = short
     kept = (folder / "pings.npz").stat().st_mtime_ns
     STUDY.prepare(dive, folder)
@@ -293,12 +293,12 @@ def test_a_dive_is_reported_alike_every_time(short: tuple[Dive, Path]) -> None:
 
 
 def test_what_the_link_carries_decides_how_old_the_map_is(
-    short: tuple[Dive, Path], monkeypatch: pytest.MonkeyPatch
+    short: tuple[StudyDive, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dive, folder = short
     thin = STUDY.measure(Setting("", {"stream.bytes_per_s": 2000}), dive, folder)
     assert thin["kb_per_s"] < 4.0
-    wide = replace(dives.PLANS["short"], link=LinkShape(1e6, 0.01))
+    wide = replace(dives.PLANS["short"], link=LinkRate(1e6, 0.01))
     monkeypatch.setitem(dives.PLANS, "short", wide)
     fast = STUDY.measure(Setting("", {}), dive, folder)
     assert fast["near_age_median_s"] < 0.5 * thin["near_age_median_s"]

@@ -1,13 +1,13 @@
 """Tables of settings, from known figures."""
 
-from studies.accuracy_cost.results import Results, key_of
+from studies.accuracy_cost.results import StudyResults, key_of
 from studies.accuracy_cost.study import Study
 from studies.accuracy_cost.tables import section
 
 
 def page(fake: Study, **figures: tuple[float, float]) -> str:
     """Of (error, cost) by the label of a knob's setting, the same on both dives."""
-    results = Results({"study": "fake", "commit": "abc"}, ["error_m", "cpu_ms", "share"])
+    results = StudyResults({"study": "fake", "commit": "abc"}, ["error_m", "cpu_ms", "share"])
     for knob in fake.knobs:
         for setting in knob.settings:
             error, cost = figures.get(f"_{setting.label}".replace(".", "_"), (9.0, 99.0))
@@ -34,7 +34,7 @@ def test_a_default_behind_the_front_is_reported_with_its_margin(fake: Study) -> 
 
 
 def test_what_was_not_measured_is_no_figure(fake: Study) -> None:
-    results = Results({"study": "fake"}, ["error_m", "cpu_ms", "share"])
+    results = StudyResults({"study": "fake"}, ["error_m", "cpu_ms", "share"])
     text = section(fake, results)
     assert "| error, m | - | - |" in text
     assert "| not measured |" in text

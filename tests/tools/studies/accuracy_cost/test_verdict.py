@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 from studies.accuracy_cost.command import measure_quick, verdict, verdicts
-from studies.accuracy_cost.results import Results, key_of
+from studies.accuracy_cost.results import StudyResults, key_of
 from studies.accuracy_cost.study import AccuracyCostError, Study
 
 
-def recorded(fake: Study, figures: dict[str, tuple[float, float]]) -> Results:
+def recorded(fake: Study, figures: dict[str, tuple[float, float]]) -> StudyResults:
     """Results of (cost, error) by label, the same on all dives."""
-    results = Results({"study": "fake"}, ["error_m", "cpu_ms", "share"])
+    results = StudyResults({"study": "fake"}, ["error_m", "cpu_ms", "share"])
     for setting in fake.knobs[0].settings:
         if setting.label in figures:
             cost, error = figures[setting.label]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 from studies.localization.dives import WITHIN_M, judged
-from studies.localization.runs import Moment, settings
-from studies.localization.world import WORLDS, Drift, Track, drifted, track_of
+from studies.localization.runs import FilterUpdate, settings
+from studies.localization.world import WORLDS, DiveTrack, OdometryDrift, drifted, track_of
 
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import AmclConfig, LocalizationConfig
@@ -45,7 +45,7 @@ def test_profile_is_the_one_of_the_page() -> None:
 
 def test_odometry_is_off_by_its_share_of_the_way_and_turns() -> None:
     track = track_of(HARBOUR, 120.0, 0.4, seed=3)
-    stated = drifted(track, HARBOUR, Drift(), seed=3)
+    stated = drifted(track, HARBOUR, OdometryDrift(), seed=3)
     steps = np.hypot(*np.diff(stated[:, :2], axis=0).T)
     true = np.hypot(*np.diff(track.place[:, :2], axis=0).T)
     ratio = steps.sum() / true.sum()
@@ -57,8 +57,8 @@ def test_odometry_is_off_by_its_share_of_the_way_and_turns() -> None:
 
 def test_water_that_nobody_sees_carries_odometry_off() -> None:
     track = track_of(HARBOUR, 60.0, 0.4, seed=3)
-    blind = drifted(track, HARBOUR, Drift(0.0, 0.0, through_water=True), seed=3)
-    seen = drifted(track, HARBOUR, Drift(0.0, 0.0), seed=3)
+    blind = drifted(track, HARBOUR, OdometryDrift(0.0, 0.0, through_water=True), seed=3)
+    seen = drifted(track, HARBOUR, OdometryDrift(0.0, 0.0), seed=3)
     off_m = float(np.hypot(*(blind[-1] - seen[-1])[:2]))
     assert off_m == pytest.approx(0.05 * 60, rel=0.05)
 
@@ -68,7 +68,7 @@ def test_odometry_does_not_notice_being_carried_off() -> None:
     place = track.place.copy()
     place[75:, :2] += (8.0, -3.0)
     place[75:, 5] += 1.0
-    stated = drifted(Track(track.time_s, place, 75), HARBOUR, Drift(0.0, 0.0), seed=3)
+    stated = drifted(DiveTrack(track.time_s, place, 75), HARBOUR, OdometryDrift(0.0, 0.0), seed=3)
     assert stated[75, :2] == pytest.approx(stated[74, :2])
     assert stated[75, 2] == pytest.approx(stated[74, 2])
     assert np.hypot(*np.diff(stated[:, :2], axis=0).T).max() < 0.25
@@ -77,10 +77,12 @@ def test_odometry_does_not_notice_being_carried_off() -> None:
     assert np.cos(toward - true).min() > 0.999
 
 
-def moment(way_m: float, error_m: float, elsewhere: float = 0.0, turn_rad: float = 0.0) -> Moment:
+def moment(
+    way_m: float, error_m: float, elsewhere: float = 0.0, turn_rad: float = 0.0
+) -> FilterUpdate:
     there = PlanarGaussian(error_m, 0, turn_rad, np.eye(3))
     belief = Belief(there, there, np.ones(1), elsewhere, 1.0)
-    return Moment(2 * way_m, way_m, np.zeros(3), belief, 0.0)
+    return FilterUpdate(2 * way_m, way_m, np.zeros(3), belief, 0.0)
 
 
 def test_right_mode_is_found_when_it_lasts_and_is_sure() -> None:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from sonar_sim import Pose, SonarSettings
+from sonar_sim import FramePose, SonarSettings
 from sonar_sim.capture import CaptureSettings, ping_times_s
 from sonar_sim.geometry.pose import rotation_of
 from studies.localization.pass_maps import FRESH, Pass, navigation
-from studies.localization.second_pass import Fans, Study, agreement, in_fans, run, to_nearest
-from studies.localization.world import WORLDS, Drift, World
+from studies.localization.second_pass import Fans, SecondPass, agreement, in_fans, run, to_nearest
+from studies.localization.world import WORLDS, DiveWorld, OdometryDrift
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,7 +24,7 @@ FIRST = Pass(((-3, -3, 80), (3, -3, 80)), drift=FRESH, ping_rate_hz=3.0)
 SECOND = Pass(
     ((3, -4, 100), (-4, -4, 100)),
     away=((3, -3, 80), (15, -9, 0), (-15, -9, 0), (15, -9, 0), (3, -9, 90)),
-    drift=Drift(0.02, math.radians(DRIFT_DPM) / 60.0),
+    drift=OdometryDrift(0.02, math.radians(DRIFT_DPM) / 60.0),
     ping_rate_hz=3.0,
     seed=2,
 )
@@ -46,7 +46,7 @@ def test_maps_agree_by_the_nearest_voxel_either_way() -> None:
 
 def test_fan_has_what_lies_before_the_sonar() -> None:
     sonar = SonarSettings(demanded_range_m=10.0)
-    west = Pose(np.array([5.0, 1.0, -2.0]), rotation_of(0, 0, math.pi))
+    west = FramePose(np.array([5.0, 1.0, -2.0]), rotation_of(0, 0, math.pi))
     aside, up = sonar.half_aperture_rad, sonar.vertical_width_rad / 2
     points = [
         (-4.5, 1.0, -2.0),
@@ -62,7 +62,7 @@ def test_fan_has_what_lies_before_the_sonar() -> None:
 
 
 def test_odometry_begins_at_the_truth_and_drifts_while_the_sonar_is_silent() -> None:
-    scenario = SECOND.over(World(HARBOUR).scenario, HARBOUR)
+    scenario = SECOND.over(DiveWorld(HARBOUR).scenario, HARBOUR)
     quiet_s = SECOND.quiet_s(HARBOUR)
     stated = navigation(scenario.trajectory, HARBOUR, SECOND)
     assert stated[0].pose.position_m == pytest.approx(
@@ -79,7 +79,7 @@ def test_odometry_begins_at_the_truth_and_drifts_while_the_sonar_is_silent() -> 
 
 @pytest.mark.slow
 def test_second_pass_lands_on_the_first(tmp_path: Path) -> None:
-    found = run(Study(HARBOUR, FIRST, SECOND, truth_voxels=200), tmp_path)
+    found = run(SecondPass(HARBOUR, FIRST, SECOND, truth_voxels=200), tmp_path)
     assert found.place_end_m < 0.5 * found.odometry_end_m  # it begins half a metre off
     assert found.corrected.to_first.median_m <= found.voxel_m
     assert found.corrected.to_first.within_voxel > found.uncorrected.to_first.within_voxel + 0.1

@@ -11,11 +11,20 @@ from numpy.typing import NDArray
 
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.scan import Scan
-from studies.accuracy_cost.study import Dive
+from studies.accuracy_cost.study import StudyDive
 from studies.localization.scans import cast_scan
-from studies.localization.world import WORLDS, Drift, Place, World, drifted, track_of
+from studies.localization.world import WORLDS, DiveArea, DiveWorld, OdometryDrift, drifted, track_of
 
-__all__ = ["CELLS", "DIVES", "PLANS", "Plan", "Run", "load_runs", "map_path", "prepare_dive"]
+__all__ = [
+    "CELLS",
+    "DIVES",
+    "PLANS",
+    "FilterPlan",
+    "FilterRun",
+    "load_runs",
+    "map_path",
+    "prepare_dive",
+]
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +43,7 @@ ARRAYS = ("bearing_rad", "range_m", "points_m", "quality", "beam")
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class FilterPlan:
     """What is dived.
 
     Attributes:
@@ -55,27 +64,27 @@ class Plan:
     wrong: int = 0
 
     @property
-    def place(self) -> Place:
+    def place(self) -> DiveArea:
         """Where it is."""
         return WORLDS[self.scene]
 
 
 PLANS = {
-    "harbour": Plan("harbour", 50.0, 3, 1),
-    "harbour-lost": Plan("harbour", 24.0, 12, 1, anywhere=8, wrong=4),
-    "pile_field": Plan("pile_field", 40.0, 3, 1),
-    "tank": Plan("tank", 30.0, 1, 3),
+    "harbour": FilterPlan("harbour", 50.0, 3, 1),
+    "harbour-lost": FilterPlan("harbour", 24.0, 12, 1, anywhere=8, wrong=4),
+    "pile_field": FilterPlan("pile_field", 40.0, 3, 1),
+    "tank": FilterPlan("tank", 30.0, 1, 3),
 }
 DIVES = (
-    Dive("harbour", 11),
-    Dive("harbour-lost", 21),
-    Dive("pile_field", 31),
-    Dive("tank", 41, quick=True),
+    StudyDive("harbour", 11),
+    StudyDive("harbour-lost", 21),
+    StudyDive("pile_field", 31),
+    StudyDive("tank", 41, quick=True),
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Run:
+class FilterRun:
     """One path.
 
     Attributes:
@@ -96,16 +105,16 @@ def map_path(folder: Path, cells: float) -> Path:
     return folder / f"cells-{cells:g}.map"
 
 
-def prepare_dive(dive: Dive, folder: Path) -> None:
+def prepare_dive(dive: StudyDive, folder: Path) -> None:
     """Cast the scans and write the maps; what is there and whole is kept."""
     plan = PLANS[dive.name]
-    world = World(plan.place)
+    world = DiveWorld(plan.place)
     for cells in CELLS:
         path = map_path(folder, cells)
         if not path.exists():
             place = dataclasses.replace(plan.place, voxel_m=cells * plan.place.voxel_m)
             part = path.with_name(f"part-{path.name}")
-            World(place).true_map.save(part)
+            DiveWorld(place).true_map.save(part)
             part.rename(path)
     for number in range(plan.tracks):
         path = _run_path(folder, number)
@@ -117,7 +126,7 @@ def prepare_dive(dive: Dive, folder: Path) -> None:
             part.rename(path)
 
 
-def load_runs(dive: Dive, folder: Path) -> list[Run]:
+def load_runs(dive: StudyDive, folder: Path) -> list[FilterRun]:
     """The prepared runs."""
     plan = PLANS[dive.name]
     return [
@@ -130,7 +139,7 @@ def _run_path(folder: Path, number: int) -> Path:
     return folder / f"run-{number}.npz"
 
 
-def _cast(world: World, plan: Plan, seed: int, *, starts_wrong: bool) -> dict[str, Any]:
+def _cast(world: DiveWorld, plan: FilterPlan, seed: int, *, starts_wrong: bool) -> dict[str, Any]:
     track = track_of(plan.place, plan.duration_s, INTERVAL_S, seed)
     random = np.random.default_rng((seed, 3))
     other = track_of(plan.place, INTERVAL_S, INTERVAL_S, seed + OTHER)
@@ -148,12 +157,12 @@ def _cast(world: World, plan: Plan, seed: int, *, starts_wrong: bool) -> dict[st
         "max_range_m": np.array(scans[0].max_range_m),
         "stamps": stamps,
         "true": track.place,
-        "odometry": drifted(track, plan.place, Drift(), seed),
+        "odometry": drifted(track, plan.place, OdometryDrift(), seed),
         "start": start,
     }
 
 
-def _read(path: Path, *, start_is_known: bool) -> Run:
+def _read(path: Path, *, start_is_known: bool) -> FilterRun:
     with np.load(path) as file:
         data = dict(file)
     ends = np.cumsum(data["counts"])
@@ -178,4 +187,4 @@ def _read(path: Path, *, start_is_known: bool) -> Run:
         x_m, y_m, yaw_rad = data["start"].tolist()
         variances = np.diag([SIGMA_M**2, SIGMA_M**2, SIGMA_RAD**2])
         start = PlanarGaussian(x_m, y_m, yaw_rad, variances)
-    return Run(scans, data["true"], data["odometry"], start)
+    return FilterRun(scans, data["true"], data["odometry"], start)

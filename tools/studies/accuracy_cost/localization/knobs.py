@@ -10,7 +10,7 @@ from mapperd.config.loader import config_of
 from mapperd.config.tree import Config, OctreeConfig
 from studies.accuracy_cost.study import Knob, Setting, Value
 from studies.localization.runs import settings
-from studies.localization.world import Place
+from studies.localization.world import DiveArea
 from studies.report import ROOT
 
 __all__ = ["KNOBS", "SCALES", "WHOLES", "config_for", "profile_overrides", "published_overrides"]
@@ -29,7 +29,7 @@ SCALES = {
 """Factors that a study turns, and the settings that they multiply: these differ between places."""
 
 
-def config_for(place: Place, overrides: Mapping[str, Value], seed: int) -> Config:
+def config_for(place: DiveArea, overrides: Mapping[str, Value], seed: int) -> Config:
     """The profile for a place with some settings turned.
 
     Args:

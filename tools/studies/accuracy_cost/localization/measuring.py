@@ -21,13 +21,13 @@ from mapperd.localization.map_filter import MapFilter
 from studies.accuracy_cost.localization.dives import (
     DIVES,
     PLANS,
-    Run,
+    FilterRun,
     load_runs,
     map_path,
     prepare_dive,
 )
 from studies.accuracy_cost.localization.knobs import KNOBS, WHOLES, config_for
-from studies.accuracy_cost.study import Column, Dive, Knob, Setting
+from studies.accuracy_cost.study import Column, Knob, Setting, StudyDive
 
 __all__ = [
     "COLUMNS",
@@ -65,7 +65,7 @@ class Moments:
 
 
 def localize(
-    path: Path, runs: list[Run], repeats: int, config: Config
+    path: Path, runs: list[FilterRun], repeats: int, config: Config
 ) -> tuple[list[Moments], int]:
     """Localize runs, one after the other, by one filter, whose random numbers go on.
 
@@ -88,7 +88,7 @@ def localize(
     return moments, max(resident_bytes() - before, 0)
 
 
-def _run(localizer: Localizer, run: Run, config: Config) -> Moments:
+def _run(localizer: Localizer, run: FilterRun, config: Config) -> Moments:
     if run.start is None:
         localizer.localize_globally()
     else:
@@ -112,7 +112,7 @@ def _run(localizer: Localizer, run: Run, config: Config) -> Moments:
     return Moments(*arrays, np.array(scan_s), np.array(update_s))
 
 
-def _poses(run: Run) -> Iterator[Pose]:
+def _poses(run: FilterRun) -> Iterator[Pose]:
     """Of the base, as odometry and the sensors of depth, roll and pitch have it."""
     for true, estimate in zip(run.true, run.odometry, strict=True):
         roll_pitch_yaw_deg = tuple(np.degrees([true[3], true[4], estimate[2]]).tolist())
@@ -219,17 +219,17 @@ class LocalizationStudy:
 
     name = "localization"
     knobs: tuple[Knob, ...] = KNOBS
-    dives: tuple[Dive, ...] = DIVES
+    dives: tuple[StudyDive, ...] = DIVES
     wholes: tuple[Setting, ...] = WHOLES
     columns: tuple[Column, ...] = COLUMNS
     error = ERROR
     cost = COST
 
-    def prepare(self, dive: Dive, folder: Path) -> None:
+    def prepare(self, dive: StudyDive, folder: Path) -> None:
         """As of `Study`."""
         prepare_dive(dive, folder)
 
-    def measure(self, setting: Setting, dive: Dive, folder: Path) -> dict[str, float]:
+    def measure(self, setting: Setting, dive: StudyDive, folder: Path) -> dict[str, float]:
         """As of `Study`."""
         plan = PLANS[dive.name]
         config = config_for(plan.place, setting.overrides, dive.seed)

@@ -31,8 +31,8 @@ from sonar_sim import (
     write_capture,
 )
 
-from studies.accuracy_cost.mapping.metrics import Box, Floor, Pile, World
-from studies.accuracy_cost.study import Dive
+from studies.accuracy_cost.mapping.metrics import Floor, Pile, SolidBox, Solids
+from studies.accuracy_cost.study import StudyDive
 
 __all__ = ["DIVES", "FIT", "Made", "capture_of", "made_by", "make_dive", "once", "truth_of"]
 
@@ -52,7 +52,7 @@ class Made:
         emitters: other sonars.
     """
 
-    world: World
+    world: Solids
     sonar: SonarSettings
     mounting: Mounting
     trajectory: Trajectory
@@ -79,67 +79,67 @@ class Made:
 
 
 DIVES = (
-    Dive("harbour", 101),
-    Dive("seabed", 202),
-    Dive("hard", 303),
-    Dive("basin", 404, quick=True),
+    StudyDive("harbour", 101),
+    StudyDive("seabed", 202),
+    StudyDive("hard", 303),
+    StudyDive("basin", 404, quick=True),
 )
 
-FIT = Dive("harbour to fit", 505)
+FIT = StudyDive("harbour to fit", 505)
 """Another harbour, whose map probabilities are calibrated by; nothing else is measured on it."""
 
-_HARBOUR = World(
+_HARBOUR = Solids(
     (
         Floor(4.6, half_m=9.0, middle_m=(4.0, 2.5)),
-        Box((8.5, 2.5, -3.0), (1.0, 24.0, 6.0)),
+        SolidBox((8.5, 2.5, -3.0), (1.0, 24.0, 6.0)),
         *(Pile((6.5, y, -3.0), 0.2, 6.0) for y in (-2.5, 0.0, 2.5, 5.0)),
         Pile((3.5, -1.5, -3.0), 0.2, 6.0),
         Pile((2.0, 6.0, -3.0), 0.2, 6.0),
-        Box((4.7, 1.3, -4.4), (1.2, 1.0, 1.4)),
-        Box((1.3, 4.2, -4.3), (1.3, 1.3, 1.6)),
+        SolidBox((4.7, 1.3, -4.4), (1.2, 1.0, 1.4)),
+        SolidBox((1.3, 4.2, -4.3), (1.3, 1.3, 1.6)),
     )
 )
-_OTHER_HARBOUR = World(
+_OTHER_HARBOUR = Solids(
     (
         Floor(4.4, half_m=9.0, middle_m=(4.0, -2.5)),
-        Box((2.5, -8.2, -3.0), (26.0, 1.0, 6.0)),
+        SolidBox((2.5, -8.2, -3.0), (26.0, 1.0, 6.0)),
         *(Pile((x, -6.3, -3.0), 0.2, 6.0) for x in (-1.5, 1.2, 3.9, 6.6)),
         Pile((6.2, 0.4, -3.0), 0.25, 6.0),
         Pile((4.0, 1.8, -3.0), 0.15, 6.0),
-        Box((4.4, -1.8, -4.2), (1.0, 1.4, 1.2)),
-        Box((2.2, -4.2, -4.1), (1.6, 1.0, 1.5)),
+        SolidBox((4.4, -1.8, -4.2), (1.0, 1.4, 1.2)),
+        SolidBox((2.2, -4.2, -4.1), (1.6, 1.0, 1.5)),
     )
 )
-_BAY = World(
+_BAY = Solids(
     (
         Floor(6.5, half_m=16.0, middle_m=(7.0, 4.0)),
-        Box((13.5, 4.0, -4.0), (1.0, 40.0, 8.0)),
+        SolidBox((13.5, 4.0, -4.0), (1.0, 40.0, 8.0)),
         *(Pile((10.5, y, -4.0), 0.3, 8.0) for y in (-4.0, 0.0, 4.0, 8.0)),
         Pile((5.5, -2.5, -4.0), 0.3, 8.0),
         Pile((3.0, 9.5, -4.0), 0.3, 8.0),
-        Box((7.5, 2.0, -6.2), (2.0, 1.5, 2.2)),
-        Box((2.0, 6.5, -6.0), (2.0, 2.0, 2.4)),
+        SolidBox((7.5, 2.0, -6.2), (2.0, 1.5, 2.2)),
+        SolidBox((2.0, 6.5, -6.0), (2.0, 2.0, 2.4)),
     )
 )
-_SEABED = World(
+_SEABED = Solids(
     (
         Floor(12.0, half_m=14.0),
-        Box((0.0, 4.0, -12.0), (2.0, 2.0, 2.4)),
+        SolidBox((0.0, 4.0, -12.0), (2.0, 2.0, 2.4)),
         Pile((0.5, -3.0, -11.0), 0.4, 3.0),
         Pile((-1.0, 0.5, -11.5), 0.3, 2.0),
         Pile((1.0, -6.5, -10.5), 0.5, 4.0),
     )
 )
-_BASIN = World(
+_BASIN = Solids(
     (
         Floor(4.0, half_m=5.0, middle_m=(2.0, 0.0)),
-        Box((3.5, 1.2, -3.9), (0.8, 0.8, 1.0)),
+        SolidBox((3.5, 1.2, -3.9), (0.8, 0.8, 1.0)),
         Pile((2.8, -0.6, -3.0), 0.15, 2.4),
     )
 )
 
 
-def made_by(dive: Dive) -> Made:
+def made_by(dive: StudyDive) -> Made:
     """How a dive is made.
 
     Raises:
@@ -207,26 +207,26 @@ def _basin() -> Made:
     return Made(_BASIN, sonar, Mounting(pitch_deg=30.0), path, vehicle, pings=16)
 
 
-def _name(dive: Dive) -> str:
+def _name(dive: StudyDive) -> str:
     return f"mapping-{dive.name.replace(' ', '-')}-{dive.seed}"
 
 
-def capture_of(dive: Dive, folder: Path) -> Path:
+def capture_of(dive: StudyDive, folder: Path) -> Path:
     """File of what the dive's links brought."""
     return folder / f"{_name(dive)}.bin"
 
 
-def seen_of(dive: Dive, folder: Path) -> Path:
+def seen_of(dive: StudyDive, folder: Path) -> Path:
     """File of what the sonar had in sight."""
     return folder / f"{_name(dive)}-seen.npy"
 
 
-def truth_of(dive: Dive, folder: Path) -> tuple[World, NDArray[np.float64]]:
+def truth_of(dive: StudyDive, folder: Path) -> tuple[Solids, NDArray[np.float64]]:
     """The world, and points (N, 3) of its surface that the sonar had in sight."""
     return made_by(dive).world, np.load(seen_of(dive, folder))
 
 
-def make_dive(dive: Dive, folder: Path) -> None:
+def make_dive(dive: StudyDive, folder: Path) -> None:
     """Simulate a dive, unless its files are there."""
     capture, seen = capture_of(dive, folder), seen_of(dive, folder)
     if capture.exists() and seen.exists():

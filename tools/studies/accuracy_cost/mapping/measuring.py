@@ -16,7 +16,7 @@ from oculus_driver.recording import open_recording
 from studies.accuracy_cost.mapping import metrics
 from studies.accuracy_cost.mapping.dives import Made, capture_of, made_by, once, truth_of
 from studies.accuracy_cost.mapping.knobs import config_for
-from studies.accuracy_cost.study import Column, Dive, Setting
+from studies.accuracy_cost.study import Column, Setting, StudyDive
 
 __all__ = [
     "COLUMNS",
@@ -91,13 +91,13 @@ OTHER_RULE = ("octree.", "iwlo.", "adaptive.", "filtering.", "sonar.", "mapping.
 Voxels = tuple[NDArray[np.int64], NDArray[np.float64]]
 
 
-def _files(dive: Dive, folder: Path) -> tuple[Path, Path]:
+def _files(dive: StudyDive, folder: Path) -> tuple[Path, Path]:
     """The map, and what it took."""
     name = f"mapping-{dive.name}-{dive.seed}-finest"
     return folder / f"{name}.map", folder / f"{name}.npz"
 
 
-def make_oracle(dive: Dive, folder: Path) -> None:
+def make_oracle(dive: StudyDive, folder: Path) -> None:
     """Map a dive's capture with the finest evidence grid, unless that is done."""
     map_file, times_file = _files(dive, folder)
     if map_file.exists() and times_file.exists():
@@ -111,7 +111,7 @@ def make_oracle(dive: Dive, folder: Path) -> None:
     times_part.rename(times_file)
 
 
-def oracle_of(dive: Dive, folder: Path) -> Driven:
+def oracle_of(dive: StudyDive, folder: Path) -> Driven:
     """What `make_oracle` made."""
     map_file, times_file = _files(dive, folder)
     config, _ = config_for(CONVERGED, made_by(dive))
@@ -130,7 +130,7 @@ def same_rule(setting: Setting, default: Setting) -> bool:
     )
 
 
-def log_odds_error(sonar_map: SonarMap, dive: Dive, folder: Path) -> float:
+def log_odds_error(sonar_map: SonarMap, dive: StudyDive, folder: Path) -> float:
     """Mean absolute difference of log-odds from the converged map's, over voxels of either."""
     return mean_difference(_known(sonar_map), _known(oracle_of(dive, folder).map))
 
@@ -184,7 +184,7 @@ COLUMNS = (
 )
 
 
-def measure(setting: Setting, dive: Dive, folder: Path) -> dict[str, float]:
+def measure(setting: Setting, dive: StudyDive, folder: Path) -> dict[str, float]:
     """All columns."""
     world, seen_m = truth_of(dive, folder)
     driven = _driven(setting, dive, folder)
@@ -215,7 +215,7 @@ def measure(setting: Setting, dive: Dive, folder: Path) -> dict[str, float]:
     return {column.name: row[column.name] for column in COLUMNS}
 
 
-def _driven(setting: Setting, dive: Dive, folder: Path) -> Driven:
+def _driven(setting: Setting, dive: StudyDive, folder: Path) -> Driven:
     """The converged map takes a minute, and is there already."""
     if setting.key == CONVERGED.key:
         return oracle_of(dive, folder)

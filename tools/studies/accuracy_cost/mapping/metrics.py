@@ -14,13 +14,13 @@ from scipy.spatial import cKDTree
 
 __all__ = [
     "BINS",
-    "Box",
     "Floor",
     "Pile",
     "Reliability",
     "Solid",
+    "SolidBox",
+    "Solids",
     "Surfaces",
-    "World",
     "reliability",
     "roc_area",
     "sampled",
@@ -90,7 +90,7 @@ class Floor:
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
+class SolidBox:
     """Along the map's axes."""
 
     middle_m: Triple
@@ -130,7 +130,7 @@ class Pile:
 
 
 @dataclass(frozen=True, slots=True)
-class World:
+class Solids:
     """All solids of a dive."""
 
     solids: Sequence[Solid]
@@ -210,7 +210,7 @@ class Surfaces:
     error_m: float
 
 
-def surfaces(world: World, seen_m: Floats, occupied_m: Floats, edge_m: float) -> Surfaces:
+def surfaces(world: Solids, seen_m: Floats, occupied_m: Floats, edge_m: float) -> Surfaces:
     """Compare a map's surface with the truth.
 
     Args:

@@ -18,7 +18,7 @@ from studies.accuracy_cost.mapping.dives import DIVES, FIT, capture_of, made_by,
 from studies.accuracy_cost.mapping.knobs import PROFILE_FOLDER, profile
 from studies.accuracy_cost.mapping.measuring import drive
 from studies.accuracy_cost.mapping.metrics import BINS, reliability, sampled
-from studies.accuracy_cost.study import Dive
+from studies.accuracy_cost.study import StudyDive
 
 __all__ = ["FILE", "estimates_and_truth", "fit", "table"]
 
@@ -74,7 +74,7 @@ def _groups(log_odds: Floats) -> list[NDArray[np.int64]]:
     return groups
 
 
-def estimates_and_truth(dive: Dive, folder: Path) -> tuple[Floats, Bools]:
+def estimates_and_truth(dive: StudyDive, folder: Path) -> tuple[Floats, Bools]:
     """Log-odds of a dive's voxels with the profile `survey`, and which of them are solid."""
     made = made_by(dive)
     sonar_map = drive(profile("survey"), made, capture_of(dive, folder)).map

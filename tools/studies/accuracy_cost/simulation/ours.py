@@ -18,8 +18,8 @@ from sonar_sim.propagation.physics import Physics
 from sonar_sim.scene.sonar import SonarSettings
 
 from studies.accuracy_cost.simulation.error import Grain, grain_of
-from studies.accuracy_cost.simulation.scenes import Making, Moment, moments_of, scenario_of
-from studies.accuracy_cost.study import Dive
+from studies.accuracy_cost.simulation.scenes import Making, PingInstant, moments_of, scenario_of
+from studies.accuracy_cost.study import StudyDive
 
 Picture = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class Seen:
 class Ours:
     """Our simulator in one setting, on one dive."""
 
-    def __init__(self, making: Making, dive: Dive) -> None:
+    def __init__(self, making: Making, dive: StudyDive) -> None:
         sonar = scenario_of(dive).sonar
         self.sonar = sonar if making.beams is None else replace(sonar, beams=making.beams)
         self._dive, self._making = dive, making
@@ -90,7 +90,7 @@ class Ours:
         physics = self._surfaces_alone(moments_of(self._dive)[0][0])
         return hashlib.sha256(pickle.dumps((physics, sampling))).hexdigest()[:16]
 
-    def _surfaces_alone(self, moment: Moment) -> Physics:
+    def _surfaces_alone(self, moment: PingInstant) -> Physics:
         """Without what is not speckle of surfaces: noise, the water's own echoes, other sonars."""
         physics = self._physics(self._planner(), moment)
         return replace(physics, noise_level_db=None, volume_strength_db=None, arrivals=())
@@ -109,36 +109,38 @@ class Ours:
     def _planner(self) -> Planner:
         return Planner(self._look, self._making.effects, self._making.tolerance)
 
-    def _timed_ms(self, planner: Planner, moment: Moment) -> float:
+    def _timed_ms(self, planner: Planner, moment: PingInstant) -> float:
         start_s = time.process_time()
         self._ping(planner, moment)
         return 1e3 * (time.process_time() - start_s)
 
-    def _ping(self, planner: Planner, moment: Moment) -> None:
+    def _ping(self, planner: Planner, moment: PingInstant) -> None:
         self._made(moment, self._physics(planner, moment))
 
-    def _physics(self, planner: Planner, moment: Moment) -> Physics:
+    def _physics(self, planner: Planner, moment: PingInstant) -> Physics:
         planned = planner.at(moment.map_T_sonar, moment.number, moment.time_s, moment.motion)
         return planned.physics
 
-    def _seen(self, planner: Planner, moment: Moment) -> Seen:
+    def _seen(self, planner: Planner, moment: PingInstant) -> Seen:
         physics = self._physics(planner, moment)
         picture = expected(self._engine, self.sonar, moment, physics)
         beams = scenario_of(self._dive).sonar.beams
         return Seen(widened(picture, beams), physics.quantised)
 
-    def _made(self, moment: Moment, physics: Physics) -> EnginePing:
+    def _made(self, moment: PingInstant, physics: Physics) -> EnginePing:
         return _ping(self._engine, moment, physics)
 
 
-def expected(engine: PingEngine, sonar: SonarSettings, moment: Moment, physics: Physics) -> Picture:
+def expected(
+    engine: PingEngine, sonar: SonarSettings, moment: PingInstant, physics: Physics
+) -> Picture:
     """Amplitude of full scale with speckle averaged, before pixels are rounded, (rows, beams)."""
     even = replace(physics, quantised=False, speckle=False, saturation=False)
     amplitude = _ping(engine, moment, even).image.astype(np.float64) ** (1.0 / gamma_of(sonar))
     return (expected_clipped(amplitude) if physics.saturation else amplitude).astype(np.float64)
 
 
-def _ping(engine: PingEngine, moment: Moment, physics: Physics) -> EnginePing:
+def _ping(engine: PingEngine, moment: PingInstant, physics: Physics) -> EnginePing:
     return engine.ping(moment.map_T_sonar, physics, moment.number, moment.time_s, moment.motion)
 
 
@@ -153,7 +155,9 @@ def widened(picture: Picture, beams: int) -> Picture:
 
 
 @functools.lru_cache(maxsize=2)
-def _engine(dive: Dive, sonar: SonarSettings, elevations: int, nodes_per_beam: float) -> PingEngine:
+def _engine(
+    dive: StudyDive, sonar: SonarSettings, elevations: int, nodes_per_beam: float
+) -> PingEngine:
     """Once for all settings of a process that need the same: a big scene takes a second."""
     return PingEngine(
         scenario_of(dive).scene,

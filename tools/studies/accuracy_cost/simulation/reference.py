@@ -33,13 +33,13 @@ from studies.accuracy_cost.simulation.error import Grain, Picture, grain_of, ste
 from studies.accuracy_cost.simulation.ours import Ours, expected
 from studies.accuracy_cost.simulation.scenes import (
     STRETCHES,
-    Moment,
+    PingInstant,
     grain_seeds,
     making_of,
     moments_of,
     scenario_of,
 )
-from studies.accuracy_cost.study import Dive, Value
+from studies.accuracy_cost.study import StudyDive, Value
 
 FINER = 4
 """Columns to a beam."""
@@ -65,7 +65,7 @@ class Reference:
     grain: Grain
 
 
-def prepare_reference(dive: Dive, folder: Path) -> None:
+def prepare_reference(dive: StudyDive, folder: Path) -> None:
     """Write a dive's reference pictures, unless they are there."""
     path = _path(dive, folder)
     if path.exists():
@@ -80,13 +80,13 @@ def prepare_reference(dive: Dive, folder: Path) -> None:
     beside.replace(path)
 
 
-def load_reference(dive: Dive, folder: Path) -> Reference:
+def load_reference(dive: StudyDive, folder: Path) -> Reference:
     """What `prepare_reference` wrote."""
     with np.load(_path(dive, folder)) as file:
         return Reference(list(file["pictures"].astype(np.float64)), Grain(*file["grain"].tolist()))
 
 
-def reference_pictures(dive: Dive) -> list[Picture]:
+def reference_pictures(dive: StudyDive) -> list[Picture]:
     """Make them."""
     scenario = scenario_of(dive)
     sonar, fine = scenario.sonar, finer(scenario.sonar)
@@ -102,7 +102,7 @@ def reference_pictures(dive: Dive) -> list[Picture]:
     ]
 
 
-def reference_grain(dive: Dive) -> Grain:
+def reference_grain(dive: StudyDive) -> Grain:
     """Of as many scatterers as leave no grain of their own, and surfaces of other random seeds."""
     everything: dict[str, Value] = {"sim.effects": "all", "sim.nodes_per_beam": SCATTERERS}
     of_settings = grain_seeds(dive)
@@ -123,7 +123,9 @@ def margin_beams(sonar: SonarSettings) -> int:
     return min(MARGIN_BEAMS, int(room))
 
 
-def _picture(engine: PingEngine, sonar: SonarSettings, planner: Planner, moment: Moment) -> Picture:
+def _picture(
+    engine: PingEngine, sonar: SonarSettings, planner: Planner, moment: PingInstant
+) -> Picture:
     planned = planner.at(moment.map_T_sonar, moment.number, moment.time_s, moment.motion)
     physics = planned.physics
     if physics.pose_blocks > 1:
@@ -131,14 +133,14 @@ def _picture(engine: PingEngine, sonar: SonarSettings, planner: Planner, moment:
     return expected(engine, sonar, moment, physics)
 
 
-def _path(dive: Dive, folder: Path) -> Path:
+def _path(dive: StudyDive, folder: Path) -> Path:
     return folder / f"simulation-{dive.name}.npz"
 
 
 class Published:
     """The published pipeline with a camera of one size, on one dive."""
 
-    def __init__(self, size: tuple[int, int], dive: Dive) -> None:
+    def __init__(self, size: tuple[int, int], dive: StudyDive) -> None:
         self._camera, self._dive = classic_camera(*size), dive
         self._onlooker = _onlooker(dive)
         self.sonar = scenario_of(dive).sonar
@@ -179,7 +181,7 @@ class Published:
         moment = moments_of(self._dive)[0][0]
         return grain_of([self._level_db(moment, seed) for seed in seeds])
 
-    def _level_db(self, moment: Moment, seed: int) -> Picture:
+    def _level_db(self, moment: PingInstant, seed: int) -> Picture:
         """Level of a frame's speckle, NaN where nothing is drawn."""
         smooth, speckled = self._plan_views(moment, np.random.default_rng(seed))
         level_db = np.full(smooth.shape, np.nan)
@@ -187,12 +189,12 @@ class Published:
         level_db[drawn] = 20.0 * np.log10(speckled[drawn] / smooth[drawn])
         return level_db
 
-    def _in_cells(self, moment: Moment) -> Picture:
+    def _in_cells(self, moment: PingInstant) -> Picture:
         smooth, _ = self._plan_views(moment)
         return in_cells(smooth, self._camera.horizontal_rad, self.sonar)
 
     def _plan_views(
-        self, moment: Moment, generator: np.random.Generator | None = None
+        self, moment: PingInstant, generator: np.random.Generator | None = None
     ) -> tuple[Picture, Picture]:
         """Before and after speckle, (400, columns)."""
         view, images = self._frame(moment, generator)
@@ -201,13 +203,13 @@ class Published:
         smooth = plan_view.blurred(plan_view.projected(view.depth_m, images.snr, x, y, pie))
         return smooth.astype(np.float64), images.raw_scan.astype(np.float64)
 
-    def _timed_ms(self, moment: Moment) -> float:
+    def _timed_ms(self, moment: PingInstant) -> float:
         start_s = time.process_time()
         self._frame(moment)
         return 1e3 * (time.process_time() - start_s)
 
     def _frame(
-        self, moment: Moment, generator: np.random.Generator | None = None
+        self, moment: PingInstant, generator: np.random.Generator | None = None
     ) -> tuple[DepthImage, ClassicImages]:
         view = self._onlooker.look(self._camera, moment.map_T_sonar)
         return view, classic_images(view.depth_m, self._camera.horizontal_rad, generator)
@@ -238,5 +240,5 @@ def levelled(values: Picture, truth: Picture, sonar: SonarSettings) -> Picture:
 
 
 @functools.lru_cache(maxsize=1)
-def _onlooker(dive: Dive) -> DepthCamera:
+def _onlooker(dive: StudyDive) -> DepthCamera:
     return DepthCamera(scenario_of(dive).scene)

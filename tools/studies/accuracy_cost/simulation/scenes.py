@@ -8,11 +8,11 @@ from sonar_sim import load_scenario
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import EffectSelection
 from sonar_sim.engine import NODES_PER_BEAM
-from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.raycast.fan import ELEVATIONS
 from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
 
-from studies.accuracy_cost.study import Dive, Value
+from studies.accuracy_cost.study import StudyDive, Value
 
 EFFECT, TOLERANCE = "sim.effect.", "sim.tolerance."
 
@@ -102,12 +102,12 @@ class Stretches:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Moment:
+class PingInstant:
     """One ping's circumstances."""
 
     number: int
     time_s: float
-    map_T_sonar: Pose  # noqa: N815 frames of a transform
+    map_T_sonar: FramePose  # noqa: N815 frames of a transform
     motion: SonarMotion
 
 
@@ -121,21 +121,21 @@ STRETCHES = {
     "open_water": Stretches((0.95,), pings=2),
 }
 
-DIVES = tuple(Dive(name, seed=1, quick=name == "flat_floor") for name in STRETCHES)
+DIVES = tuple(StudyDive(name, seed=1, quick=name == "flat_floor") for name in STRETCHES)
 
 
-def grain_seeds(dive: Dive) -> range:
+def grain_seeds(dive: StudyDive) -> range:
     """Of a setting's surfaces; those after them are the reference's."""
     return range(dive.seed, dive.seed + STRETCHES[dive.name].grains)
 
 
 @functools.lru_cache(maxsize=2)
-def scenario_of(dive: Dive) -> Scenario:
+def scenario_of(dive: StudyDive) -> Scenario:
     """The scene, once a process: reading it takes longer than a ping."""
     return load_scenario(dive.name)
 
 
-def moments_of(dive: Dive) -> list[list[Moment]]:
+def moments_of(dive: StudyDive) -> list[list[PingInstant]]:
     """The pings of each stretch."""
     scenario, stretches = scenario_of(dive), STRETCHES[dive.name]
     return [
@@ -151,5 +151,5 @@ def moments_of(dive: Dive) -> list[list[Moment]]:
     ]
 
 
-def _moment(scenario: Scenario, number: int, time_s: float) -> Moment:
-    return Moment(number, time_s, sonar_pose(scenario, time_s), sonar_motion(scenario, time_s))
+def _moment(scenario: Scenario, number: int, time_s: float) -> PingInstant:
+    return PingInstant(number, time_s, sonar_pose(scenario, time_s), sonar_motion(scenario, time_s))

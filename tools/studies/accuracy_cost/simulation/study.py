@@ -28,7 +28,7 @@ from studies.accuracy_cost.simulation.scenes import (
     making_of,
     scenario_of,
 )
-from studies.accuracy_cost.study import Column, Dive, Knob, Setting
+from studies.accuracy_cost.study import Column, Knob, Setting, StudyDive
 
 MARGIN = 0.25
 """Share of the error by which a default may lie behind the front. Errors of levels are those of
@@ -193,17 +193,17 @@ class SimulationStudy:
 
     name: str = "simulation"
     knobs: Sequence[Knob] = KNOBS
-    dives: Sequence[Dive] = DIVES
+    dives: Sequence[StudyDive] = DIVES
     wholes: Sequence[Setting] = WHOLES
     columns: Sequence[Column] = COLUMNS
     error: str = "image_rms_db"
     cost: str = "ping_cpu_ms"
 
-    def prepare(self, dive: Dive, folder: Path) -> None:
+    def prepare(self, dive: StudyDive, folder: Path) -> None:
         """Make the dive's reference pictures."""
         prepare_reference(dive, folder)
 
-    def measure(self, setting: Setting, dive: Dive, folder: Path) -> dict[str, float]:
+    def measure(self, setting: Setting, dive: StudyDive, folder: Path) -> dict[str, float]:
         """Errors and costs of a setting on a dive."""
         making, truth = making_of(setting.overrides), load_reference(dive, folder)
         with warnings.catch_warnings():
@@ -213,7 +213,7 @@ class SimulationStudy:
             return _published(making.camera, dive, truth)
 
 
-def _ours(making: Making, dive: Dive, truth: Reference, folder: Path) -> dict[str, float]:
+def _ours(making: Making, dive: StudyDive, truth: Reference, folder: Path) -> dict[str, float]:
     ours, sonar = Ours(making, dive), scenario_of(dive).sonar
     pairs = [
         # Where both are integers the rounding itself is not compared: a hair would be a step.
@@ -226,7 +226,7 @@ def _ours(making: Making, dive: Dive, truth: Reference, folder: Path) -> dict[st
     return {**errors, **_costs(ours.cpu_ms(), ours.memory_mb())}
 
 
-def _published(camera: tuple[int, int], dive: Dive, truth: Reference) -> dict[str, float]:
+def _published(camera: tuple[int, int], dive: StudyDive, truth: Reference) -> dict[str, float]:
     theirs = Published(camera, dive)
     pairs = list(zip(theirs.pictures(truth.pictures), truth.pictures, strict=True))
     errors = {

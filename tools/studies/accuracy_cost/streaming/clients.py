@@ -23,8 +23,8 @@ from studies.accuracy_cost.streaming.truth import EDGE, UNIT, stream_keys
 
 __all__ = [
     "PLAIN",
-    "Client",
     "Made",
+    "MapReader",
     "PlainClient",
     "PlainSender",
     "Sender",
@@ -182,7 +182,7 @@ class PlainSender:
 Floats = NDArray[np.float32]
 
 
-class Client(Protocol):
+class MapReader(Protocol):
     """Reads messages."""
 
     def take(self, message: bytes) -> NDArray[np.int32]:
@@ -207,7 +207,7 @@ class StreamClient:
         self._values = _values(facts, interest)
 
     def take(self, message: bytes) -> NDArray[np.int32]:
-        """As of `Client`."""
+        """As of `MapReader`."""
         (received,) = self._inbox.feed(message)
         if not isinstance(received, BlocksMessage) or not received.body:
             return np.zeros((0, 3), np.int32)
@@ -216,7 +216,7 @@ class StreamClient:
         return blocks.keys
 
     def probabilities(self, keys: NDArray[np.int32]) -> Floats:
-        """As of `Client`: a cell is all of its voxels."""
+        """As of `MapReader`: a cell is all of its voxels."""
         level = self._interest.level
         of = stream_keys(keys, level)
         cells = self._mirror.cells_of(of.reshape(-1, 3)).reshape(-1, *(BLOCK_EDGE,) * 3)
@@ -244,7 +244,7 @@ class PlainClient:
         self._held: dict[bytes, Floats] = {}
 
     def take(self, message: bytes) -> NDArray[np.int32]:
-        """As of `Client`."""
+        """As of `MapReader`."""
         name, rows = message[:12], np.frombuffer(message, PLAIN, offset=12)
         if name not in self._held:
             self._held[name] = np.full(EDGE**3, math.nan, np.float32)
@@ -253,7 +253,7 @@ class PlainClient:
         return stream_keys(key, 0).reshape(-1, 3).astype(np.int32)
 
     def probabilities(self, keys: NDArray[np.int32]) -> Floats:
-        """As of `Client`."""
+        """As of `MapReader`."""
         nothing = np.full(EDGE**3, math.nan, np.float32)
         return np.stack([self._held.get(key.tobytes(), nothing) for key in keys])
 

@@ -12,15 +12,15 @@ from sonar_sim import Simulator, SonarSettings
 
 from mapperd.server.pacer import Pacer
 from oculus_driver.encode import bearing_table_cdeg
-from studies.accuracy_cost.study import Dive
+from studies.accuracy_cost.study import StudyDive
 
 __all__ = [
     "DIVES",
     "PING_S",
     "PLANS",
-    "Link",
-    "LinkShape",
-    "Plan",
+    "LinkRate",
+    "SimulatedLink",
+    "StreamPlan",
     "load_dive",
     "position_of",
     "prepare_dive",
@@ -32,14 +32,14 @@ MIN_ON_ITS_WAY = 3_000
 
 
 @dataclass(frozen=True, slots=True)
-class LinkShape:
+class LinkRate:
     """Bytes a second, and the delay of each direction."""
 
     rate: float
     delay_s: float
 
 
-class Link:
+class SimulatedLink:
     """Moves messages, and reports to the pacer what becomes of them.
 
     Args:
@@ -50,7 +50,7 @@ class Link:
         carried: bytes so far.
     """
 
-    def __init__(self, shape: LinkShape, pacer: Pacer) -> None:
+    def __init__(self, shape: LinkRate, pacer: Pacer) -> None:
         self.carried = 0
         self._shape, self._pacer = shape, pacer
         self._waiting: deque[bytes] = deque()
@@ -106,7 +106,7 @@ RANGE_M, GAIN_PERCENT = 20.0, 50.0
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class StreamPlan:
     """A dive, and the link over which its map is sent.
 
     Attributes:
@@ -122,22 +122,22 @@ class Plan:
     joins: int
     beams: int
     rows: int
-    link: LinkShape
+    link: LinkRate
     voxel_m: float = 0.2
     judged_every: int = 5
 
 
-WIDE = LinkShape(rate=1_000_000.0, delay_s=0.02)
-RADIO = LinkShape(rate=32_000.0, delay_s=0.15)
+WIDE = LinkRate(rate=1_000_000.0, delay_s=0.02)
+RADIO = LinkRate(rate=32_000.0, delay_s=0.15)
 PLANS = {
-    "wide": Plan(120, 30, 256, 250, WIDE),
-    "radio": Plan(120, 30, 256, 250, RADIO),
-    "short": Plan(24, 3, 64, 50, WIDE, 0.4, 2),
+    "wide": StreamPlan(120, 30, 256, 250, WIDE),
+    "radio": StreamPlan(120, 30, 256, 250, RADIO),
+    "short": StreamPlan(24, 3, 64, 50, WIDE, 0.4, 2),
 }
-DIVES = (Dive("wide", 1), Dive("radio", 1), Dive("short", 2, quick=True))
+DIVES = (StudyDive("wide", 1), StudyDive("radio", 1), StudyDive("short", 2, quick=True))
 
 
-def prepare_dive(dive: Dive, folder: Path) -> None:
+def prepare_dive(dive: StudyDive, folder: Path) -> None:
     """Simulate the pings; a file that is there is whole."""
     path = _path(folder)
     if path.exists():

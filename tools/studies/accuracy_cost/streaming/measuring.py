@@ -11,7 +11,7 @@ from bench.inputs import Pings
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.wire.messages import MapFacts
 from studies.accuracy_cost.streaming.clients import (
-    Client,
+    MapReader,
     PlainClient,
     PlainSender,
     Sender,
@@ -22,8 +22,8 @@ from studies.accuracy_cost.streaming.dives import (
     DIVES,
     PING_S,
     PLANS,
-    Link,
-    Plan,
+    SimulatedLink,
+    StreamPlan,
     load_dive,
     position_of,
     prepare_dive,
@@ -36,14 +36,14 @@ from studies.accuracy_cost.streaming.knobs import (
     stream_setting,
 )
 from studies.accuracy_cost.streaming.truth import EDGE, UNIT, Ages, Blocks, distances_m
-from studies.accuracy_cost.study import Column, Dive, Knob, Setting
+from studies.accuracy_cost.study import Column, Knob, Setting, StudyDive
 
 __all__ = [
     "COLUMNS",
     "COST",
     "ERROR",
     "NEAR_M",
-    "Moment",
+    "MapDeviation",
     "StreamStudy",
     "moment",
     "summary",
@@ -78,7 +78,7 @@ MAX_LOG_ODDS = 20.0
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class MapDeviation:
     """How a client's map differs from the daemon's at one time."""
 
     p_error_near: float
@@ -88,7 +88,9 @@ class Moment:
     known: int
 
 
-def moment(blocks: Blocks, client: Client, facts: MapFacts, position_m: np.ndarray) -> Moment:
+def moment(
+    blocks: Blocks, client: MapReader, facts: MapFacts, position_m: np.ndarray
+) -> MapDeviation:
     """Compare all voxels that the daemon knows."""
     known = blocks.counts > 0
     held = client.probabilities(blocks.keys)
@@ -103,7 +105,7 @@ def moment(blocks: Blocks, client: Client, facts: MapFacts, position_m: np.ndarr
         received = np.clip(np.log(held) - np.log1p(-held), -MAX_LOG_ODDS, MAX_LOG_ODDS)
     apart = received[both] - true_log_odds[both]
     at = known[near]
-    return Moment(
+    return MapDeviation(
         float(off[near][at].mean()) if at.any() else 0.0,
         float(off[known].mean()) if known.any() else 0.0,
         _wrong_share(true_log_odds[near][at], received[near][at], facts),
@@ -122,7 +124,9 @@ def _wrong_share(true: np.ndarray, received: np.ndarray, facts: MapFacts) -> flo
     return float(wrong[decided].mean()) if decided.any() else 0.0
 
 
-def summary(moments: Sequence[Moment], ages_s: Sequence[tuple[float, float]]) -> dict[str, float]:
+def summary(
+    moments: Sequence[MapDeviation], ages_s: Sequence[tuple[float, float]]
+) -> dict[str, float]:
     """Figures of all moments and ages."""
     near_s, far_s = np.array(ages_s).reshape(-1, 2).T
     known = max(sum(each.known for each in moments), 1)
@@ -148,8 +152,8 @@ class _Watch:
     """One client, its link, and what is judged."""
 
     sender: Sender
-    client: Client
-    link: Link
+    client: MapReader
+    link: SimulatedLink
     ages: Ages
     made_s: deque[float] = field(default_factory=deque)
     changed: int = 0
@@ -172,13 +176,13 @@ class _Watch:
             self.seen[name] = units.copy()
 
 
-def watched(pings: Pings, plan: Plan, wanted: StreamSetting) -> dict[str, float]:
+def watched(pings: Pings, plan: StreamPlan, wanted: StreamSetting) -> dict[str, float]:
     """The figures of all columns."""
     sonar_map = SonarMap(wanted.config)
     for number in range(plan.joins):
         _map(sonar_map, pings, number)
     watch = _joined(sonar_map, plan, wanted)
-    moments: list[Moment] = []
+    moments: list[MapDeviation] = []
     ages_s: list[tuple[float, float]] = []
     cpu_s: list[float] = []
     joined_s = plan.joins * PING_S
@@ -210,9 +214,9 @@ def watched(pings: Pings, plan: Plan, wanted: StreamSetting) -> dict[str, float]
     }
 
 
-def _joined(sonar_map: SonarMap, plan: Plan, wanted: StreamSetting) -> _Watch:
+def _joined(sonar_map: SonarMap, plan: StreamPlan, wanted: StreamSetting) -> _Watch:
     sender: Sender
-    client: Client
+    client: MapReader
     if wanted.is_plain:
         sender, client = PlainSender(sonar_map), PlainClient()
     else:
@@ -220,7 +224,7 @@ def _joined(sonar_map: SonarMap, plan: Plan, wanted: StreamSetting) -> _Watch:
         step, limit = stream.log_odds_step, stream.bytes_per_s
         sender = StreamSender(sonar_map, wanted.interest, step, limit)
         client = StreamClient(sender.facts(), wanted.interest)
-    link = Link(plan.link, sender.pacer)
+    link = SimulatedLink(plan.link, sender.pacer)
     return _Watch(sender, client, link, Ages(sender.facts(), wanted.interest))
 
 
@@ -233,17 +237,17 @@ class StreamStudy:
 
     name = "stream"
     knobs: tuple[Knob, ...] = KNOBS
-    dives: tuple[Dive, ...] = DIVES
+    dives: tuple[StudyDive, ...] = DIVES
     wholes: tuple[Setting, ...] = WHOLES
     columns: tuple[Column, ...] = COLUMNS
     error = ERROR
     cost = COST
 
-    def prepare(self, dive: Dive, folder: Path) -> None:
+    def prepare(self, dive: StudyDive, folder: Path) -> None:
         """As of `Study`."""
         prepare_dive(dive, folder)
 
-    def measure(self, setting: Setting, dive: Dive, folder: Path) -> dict[str, float]:
+    def measure(self, setting: Setting, dive: StudyDive, folder: Path) -> dict[str, float]:
         """As of `Study`."""
         plan = PLANS[dive.name]
         wanted = stream_setting(setting.overrides, plan.voxel_m)
