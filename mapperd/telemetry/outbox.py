@@ -4,7 +4,7 @@ from collections import Counter, deque
 from dataclasses import dataclass
 from enum import IntEnum
 
-__all__ = ["Kind", "Message", "Outbox"]
+__all__ = ["Kind", "Outbox", "QueuedMessage"]
 
 
 class Kind(IntEnum):
@@ -20,7 +20,7 @@ class Kind(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Message:
+class QueuedMessage:
     """One message to publish."""
 
     topic: str
@@ -47,10 +47,10 @@ class Outbox:
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
-        self._queues: dict[Kind, deque[Message]] = {
+        self._queues: dict[Kind, deque[QueuedMessage]] = {
             kind: deque() for kind in (Kind.TELEMETRY, Kind.EVENT, Kind.ANSWER)
         }
-        self._states: dict[str, Message] = {}
+        self._states: dict[str, QueuedMessage] = {}
         self.dropped: Counter[Kind] = Counter()
         self.replaced = 0
 
@@ -62,7 +62,7 @@ class Outbox:
         """Events that fit without another one being dropped, even if one in flight comes back."""
         return self._limit - 1 - len(self._queues[Kind.EVENT]) - len(self._queues[Kind.ANSWER])
 
-    def put(self, message: Message) -> None:
+    def put(self, message: QueuedMessage) -> None:
         """Let a message wait; drops another one where there are too many."""
         if message.kind is Kind.STATE:
             self.replaced += self._states.pop(message.topic, None) is not None
@@ -71,7 +71,7 @@ class Outbox:
         self._queues[message.kind].append(message)
         self._keep_bound()
 
-    def put_back(self, message: Message) -> None:
+    def put_back(self, message: QueuedMessage) -> None:
         """Let a message wait again that could not be sent, before all others of its kind."""
         if message.kind is Kind.STATE:
             newer = self._states.get(message.topic)
@@ -81,7 +81,7 @@ class Outbox:
         self._queues[message.kind].appendleft(message)
         self._keep_bound()
 
-    def take(self, *kinds: Kind) -> Message | None:
+    def take(self, *kinds: Kind) -> QueuedMessage | None:
         """The next message of the first of these kinds that has one."""
         for kind in kinds:
             if kind is Kind.STATE:

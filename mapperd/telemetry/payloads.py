@@ -9,7 +9,7 @@ import msgspec
 from mapperd.api import DaemonApi
 from mapperd.config.tree import Config, FramesConfig
 from mapperd.geometry.frames import pose_from_rpy
-from mapperd.telemetry.outbox import Kind, Message, Outbox
+from mapperd.telemetry.outbox import Kind, Outbox, QueuedMessage
 from mapperd.telemetry.topics import Topics
 
 __all__ = [
@@ -235,8 +235,8 @@ class LocalizationReporter:
             self._level = level
             topic = self._topics.of_name("diagnostics")
             payload = encoded({"t_s": now_s, **diagnostics})
-            self._outbox.put(Message(topic, payload, Kind.STATE, retain=True))
+            self._outbox.put(QueuedMessage(topic, payload, Kind.STATE, retain=True))
 
     def _publish(self, name: str, content: object) -> None:
         topic, payload = self._topics.of_name(name), encoded(content)
-        self._outbox.put(Message(topic, payload, Kind.TELEMETRY))
+        self._outbox.put(QueuedMessage(topic, payload, Kind.TELEMETRY))

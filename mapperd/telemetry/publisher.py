@@ -12,7 +12,7 @@ from mapperd.config.catalog import parameters, value_of
 from mapperd.config.tree import Config
 from mapperd.events import Severity
 from mapperd.telemetry import payloads
-from mapperd.telemetry.outbox import Kind, Message, Outbox
+from mapperd.telemetry.outbox import Kind, Outbox, QueuedMessage
 from mapperd.telemetry.payloads import LocalizationReporter, Throttle
 from mapperd.telemetry.topics import Topics
 
@@ -164,15 +164,15 @@ class Reporter:
 
     def _put_state(self, name: str, content: object, qos: int) -> None:
         topic, payload = self._topics.of_name(name), payloads.encoded(content)
-        self._outbox.put(Message(topic, payload, Kind.STATE, qos, retain=True))
+        self._outbox.put(QueuedMessage(topic, payload, Kind.STATE, qos, retain=True))
 
     def _put_telemetry(self, name: str, content: object) -> None:
         topic, payload = self._topics.of_name(name), payloads.encoded(content)
-        self._outbox.put(Message(topic, payload, Kind.TELEMETRY))
+        self._outbox.put(QueuedMessage(topic, payload, Kind.TELEMETRY))
 
     def _put_event(self, content: object) -> None:
         topic, payload = self._topics.of_name("event"), payloads.encoded(content)
-        self._outbox.put(Message(topic, payload, Kind.EVENT, qos=1))
+        self._outbox.put(QueuedMessage(topic, payload, Kind.EVENT, qos=1))
 
 
 STATM = Path("/proc/self/statm")

@@ -11,7 +11,7 @@ import msgspec
 from mapperd.api import DaemonApi, OperationError, PoseRequest
 from mapperd.config.live import Refused
 from mapperd.errors import MapperdError
-from mapperd.telemetry.outbox import Kind, Message
+from mapperd.telemetry.outbox import Kind, QueuedMessage
 from mapperd.telemetry.payloads import encoded
 from mapperd.telemetry.topics import Asked, Topics
 
@@ -58,7 +58,7 @@ class TelemetryRequests:
     """
 
     def __init__(
-        self, operations: DaemonApi, topics: Topics, put: Callable[[Message], None]
+        self, operations: DaemonApi, topics: Topics, put: Callable[[QueuedMessage], None]
     ) -> None:
         self._operations = operations
         self._topics = topics
@@ -154,7 +154,7 @@ class TelemetryRequests:
         self._publish(asked, payload)
 
     def _publish(self, asked: Asked, payload: bytes) -> None:
-        self._put(Message(self._topics.result(asked), payload, Kind.ANSWER, qos=1))
+        self._put(QueuedMessage(self._topics.result(asked), payload, Kind.ANSWER, qos=1))
 
 
 def _request(asked: Asked, payload: bytes) -> _Request:

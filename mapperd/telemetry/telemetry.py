@@ -20,7 +20,7 @@ from mapperd.api import DaemonApi
 from mapperd.errors import ConfigError
 from mapperd.events import Severity
 from mapperd.telemetry.broker import check_telemetry, connection
-from mapperd.telemetry.outbox import Kind, Message, Outbox
+from mapperd.telemetry.outbox import Kind, Outbox, QueuedMessage
 from mapperd.telemetry.payloads import BackOff
 from mapperd.telemetry.publisher import Reporter, Vitals
 from mapperd.telemetry.requests import TelemetryRequests
@@ -186,7 +186,7 @@ class Telemetry:
             else:
                 await self._publish(client, message)
 
-    async def _publish(self, client: "Client", message: Message) -> None:
+    async def _publish(self, client: "Client", message: QueuedMessage) -> None:
         try:
             await client.publish(
                 message.topic, message.payload, qos=message.qos, retain=message.retain
@@ -215,7 +215,7 @@ class Telemetry:
                 status = self._topics.of_name("status")
                 await client.publish(status, b"offline", qos=1, retain=True)
 
-    def _put(self, message: Message) -> None:
+    def _put(self, message: QueuedMessage) -> None:
         self._outbox.put(message)
         self._wake()
 

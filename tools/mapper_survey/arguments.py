@@ -13,7 +13,7 @@ import msgspec
 from mapper_survey.errors import SurveyError
 from mapper_survey.export import Progress
 from mapper_survey.folder import Folder
-from mapper_survey.request import Origin as SurveyOrigin
+from mapper_survey.request import SurveyOrigin
 from mapper_survey.running import MAP, RECORD, was_begun
 from mapperd.config.loader import load_config
 from mapperd.config.tree import Config

@@ -20,7 +20,7 @@ from mapperd.config.loader import MAX_FILE_BYTES, YamlProblem, parse_yaml
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 
-__all__ = ["Dive", "Origin", "Request", "Survey", "Transform", "read_survey"]
+__all__ = ["Dive", "Request", "Survey", "SurveyOrigin", "Transform", "read_survey"]
 
 Metres = Annotated[float, Meta(ge=-1e7, le=1e7)]
 
@@ -64,7 +64,7 @@ class Dive(Struct, frozen=True, forbid_unknown_fields=True):
     localization: str | None = None
 
 
-class Origin(Struct, frozen=True, forbid_unknown_fields=True):
+class SurveyOrigin(Struct, frozen=True, forbid_unknown_fields=True):
     """The survey's zero on Earth; altitude of z = 0 in metres."""
 
     latitude: Annotated[float, Meta(ge=-90, le=90)]
@@ -78,7 +78,7 @@ class Survey(Struct, frozen=True, forbid_unknown_fields=True):
     dives: Annotated[list[Dive], Meta(min_length=1)]
     configuration: str = ""
     settings: dict[str, Any] = {}
-    origin: Origin | None = None
+    origin: SurveyOrigin | None = None
     tile_size_m: Annotated[float, Meta(gt=0, le=1e5)] | None = None
     outputs: list[str] = []
 
@@ -181,7 +181,7 @@ def _survey_of(tree: object, path: Path) -> Survey:
 
 
 def _unknown(field: str, place: str) -> str:
-    kinds = {"transform": Transform, "origin": Origin, "$": Survey}
+    kinds = {"transform": Transform, "origin": SurveyOrigin, "$": Survey}
     last = place.rpartition(".")[2]
     known = kinds.get(last, Dive).__struct_fields__
     near = difflib.get_close_matches(field, known, n=1)

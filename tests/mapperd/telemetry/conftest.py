@@ -11,7 +11,7 @@ from mapperd.config.live import ConfigStore
 from mapperd.config.loader import config_of
 from mapperd.events import EventLog
 from mapperd.localization.report import localization_report, localization_summary
-from mapperd.telemetry.outbox import Kind, Message, Outbox
+from mapperd.telemetry.outbox import Kind, Outbox, QueuedMessage
 
 if TYPE_CHECKING:
     from mapperd.localization.status import LocalizationFacts
@@ -133,5 +133,5 @@ def below(topic: str) -> str:
     return topic.removeprefix(f"{ROOT}/")
 
 
-def message(kind: Kind, number: int = 0, topic: str = "a") -> Message:
-    return Message(topic, str(number).encode(), kind)
+def message(kind: Kind, number: int = 0, topic: str = "a") -> QueuedMessage:
+    return QueuedMessage(topic, str(number).encode(), kind)

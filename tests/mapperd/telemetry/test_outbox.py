@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapperd.telemetry.outbox import Kind, Message, Outbox
+from mapperd.telemetry.outbox import Kind, Outbox, QueuedMessage
 from tests.mapperd.telemetry.conftest import message
 
 LIMIT = 10
@@ -74,7 +74,7 @@ def test_it_is_bounded_and_every_message_is_accounted_for(
 ) -> None:
     outbox, put, taken = Outbox(LIMIT), 0, 0
     for doing, kind, topic in doings:
-        one = Message(str(topic), b"", kind)
+        one = QueuedMessage(str(topic), b"", kind)
         if doing == "put":
             outbox.put(one)
         elif doing == "back":
