@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 RECEIVE_BUFFER: Final = 2 * MIB
 _MAX_UNSENT_BYTES: Final = 4096
 
+_MAX_LATE_NS: Final = SECOND_NS // 5
+"""A timer that is later shows that this program did not run: it was stopped, or busy."""
+
 _ADVICE: Final = {
     errno.ECONNREFUSED: "refused: another client may use the sonar, or the address is not a sonar",
     errno.EHOSTUNREACH: "failed, host unreachable: check power, cable and address",
@@ -206,6 +209,7 @@ class LinkDriver:
         self._connection: Connection | None = None
         self._attempt: asyncio.Task[None] | None = None
         self._timer: asyncio.TimerHandle | None = None
+        self._due_ns = 0  # of the timer
         self._reported: tuple[LinkState, str] | None = None
         self._connections = 0
         self._losses = 0
@@ -310,6 +314,7 @@ class LinkDriver:
 
     def _data(self, data: bytes) -> None:
         now_ns = self._clock()
+        self._forgive_pause(now_ns)
         try:
             if self._on_bytes is not None:
                 self._on_bytes(data, now_ns)
@@ -382,13 +387,25 @@ class LinkDriver:
         if due_ns is None:
             return
         loop = asyncio.get_running_loop()
-        when = loop.time() + max(0.0, (due_ns - self._clock()) / SECOND_NS)
+        now_ns = self._clock()
+        due_ns = max(due_ns, now_ns)
+        when = loop.time() + (due_ns - now_ns) / SECOND_NS
         if self._timer is not None:
             if self._timer.when() <= when and not self._timer.cancelled():
                 return
             self._timer.cancel()
-        self._timer = loop.call_at(when, self._due)
+        self._timer, self._due_ns = loop.call_at(when, self._due), due_ns
 
     def _due(self) -> None:
+        now_ns = self._clock()
+        self._forgive_pause(now_ns)
         self._timer = None
-        self._check(self._clock())
+        self._check(now_ns)
+
+    def _forgive_pause(self, now_ns: int) -> None:
+        """Postpone all timeouts by the time in which this program did not run."""
+        pause_ns = now_ns - self._due_ns
+        if self._timer is not None and pause_ns > _MAX_LATE_NS:
+            self._due_ns = now_ns
+            self.link.postpone(pause_ns)
+            self._receiver.postpone(pause_ns)

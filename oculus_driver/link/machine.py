@@ -211,6 +211,14 @@ class Link:
         """Abort the connection because of its content, and reconnect after a delay."""
         return [Disconnect(reason), *self.lost(reason, now_ns)]
 
+    def postpone(self, pause_ns: int) -> None:
+        """Do not count a time in which this program did not run: messages may wait to be read."""
+        self._since_ns += pause_ns
+        self._received_ns += pause_ns
+        self._discovered_ns += pause_ns
+        if self._expected_since_ns is not None:
+            self._expected_since_ns += pause_ns
+
     # Timers.
 
     def _timers(self) -> Iterator[Timer]:

@@ -91,6 +91,12 @@ class PingReceiver:
             return None
         return f"no message in {lost_bytes} bytes"
 
+    def postpone(self, pause_ns: int) -> None:
+        """Do not count a time in which this program did not run."""
+        self._received_ns += pause_ns
+        if self._resync_since_ns is not None:
+            self._resync_since_ns += pause_ns
+
     def _received(self, message: Message) -> ReceivedMessage:
         if message.message_id != MessageId.PING_RESULT:
             return ReceivedMessage(message.message_id, None)

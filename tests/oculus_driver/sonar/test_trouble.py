@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import signal
 import socket
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -15,6 +19,8 @@ from oculus_driver.wire import MessageId
 from tests.support.process import free_tcp_port
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from oculus_driver import LinkStatus, Ping
     from tests.oculus_driver.conftest import MakePing
     from tests.oculus_driver.sonar.conftest import MakeSonar, Run
@@ -54,6 +60,64 @@ def test_a_cut_connection_is_made_again_with_the_settings(
             assert {fire["range_demand"] for fire in device.fires} == {5.0}
 
     run(main())
+
+
+def test_a_pause_of_this_program_is_no_silence_of_the_sonar(
+    fake: MakeSonar, run: Run, quick: LinkTimeouts
+) -> None:
+    times = replace(quick, silence_ns=200_000_000, reconnect_ns=300_000_000)
+
+    async def main() -> None:
+        async with (
+            fake() as device,
+            OculusSonar(HOST, FREE, port=device.port, times=times, max_pings=1) as sonar,
+        ):
+            for _ in range(3):
+                await take(sonar, 3)
+                time.sleep(1.5)  # noqa: ASYNC251 - as a stopped process does
+            await take(sonar, 3)
+            assert (device.clients, sonar.counters.losses) == (1, 0)
+            device.mute = True
+            await sonar.wait_for(LinkState.BACKING_OFF)  # a silent sonar is still noticed
+
+    run(main())
+
+
+@pytest.mark.slow
+def test_a_process_that_is_stopped_for_ten_seconds_keeps_its_link(capture_path: Path) -> None:
+    port = free_tcp_port()
+    oculus = (sys.executable, "-m", "oculus_driver.cli")
+    play = (
+        *oculus,
+        "play",
+        str(capture_path),
+        "--loop",
+        "--remade",
+        "--status-to",
+        HOST,
+        "--port",
+        str(port),
+    )
+    log = (*oculus, "watch", HOST, "--port", str(port), "--ping", "--bits", "32", "--json")
+    with (
+        subprocess.Popen(play, stdout=subprocess.DEVNULL) as device,  # noqa: S603 our own
+        subprocess.Popen(log, stdout=subprocess.PIPE, text=True) as watch,  # noqa: S603
+    ):
+        assert watch.stdout is not None
+        lines = (json.loads(line) for line in watch.stdout)
+        try:
+            assert next(line for line in lines if line["state"] == "pinging")
+            before = next(line for line in lines if line.get("pings", 0) > 3)
+            watch.send_signal(signal.SIGSTOP)
+            time.sleep(10.5)
+            watch.send_signal(signal.SIGCONT)
+            counts = [next(line for line in lines if line["event"] == "pings") for _ in range(4)]
+        finally:
+            watch.kill()
+            device.kill()
+    assert [one["connections"] for one in counts] == [before["connections"]] * 4
+    assert [one["losses"] for one in counts] == [before["losses"]] * 4
+    assert counts[-1]["pings"] > before["pings"]
 
 
 def test_a_sonar_that_is_switched_on_later_is_found(
