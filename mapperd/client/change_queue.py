@@ -26,10 +26,10 @@ class ChangeQueue:
 
     Changes of the map are joined by blocks, those of the path and of settings likewise; of events
     the newest are kept and the others counted, of all else the newest one. Where too many blocks
-    changed, a reader is told the whole map anew. Any thread may add and take.
+    changed, a reader is sent the whole map again. Any thread may add and take.
 
     Args:
-        client_state: of the client; all that it knows is told first.
+        client_state: of the client; all that it knows is sent first.
         link: how the connection is now.
         news: is called where something was added.
     """

@@ -1,4 +1,4 @@
-"""What a client is told, in the order in which it happened."""
+"""What a client is sent, in the order in which it happened."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -57,7 +57,7 @@ class LinkChanged:
 
 @dataclass(frozen=True, slots=True)
 class MapReset:
-    """The map is another one, or held anew: all that was known of it is forgotten."""
+    """The map is another one, or held again: all that was known of it is forgotten."""
 
     facts: MapFacts
 

@@ -156,7 +156,7 @@ class MapClient(StateReader):
     async def changes(self) -> AsyncIterator[ClientChange]:
         """What happens, from now on; first all that is known already.
 
-        A reader that is slow is told less, and newer things; it costs bounded memory. There may be
+        A reader that is slow is sent less, and newer things; it costs bounded memory. There may be
         several.
 
         Raises:

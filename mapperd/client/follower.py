@@ -90,7 +90,7 @@ class MapFollower(StateReader):
     def changes(self, timeout_s: float | None = None) -> Iterator[ClientChange]:
         """What happens within some time, or for ever, and what happened since the last call.
 
-        The first call begins with all that is known. What one thread takes, no other is told.
+        The first call begins with all that is known. What one thread takes, no other gets.
 
         Raises:
             StreamError: the daemon will not have us, or what answers is none.

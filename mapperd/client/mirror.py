@@ -123,7 +123,7 @@ class Cells:
         centres_m: (N, 3) float64, map frame.
         log_odds: (N,) float32, quantised.
         probability: (N,) float32, of being occupied.
-        count: (N,) uint16: that often observed at least; 0 where counts are not told.
+        count: (N,) uint16: that often observed at least; 0 where counts are not sent.
         changed_ns: (N,) int64, Unix: when their block changed last.
     """
 
@@ -154,7 +154,7 @@ class MapMirror:
 
     Args:
         facts: of the map.
-        interest: what is told of it.
+        interest: what is sent of it.
 
     Attributes:
         lock: held by each call; a thread that has it may take it again.

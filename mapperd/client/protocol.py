@@ -35,7 +35,7 @@ __all__ = ["ClientProtocol", "StreamOptions"]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class StreamOptions:
-    """What a client would like to be told.
+    """What a client would like to be sent.
 
     Attributes:
         wants: kinds of messages.
@@ -44,7 +44,7 @@ class StreamOptions:
         name: of the program, for people.
 
     Raises:
-        ValueError: nothing of the kind can be told.
+        ValueError: nothing of the kind can be sent.
     """
 
     wants: tuple[Want, ...]

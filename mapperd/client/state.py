@@ -76,7 +76,7 @@ class ClientState:
         interest: in the map, as the client would have it.
         wants_map: it was wanted at some time of this connection.
         welcome: the last one.
-        is_complete: the daemon said on this connection that all of the interest is told, and
+        is_complete: the daemon reported on this connection that all of the interest is sent, and
             nothing since.
         mirror: of the map, and one object for good; empty where no map is wanted.
         path: (N, 3) float32, metres, map frame.
@@ -149,7 +149,7 @@ class ClientState:
         self._ticket = ""
 
     def invalidate(self) -> None:
-        """Something that was told is wrong: the next connection begins with nothing."""
+        """Something that was sent is wrong: the next connection begins with nothing."""
         self.forget_ticket()
         self._is_invalid = True
 
@@ -178,7 +178,7 @@ class ClientState:
             self._take_path(PathMessage(first=0, points=b""))
 
     def take(self, news: FromServer) -> None:
-        """Take what is told after the welcome.
+        """Take what is sent after the welcome.
 
         Raises:
             StreamError: it cannot be.
@@ -228,7 +228,7 @@ class ClientState:
             if news.complete is not None:
                 mirror.complete = max(mirror.complete or 0, news.complete)
         self.is_complete = news.complete is not None and mirror.interest == self.interest
-        # Without the mirror's lock: readers may hold it and wait for what is told.
+        # Without the mirror's lock: readers may hold it and wait for what is sent.
         self._publish(MapChanged(keys, news.stamp_ns, news.left))
 
     def _put(self, mirror: MapMirror, news: BlocksMessage) -> NDArray[np.int32]:

@@ -144,7 +144,7 @@ def image_of(message: ImageMessage) -> NDArray[np.uint8]:
 
 
 def size_of(value: Any) -> int:  # noqa: ANN401 plain values
-    """Bytes of what was told, about as many as it came in."""
+    """Bytes of what was sent, about as many as it came in."""
     try:
         return len(msgspec.msgpack.encode(value))
     except RecursionError:  # so deep that it could just be read

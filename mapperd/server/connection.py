@@ -178,7 +178,7 @@ class ClientConnection(asyncio.BufferedProtocol):
         self._timer = asyncio.get_running_loop().call_later(LEAVE_S, self._transport.abort)
 
     def abort(self) -> None:
-        """Close at once: what it was told is not to be relied upon."""
+        """Close at once: what it was sent is not to be relied upon."""
         self.is_for_good = True
         self.drop()
 

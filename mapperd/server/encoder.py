@@ -1,4 +1,4 @@
-"""Blocks made into bodies of messages, once for all clients that are told the same."""
+"""Blocks made into bodies of messages, once for all clients that are sent the same."""
 
 from dataclasses import dataclass
 from typing import TypeVar
@@ -15,7 +15,7 @@ from mapperd.wire.messages import BlocksMessage
 __all__ = ["BlockEncoder", "Body", "RevisionTimes"]
 
 MAX_KEPT = 64
-"""Bodies, and messages: clients that keep up are told the same, the others each their own."""
+"""Bodies, and messages: clients that keep up are sent the same, the others each their own."""
 
 FIRST_GUESS = 64.0
 """Bytes a block."""
@@ -115,7 +115,7 @@ class BlockEncoder:
             view: of the map.
             detail: of the interest.
             numbers: of the blocks.
-            wanted: which of them are told with what they hold.
+            wanted: which of them are sent with their contents.
             least_number: bodies of a lower number are not used: the client has newer blocks.
 
         Raises:
@@ -129,7 +129,7 @@ class BlockEncoder:
         return known
 
     def message(self, body: Body, left: int, complete: int | None) -> BlocksMessage:
-        """The same object for all who are told the same."""
+        """The same object for all who are sent the same."""
         key = (body.number, left, complete)
         known = self._messages.get(key)
         if known is None:

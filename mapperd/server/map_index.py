@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 LEAVE = 1.1
-"""A block that was told is forgotten beyond so many times the radius: at its edge none flickers."""
+"""A block that was sent is forgotten beyond so many times the radius: at its edge none flickers."""
 
 
 def vector_of(position_m: ArrayLike | None) -> Vector | None:
@@ -74,14 +74,14 @@ def within(
     position_m: Vector | None,
     held: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
-    """Which blocks (N,) a client is to be told of.
+    """Which blocks (N,) are to be sent to a client.
 
     Args:
         keys: (N, 3).
         block_m: edge of a block.
         interest: of the client.
         position_m: of the vehicle; where nobody knows it, nothing lies in a radius about it.
-        held: (N,), those that it was told of: they go later than they came.
+        held: (N,), those that it was sent: they go later than they came.
     """
     inside = in_box(keys, block_m, interest)
     if interest.radius_m == 0:
@@ -219,7 +219,7 @@ BRICK_LEVEL = 3
 """A block of this level is a brick of the map's file; one of a lower level lies within one."""
 
 FARTHEST = 1 << 30
-"""Keys of the stream stay within: those of blocks beyond are told to nobody."""
+"""Keys of the stream stay within: those of blocks beyond are sent to nobody."""
 
 Keys = NDArray[np.int32]
 Numbers = NDArray[np.int64]
@@ -227,14 +227,14 @@ Revisions = NDArray[np.uint64]
 
 
 DOUBT = np.uint64(0xD0B7_D0B7_D0B7_D0B7)
-"""Digest of a block that was told as it was at no look: it differs from all that looks find."""
+"""Digest of a block that was sent as it was at no look: it differs from all that looks find."""
 
 
 class ChangeListener(Protocol):
-    """Who is told which blocks changed."""
+    """Receives which blocks changed."""
 
     def changed(self, numbers: Numbers) -> None:
-        """These blocks are told otherwise than before."""
+        """These blocks differ from what was sent before."""
 
 
 class BlockIndex:
@@ -242,18 +242,18 @@ class BlockIndex:
 
     Args:
         level: of the blocks.
-        core_view: how they are told.
+        core_view: how they are sent.
         resolution_m: of the map.
 
     Attributes:
         level, core: as given.
         block_m: edge of a block.
-        digests, revisions: (>= N,) of each block: what was told of it last, and since when.
+        digests, revisions: (>= N,) of each block: what was sent of it last, and since when.
         looked: revision up to which the map was looked at.
         in_file: revision up to which the file was.
         sure: revision up to which all changes in memory are indexed.
         settled: revision up to which all changes are indexed; None before that was ever so.
-        listeners: are told of changes.
+        listeners: are notified of changes.
         unused_since_ns: nobody listens since then; None while somebody does.
     """
 
@@ -300,9 +300,9 @@ class BlockIndex:
             self._bricks[tuple(brick)] = revision
 
     def doubt(self, numbers: Numbers, core: _core.VoxelMap) -> None:
-        """Blocks were told as they are now, which may be newer than what is indexed of them.
+        """Blocks were sent as they are now, which may be newer than what is indexed of them.
 
-        They may be indexed next as what they were before: what was told is wrong then, though
+        They may be indexed next as what they were before: what was sent is wrong then, though
         nothing seems to have changed. So those that changed since are taken for others.
         """
         for part in batches(len(numbers), self.level):
@@ -323,7 +323,7 @@ class BlockIndex:
         for part in batches(len(keys), self.level):
             digests, revisions, here = core.stream_digests(self.core, keys[part])
             self._settle(keys[part][here], digests[here], revisions[here])
-            # They left while we were about to look: whoever saw them change is told from the file.
+            # They left before this look: clients that saw them change get them from the file.
             self.note_bricks(bricks_of(keys[part][~here], self.level), self.looked)
 
     def work_on_file(
@@ -356,7 +356,7 @@ class BlockIndex:
         self._settle(keys, digests, revisions)
 
     def _settle(self, keys: Keys, digests: Revisions, revisions: Revisions) -> None:
-        """Note what is told of blocks now, and tell whoever listens which ones differ."""
+        """Note what is sent of blocks now, and notify the listeners of those that differ."""
         of_use = (self._index.numbers(keys, add=False) >= 0) | (digests != 0)
         numbers = self._index.numbers(keys[of_use], add=True)
         self._make_room()

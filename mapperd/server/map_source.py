@@ -37,14 +37,14 @@ def why_not(  # noqa: PLR0911 one reason each
     newest: int,
     has_losses: bool,
 ) -> str:
-    """Why a client has to be told all; "" when what it holds is good.
+    """Why a client has to be sent everything; "" when what it holds is good.
 
     Args:
         resume: what it holds.
         interest: what it wants.
-        map_id: as clients are told.
+        map_id: as it is sent to clients.
         identity: of the map.
-        looked: the highest revision up to which anybody can have been told all.
+        looked: the highest revision up to which anybody can have been sent all.
         newest: of the map.
         has_losses: something of the map in the file was damaged.
     """
@@ -106,7 +106,7 @@ class MapSource:
 
     Attributes:
         now_ns: of the last look, Unix.
-        trouble: why something of the map's file cannot be told at the moment; None: all is well.
+        trouble: why something of the map's file cannot be sent at the moment; None: all is well.
         encoder: encodes blocks as messages.
     """
 
@@ -163,7 +163,7 @@ class MapSource:
 
     @property
     def memory_bytes(self) -> int:
-        """Of indexes, and of what each client was told."""
+        """Of indexes, and of what each client was sent."""
         views = sum(view.memory_bytes for view in self._views.values())
         return views + sum(one.memory_bytes for one in self._subscriptions)
 
@@ -287,7 +287,7 @@ class MapSource:
         return len(self._store.lost | self._files.damaged)
 
     def _notice_another_map(self) -> None:
-        """All is told anew of another map, and of this one when it is told in another way."""
+        """All is sent again of another map, and of this one when it is sent in another way."""
         if self._store is not None:
             self._identity, before = self._store.identity, self._identity
             if before.map != self._identity.map:
@@ -309,7 +309,7 @@ class MapSource:
         resolution_m = self._map.resolution_m
         occupied = _log_odds(mapping.occupied_threshold)
         free = _log_odds(mapping.free_threshold)
-        # What is told in another way is another map to whoever resumes.
+        # What is sent in another way is another map to whoever resumes.
         way = zlib.crc32(repr((resolution_m, self._step, occupied, free)).encode())
         return MapFacts(
             id=f"{self._identity.map}-{way:08x}",
@@ -354,7 +354,7 @@ def _log_odds(probability: float) -> float:
 
 
 class MapView(Protocol):
-    """What one client has been told of the map."""
+    """What of the map one client has been sent."""
 
     resumed: bool
     """What the client held was right."""
@@ -368,14 +368,14 @@ class MapView(Protocol):
 
     @property
     def left(self) -> int:
-        """Blocks that are still to be told."""
+        """Blocks that are still to be sent."""
 
     @property
     def near_left(self) -> int:
         """Of those the ones near the vehicle that belong to this pass, as of the last message."""
 
     def next(self, position_m: Vector | None, most_bytes: int, part: Part = "any") -> bytes | None:
-        """The next message as it goes over the wire; None where all is told.
+        """The next message as it goes over the wire; None where all is sent.
 
         Args:
             position_m: of the vehicle, what is nearest to it comes first.
@@ -390,7 +390,7 @@ class MapView(Protocol):
         """Note that the client has used the messages up to this one."""
 
     def go_on(self, interest: Interest, number: int) -> bool:
-        """The client is back, and has messages up to this one; later ones are told again.
+        """The client is back, and has messages up to this one; later ones are sent again.
 
         Returns:
             whether it may keep what it holds.

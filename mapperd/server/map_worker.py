@@ -19,7 +19,7 @@ from mapperd.wire.messages import Interest, ResetMessage, Resume, Vector
 __all__ = ["Frame", "MapWorker", "next_frames"]
 
 UNWATCHED_S = 2.0
-"""Between looks at the map while nobody watches it: the ages of its blocks are told by them."""
+"""Between looks at the map while nobody watches it: the ages of its blocks come from them."""
 
 ROUND_BYTES = 128 << 10
 """To one client in one round: the others wait for it."""
@@ -32,7 +32,7 @@ Frame = tuple[bytes, int, int | None]
 
 
 def next_frames(view: MapView, rooms: SendRoom, position_m: Vector | None) -> list[Frame]:
-    """What a client is told of the map in one round: of what is near, else of what is far."""
+    """What of the map a client is sent in one round: the near part, else the far one."""
     return [*_of_part(view, "near", rooms.near, position_m)] or [
         *_of_part(view, "far", rooms.far, position_m)
     ]
@@ -102,7 +102,7 @@ class MapWorker:
     """
 
     FOLLOWS = ("stream.rate",)
-    """Settings that are read anew each time."""
+    """Settings that are read again each time."""
 
     def __init__(
         self,
@@ -212,7 +212,7 @@ class MapWorker:
         for order in job.orders:
             try:
                 self._fill(order)
-            except Exception as error:  # noqa: BLE001 the others are to be told what they were given
+            except Exception as error:  # noqa: BLE001 the others are to be sent what they were given
                 order.fault = error
         source = self._source
         job.map_start = MapStart(source.facts(), source.revision, source.session)

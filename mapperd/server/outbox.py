@@ -1,4 +1,4 @@
-"""What one client is told next of each kind, but for the map, and how much of it."""
+"""What one client is sent next of each kind, but for the map, and how much of it."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator
@@ -67,7 +67,7 @@ class ClientOutbox:
     Attributes:
         wants: kinds of messages.
         left: blocks of the map that the client still lacks.
-        skipped: messages that were never told, by kind.
+        skipped: messages that were never sent, by kind.
         waits: something is due and lacks room, which the map is not to take.
     """
 
@@ -88,7 +88,7 @@ class ClientOutbox:
         self._path_is_old = False
 
     def begin(self, events_since: int | None) -> None:
-        """Events are told after this one; of None, those to come."""
+        """Events are sent after this one; of None, those to come."""
         last = self._events.last
         self._events_sent = last if events_since is None else min(events_since, last)
 
@@ -100,7 +100,7 @@ class ClientOutbox:
     def want(self, wants: Collection[str]) -> None:
         """Other kinds from now on."""
         for kind in {*wants} - self.wants:
-            self._sent_numbers.pop(kind, None)  # what it was told long ago may be forgotten
+            self._sent_numbers.pop(kind, None)  # what it was sent long ago may be forgotten
             if kind == "settings":
                 self._settings_sent = 0
         self.wants = frozenset(wants)
@@ -228,4 +228,4 @@ class ClientOutbox:
 
 
 WANTS_IN_ORDER = tuple(kind for kind in SHARES if kind != "status")
-assert {*WANTS_IN_ORDER, "map", "status"} == {*WANTS}  # noqa: S101 a kind that nobody would be told
+assert {*WANTS_IN_ORDER, "map", "status"} == {*WANTS}  # noqa: S101 a kind that nobody would be sent

@@ -144,7 +144,7 @@ class Pacer:
         return min(max(UNSENT_S * rate, MIN_UNSENT), self.max_in_flight)
 
     def room(self, now_s: float) -> int:
-        """Bytes that may be sent now; 0 or less is none."""
+        """Bytes that may be sent now; at 0 or less wait."""
         room = min(
             self.max_in_flight - self.in_flight,
             self._max_unsent - self._unsent,

@@ -72,7 +72,7 @@ class BlockQueue:
             self.flags = more
 
     def add(self, numbers: Numbers, at: int) -> None:
-        """Blocks that are to be told; such as wait already wait once.
+        """Blocks that are to be sent; such as wait already wait once.
 
         Args:
             numbers: of the blocks.
@@ -90,7 +90,7 @@ class BlockQueue:
             self._reach_m = -np.inf  # some of these may be nearer than all of the front
 
     def remove(self, numbers: Numbers) -> None:
-        """Blocks of the front that were told, or are not to be told after all."""
+        """Blocks of the front that were sent, or are not to be sent after all."""
         self.flags[numbers] &= np.uint8(~(WAITING | IN_FRONT) & 0xFF)
         self._waiting -= len(numbers)
         kept = self.flags[self._front] & IN_FRONT != 0

@@ -2,7 +2,7 @@
 
 greeted ─ hello ─▶ admitted ─ the map is ready ─▶ served
 
-Nothing is queued for a client: of each kind it is told the newest when there is room, so that one
+Nothing is queued for a client: of each kind it is sent the newest when there is room, so that one
 that is slow skips what nobody needs any more, and costs no more than one that is not.
 """
 
@@ -66,7 +66,7 @@ class MessageEnds:
         self._ends: deque[tuple[int, int]] = deque(maxlen=MAX_ENDS)
 
     def begin(self, number: int, sent: int) -> None:
-        """What has the last message of this number is told from here on."""
+        """A client that has the last message of this number is sent what follows."""
         self._settled, self._from = number, sent
         self._ends.clear()
 
@@ -234,7 +234,7 @@ class ViewRequest:
 
 @dataclass(frozen=True, slots=True)
 class MapStart:
-    """The map when a client begins to be told of it, as `WelcomeMessage` says it."""
+    """The map when a client begins to receive it, as `WelcomeMessage` says it."""
 
     facts: MapFacts
     revision: int
@@ -262,7 +262,7 @@ ASKS = 8
 ANSWERS = 32
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 2000.0, 20_000
 CHANGES_PER_S, CHANGES_AT_ONCE = 4.0, 8
-"""Of what is told of the map; of more, the newest is heeded when its time has come."""
+"""Limit of what is sent of the map; of more, the newest is heeded when its time has come."""
 
 QUIET_S = 60.0
 
@@ -301,7 +301,7 @@ class ClientSession:
         view: of the map.
         asks: requests that wait.
         pacer: of what is under way.
-        outbox: of what it is told.
+        outbox: of what it is sent.
         ticket: with which the client resumes after a break.
     """
 
@@ -399,7 +399,7 @@ class ClientSession:
         return self._ends.settled(self.pacer.acked)
 
     def answer(self, number: int | None, result: dict[str, Any] | Fault) -> None:
-        """Add the answer to a request, by its id: the result, or why there is none."""
+        """Add the answer to a request, by its id: the result, or why there is no result."""
         if isinstance(result, Fault):
             message = AnswerMessage(id=number, error=plain_map(result))
         else:
@@ -415,7 +415,7 @@ class ClientSession:
         """All that is to be sent now, but for the map; most urgent first."""
         if self.state != "served":
             return b""
-        words, self._answers = self._answers, deque()  # who asks much is told less: see `asks`
+        words, self._answers = self._answers, deque()  # who asks much is sent less: see `asks`
         data = b"".join(self._sent(word, now_s) for word in words)
         pieces = self.outbox.pieces(now_s, now_ns)
         return data + b"".join(self._sent(piece, now_s) for piece in pieces)
@@ -452,7 +452,7 @@ class ClientSession:
         return sent
 
     def sent_reset(self, frame: bytes, view: MapView, now_s: float) -> bytes:
-        """A reset, as it is to be sent: a view is told from there on, and nothing before counts."""
+        """A reset, as it is to be sent: a view is sent from there on, and nothing before counts."""
         data = self._sent(frame, now_s)
         self._ends.begin(view.number, self.pacer.sent)
         return data

@@ -70,7 +70,7 @@ class SettingLog:
         """The next facts after a number, about so many bytes of them, at least one.
 
         Returns:
-            The number up to which all is told then, and the facts by name.
+            The number up to which all is sent then, and the facts by name.
         """
         at = bisect_right(self._order, number, key=lambda entry: entry[0])
         sent: dict[str, msgspec.Raw] = {}
@@ -216,7 +216,7 @@ class StateFeed:
         self._images = images
 
     def event(self, event: Event, lost: int) -> bytes:
-        """One event, and how many before it are not told."""
+        """One event, and how many before it are not sent."""
         if lost:
             return framed(EventMessage(event=_plain_event(event), lost=lost))
         frame = self._events.get(event.number)

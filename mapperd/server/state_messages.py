@@ -61,7 +61,7 @@ def pose_message(
     velocity_mps: Floats | None = None,
     covariance: Floats | None = None,
 ) -> PoseMessage:
-    """As `PoseMessage` says; what is not finite is not told."""
+    """As `PoseMessage` says; what is not finite is not sent."""
     return PoseMessage(
         stamp_ns=max(stamp_ns, 0),
         position_m=_three(base.position_m),
@@ -202,7 +202,7 @@ class VehiclePath:
     """Points of a path; one thread adds, any reads.
 
     A full path keeps every second point, and takes new ones at twice the distance: its points are
-    numbered anew then, and its version counts up.
+    numbered again then, and its version counts up.
 
     Args:
         most: points, at least 2.

@@ -82,10 +82,10 @@ HELD = 1
 """Bit of a block's flags: the client may know something of it."""
 
 REFRESH = 0.02
-"""The radius is drawn anew when the vehicle moved by this part of it."""
+"""The radius is drawn again when the vehicle moved by this part of it."""
 
 QUIET_NS = 1_000_000_000
-"""A client that lacks nothing is told so at most this often."""
+"""A client that lacks nothing is notified at most this often."""
 
 
 class BlockSource(Protocol):
@@ -103,7 +103,7 @@ class BlockSource(Protocol):
 
 
 class Subscription:
-    """One client's interest, and what of it the client was told; of the source's thread.
+    """One client's interest, and what of it was sent to the client; of the source's thread.
 
     Args:
         source: of the map.
@@ -151,7 +151,7 @@ class Subscription:
         self._closed = True
 
     def restart(self) -> None:
-        """The client forgets all, and is told all anew."""
+        """The client forgets all, and is sent all again."""
         self._view.listeners.discard(self)
         self._begin(None)
         self._reset = True
@@ -171,7 +171,7 @@ class Subscription:
         self._in_flight.settle(number)
 
     def go_on(self, interest: Interest, number: int) -> bool:
-        """The client is back, and has messages up to this one; later ones are told again.
+        """The client is back, and has messages up to this one; later ones are sent again.
 
         Returns:
             whether it may keep what it holds.
@@ -198,7 +198,7 @@ class Subscription:
         return int(self._queue.flags.nbytes) + self._in_flight.memory_bytes
 
     def changed(self, numbers: Numbers) -> None:
-        """These blocks are told otherwise than before."""
+        """These blocks differ from what was sent before."""
         self._queue.make_room(len(self._view))
         flags = self._queue.flags
         if self._known_up_to is not None:
@@ -270,7 +270,7 @@ class Subscription:
         return self._message(body, numbers)
 
     def _chosen(self, most: int, part: Part) -> tuple[Numbers, NDArray[np.bool_]]:
-        """The nearest blocks that wait, and which of them are told with what they hold."""
+        """The nearest blocks that wait, and which of them are sent with their contents."""
         while True:
             numbers = self._queue.nearest(most, self._drawn_at, part)
             wanted = self._inside(numbers, self._drawn_at)

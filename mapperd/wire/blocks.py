@@ -1,7 +1,7 @@
 """Bodies of messages as arrays: blocks of cells in one zstd frame, and paths.
 
 A block is a cube of 8 x 8 x 8 cells, a cell a cube of 2**level voxels along an edge. Block (x, y,
-z) begins at 8 * 2**level * (x, y, z) voxels of the map's frame; its cells are told x fastest, z
+z) begins at 8 * 2**level * (x, y, z) voxels of the map's frame; its cells are sent x fastest, z
 slowest. Before compression, in little endian, N blocks are:
 
     uint32      N
@@ -73,7 +73,7 @@ class BlockSet:
         keys: (N, 3) int32.
         ages_ms: (N,) uint32.
         cells: (N, 512) int8.
-        counts: (N, 512) uint8; None where they are not told.
+        counts: (N, 512) uint8; None where they are not sent.
     """
 
     keys: NDArray[np.int32]
@@ -175,7 +175,7 @@ def _unpacked(body: bytes) -> bytes:
 
 
 SEEN_M = 1e-3
-"""Rounding is told from here on; within 32 km of the map's zero it is less, and costs no bytes."""
+"""Rounding is noted beyond it; within 32 km of the map's zero it is less, and costs no bytes."""
 
 
 def path_message(first: int, points_m: NDArray[np.float64], version: int = 0) -> PathMessage:

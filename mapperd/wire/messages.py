@@ -111,7 +111,7 @@ class MapBox(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Interest(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Which part of the map a client is told of, and how finely.
+    """Which part of the map a client is sent, and how finely.
 
     Attributes:
         level: cells are cubes of 2**level voxels.
@@ -167,7 +167,7 @@ class HelloMessage(WireMessage, frozen=True, kw_only=True):
         interest: in the map.
         bytes_per_s: at most; 0 leaves it to the link.
         resume: what the client holds.
-        events_since: number of the last event that it has; None is told of new ones alone.
+        events_since: number of the last event that it has; None requests new ones alone.
         beside: earlier clients asked for a second connection by it, which is refused.
     """
 
@@ -286,12 +286,12 @@ class BlocksMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class ResetMessage(WireMessage, frozen=True, kw_only=True):
-    """All blocks are forgotten: the map is another one, or is told in another way from now on.
+    """All blocks are forgotten: the map is another one, or is sent in another way from now on.
 
     Attributes:
-        map: that is told of.
+        map: that is sent.
         revision: of it.
-        interest: that is told. Each change of a client's interest is answered by a reset, or
+        interest: that is sent. Each change of a client's interest is answered by a reset, or
             several at once: only this says which one is heeded. None is the newest one.
     """
 
@@ -330,7 +330,7 @@ class PathMessage(WireMessage, frozen=True, kw_only=True):
     Attributes:
         first: number of the first of these points; what the client holds from there on is old.
         points: float32 (N, 3), metres, map frame.
-        version: counts up when a long path is thinned, which numbers its points anew.
+        version: counts up when a long path is thinned, which numbers its points again.
         rest: float32 (N, 3), metres: what rounding left of the points; b"" where next to nothing.
     """
 
