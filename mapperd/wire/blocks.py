@@ -175,7 +175,7 @@ def _unpacked(body: bytes) -> bytes:
 
 
 SEEN_M = 1e-3
-"""Rounding is noted beyond it; within 32 km of the map's zero it is less, and costs no bytes."""
+"""Rounding is sent from here on; within 32 km of the map's zero it is less, and costs no bytes."""
 
 
 def path_message(first: int, points_m: NDArray[np.float64], version: int = 0) -> PathMessage:
