@@ -1,6 +1,6 @@
-"""The live map of a daemon, mirrored: watch it grow, ask it, or steer the daemon.
+"""Clients of a daemon: mirror its live map, follow its state, send it requests.
 
-docs/reference/map-stream.md has an example, and the protocol.
+docs/reference/map-stream.md has an example and the protocol.
 """
 
 from mapperd.client.changes import ClientChange, LinkChanged, LinkStatus, MapChanged, MapReset

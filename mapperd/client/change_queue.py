@@ -1,4 +1,4 @@
-"""What a reader of changes has not taken yet: bounded, however slowly it reads."""
+"""Changes that a reader has not taken yet, in bounded memory."""
 
 import threading
 from collections import OrderedDict, deque
@@ -22,16 +22,16 @@ NO_KEYS = np.zeros((0, 3), np.int32)
 
 
 class ChangeQueue:
-    """Changes in their order, joined where they pile up.
+    """Changes in order; waiting changes of one kind are merged.
 
-    Changes of the map are joined by blocks, those of the path and of settings likewise; of events
-    the newest are kept and the others counted, of all else the newest one. Where too many blocks
-    changed, a reader is sent the whole map again. Any thread may add and take.
+    Changes of the map, the path and the settings are united. The newest events are kept and the
+    others counted. Of all other kinds the newest change is kept. If too many blocks changed, the
+    reader gets the whole map again. Any thread may add and take.
 
     Args:
-        client_state: of the client; all that it knows is sent first.
-        link: how the connection is now.
-        news: is called where something was added.
+        client_state: state of the client; the queue begins with all of it.
+        link: state of the connection.
+        news: called after a change was added.
     """
 
     def __init__(
@@ -48,13 +48,13 @@ class ChangeQueue:
         self._add_all(link)
 
     def add(self, change: ClientChange) -> None:
-        """Note what happened."""
+        """Add a change."""
         with self._lock:
             self._add(change)
         self._news()
 
     def take(self) -> ClientChange | None:
-        """The next change; None while there is none."""
+        """Remove and return the next change; None if there is none."""
         with self._lock:
             if not self._waiting:
                 return None
@@ -67,7 +67,7 @@ class ChangeQueue:
                 return change
             keys, self._keys = self._keys, {}
             is_all, self._is_all = self._is_all, False
-        # Without the lock: who holds the mirror's may want to take too.
+        # Without the lock: a thread that holds the mirror's lock may call `take` too.
         mirror = self._client_state.mirror
         changed = mirror.keys() if is_all and mirror is not None else keys_of(keys)
         return MapChanged(changed, change.stamp_ns, change.left)

@@ -1,4 +1,4 @@
-"""What a client is sent, in the order in which it happened."""
+"""Changes that a client reports to its readers."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -27,16 +27,16 @@ LinkState = Literal["connecting", "connected", "waiting", "closed"]
 
 @dataclass(frozen=True, slots=True)
 class LinkStatus:
-    """How the connection is.
+    """State of the connection.
 
     Attributes:
         state: `waiting` is between attempts.
         address: of the daemon.
         reason: of the state, for a person.
-        since_s: monotonic, when it became so.
-        connects: how often it was connected.
+        since_s: monotonic time when the state began.
+        connects: number of connections so far.
         bytes: received since the first connection.
-        faults: connections that ended because the daemon said what it may not.
+        faults: connections that ended because the daemon broke the protocol.
     """
 
     state: LinkState
@@ -50,25 +50,25 @@ class LinkStatus:
 
 @dataclass(frozen=True, slots=True)
 class LinkChanged:
-    """The connection came, or went."""
+    """The state of the connection changed."""
 
     link: LinkStatus
 
 
 @dataclass(frozen=True, slots=True)
 class MapReset:
-    """The map is another one, or held again: all that was known of it is forgotten."""
+    """The mirror is empty and begins again, perhaps with another map."""
 
     facts: MapFacts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapChanged:
-    """Blocks of the mirror are others than before.
+    """Blocks of the mirror changed.
 
     Attributes:
-        keys: (N, 3) int32, of the blocks; those that are not in the mirror any more are empty.
-        stamp_ns: when the map was so, Unix.
+        keys: (N, 3) int32, of the blocks; blocks that are no longer in the mirror are empty.
+        stamp_ns: Unix time of this state of the map.
         left: blocks that are still to come.
     """
 

@@ -1,4 +1,4 @@
-"""The map stream of a daemon, with asyncio: connects, stays connected, mirrors the map."""
+"""Client of a daemon's map stream for asyncio: connects, reconnects, mirrors the map."""
 
 import asyncio
 import contextlib
@@ -29,14 +29,14 @@ from mapperd.wire.messages import AnswerMessage, Interest, Want
 __all__ = ["DEFAULT_WANTS", "MapClient", "PendingRequests"]
 
 UNDER_WAY = 8
-"""A daemon cuts off who asks more at once."""
+"""Maximum requests at once; a daemon disconnects clients with more."""
 
 
 class PendingRequests:
-    """Each request of one client, from its number to its answer.
+    """Requests of one client that wait for their answers.
 
     Attributes:
-        turn: held by each; more than a daemon takes wait for it.
+        turn: semaphore that each request holds; others wait for it.
     """
 
     def __init__(self) -> None:
@@ -45,18 +45,18 @@ class PendingRequests:
         self._waiting: dict[int, asyncio.Future[dict[str, Any]]] = {}
 
     def begin(self) -> tuple[int, "asyncio.Future[dict[str, Any]]"]:
-        """A number for a request, and what its answer will be."""
+        """Return a number for a request, and the future of its answer."""
         self._number += 1
         answer = asyncio.get_running_loop().create_future()
         self._waiting[self._number] = answer
         return self._number, answer
 
     def end(self, number: int) -> None:
-        """Nobody waits for it any more."""
+        """Forget a request."""
         self._waiting.pop(number, None)
 
     def answered(self, answer: AnswerMessage) -> None:
-        """Give an answer to who waits for it; one that nobody waits for is passed over."""
+        """Set the result of the request that an answer is for, if it waits."""
         waiting = self._waiting.pop(answer.id, None) if answer.id is not None else None
         if waiting is None or waiting.done():
             return
@@ -74,11 +74,13 @@ class PendingRequests:
         )
 
     def lose_all(self) -> None:
-        """The connection is gone, and with it all answers; some requests may have been obeyed."""
+        """Fail all requests: the connection broke. Some may have been carried out."""
         waiting, self._waiting = self._waiting, {}
         for answer in waiting.values():
             if not answer.done():
-                what = "the connection broke before the answer; it may have been done"
+                what = (
+                    "the connection broke before the answer; the request may have been carried out"
+                )
                 answer.set_exception(AskError("link_lost", what))
 
 
@@ -86,20 +88,20 @@ DEFAULT_WANTS: tuple[Want, ...] = ("map", "pose", "path", "fan")
 
 
 class MapClient(StateReader):
-    """A client of one daemon's map stream, `async with`; it tries for ever to be connected.
+    """Client of one daemon's map stream; an async context manager that stays connected.
 
     Args:
-        address: "" for the daemon of this computer, the path of a Unix socket, or `host:port`.
-        token: that a TCP socket asks for.
+        address: "" for the local daemon, the path of a Unix socket, or `host:port`.
+        token: for a TCP address that requires one.
         tls: encrypts TCP.
         wants: kinds of messages.
-        interest: in the map.
-        bytes_per_s: at most; 0 leaves it to the link.
+        interest: part of the map; None is all of it.
+        bytes_per_s: limit of the rate; 0 has no limit.
         name: of the program, for people.
-        most_blocks: that the mirror may hold, of 512 cells each.
+        most_blocks: maximum blocks of the mirror, of 512 cells each.
 
     Raises:
-        ValueError: no address, or nothing that can be wanted.
+        ValueError: the address or a kind of messages is unknown, or a value is not allowed.
     """
 
     def __init__(
@@ -131,7 +133,7 @@ class MapClient(StateReader):
 
     @property
     def link(self) -> LinkStatus:
-        """How the connection is."""
+        """State of the connection."""
         return dataclasses.replace(self._link, bytes=self._bytes, faults=self._faults)
 
     async def __aenter__(self) -> Self:
@@ -147,20 +149,20 @@ class MapClient(StateReader):
         await self.close()
 
     async def close(self) -> None:
-        """Hang up; who iterates over changes comes to their end."""
+        """Disconnect; iterators over changes end."""
         if self._running is not None:
             self._running.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await self._running
 
     async def changes(self) -> AsyncIterator[ClientChange]:
-        """What happens, from now on; first all that is known already.
+        """Iterate over changes; the first ones are the state that is known already.
 
-        A reader that is slow is sent less, and newer things; it costs bounded memory. There may be
-        several.
+        A slow reader gets merged and newer changes, in bounded memory. Several readers are
+        allowed.
 
         Raises:
-            StreamError: the daemon will not have us, or what answers is none.
+            StreamError: the daemon refuses this client, or the server is not a daemon.
         """
         with self.reader() as pending:
             while True:
@@ -174,7 +176,7 @@ class MapClient(StateReader):
 
     @contextlib.contextmanager
     def reader(self, news: Callable[[], None] = lambda: None) -> Iterator[ChangeQueue]:
-        """For one who takes changes in another way; `news` is called where there are some."""
+        """Yield a queue of changes; `news` is called after a change was added."""
         pending = ChangeQueue(self._client_state, LinkChanged(self.link), news)
         self._readers.add(pending)
         try:
@@ -183,24 +185,24 @@ class MapClient(StateReader):
             self._readers.discard(pending)
 
     async def complete(self, timeout_s: float | None = None) -> None:
-        """Wait until all of the interest in the map is here as the daemon has it now.
+        """Wait until the mirror has all of the interest, up to date.
 
         Raises:
-            TimeoutError: it is not.
+            TimeoutError: the time is over.
             StreamError: as `changes`.
         """
         async with asyncio.timeout(timeout_s):
             while not self._client_state.is_complete:
                 self.raise_error()
                 if self._link.state == "closed":
-                    raise EndedError("this client hung up", "closed")
+                    raise EndedError("this client has closed", "closed")
                 await self._news.wait()
 
     async def ask(self, do: str, *, timeout_s: float = 60.0, **fields: Any) -> dict[str, Any]:  # noqa: ANN401 plain values
-        """Make a request of docs/reference/control.md; returns its result.
+        """Make a request of docs/reference/control.md; return its result.
 
         Raises:
-            AskError: it was not done.
+            AskError: the request was not carried out.
         """
         try:
             async with asyncio.timeout(timeout_s), self._requests.turn:
@@ -220,7 +222,7 @@ class MapClient(StateReader):
             self._requests.end(number)
 
     async def set(self, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Change settings of the daemon, all or none; returns name to values before and after.
+        """Change settings of the daemon, all or none; return name to values before and after.
 
         Raises:
             AskError: nothing was changed; `details` has the reasons by name.
@@ -235,10 +237,10 @@ class MapClient(StateReader):
         interest: Interest | None = None,
         bytes_per_s: int | None = None,
     ) -> None:
-        """Wish for something else, now and after the next connection; what is None stays.
+        """Change options, for this connection and later ones; None keeps an option.
 
         Raises:
-            ValueError: there is no such thing to be wanted.
+            ValueError: a value is not allowed.
         """
         before = self._protocol.options
         self._protocol.change(
@@ -256,7 +258,7 @@ class MapClient(StateReader):
             await self._stay_connected()
         finally:
             if self._link.state != "closed":
-                self._set_link("closed", "hung up")
+                self._set_link("closed", "closed by this program")
 
     async def _stay_connected(self) -> None:
         while True:
@@ -274,10 +276,10 @@ class MapClient(StateReader):
             await self._retry.wait(time.monotonic() - began_s)
 
     async def _connection(self) -> str:
-        """One connection from its beginning to its end; returns why it ended.
+        """Run one connection to its end; return why it ended.
 
         Raises:
-            StreamError: because of what the daemon said.
+            StreamError: the daemon ended it or broke the protocol.
         """
         try:
             reader, writer = await opened(self._place, self._tls)
@@ -285,7 +287,7 @@ class MapClient(StateReader):
             return reason_of(error)
         self._writer = writer
         self._protocol.begin()
-        reason = "the daemon hung up"
+        reason = "the daemon closed the connection"
         try:
             await self._converse(reader)
         except OSError as error:
@@ -311,7 +313,7 @@ class MapClient(StateReader):
                     self._connects += 1
                     self._set_link("connected", "")
             self._send()
-            # A read of bytes that are there already does not let others have their turn.
+            # Yields to the event loop: a read of bytes that have arrived does not.
             await asyncio.sleep(0)
 
     def _send(self) -> None:
@@ -319,7 +321,7 @@ class MapClient(StateReader):
             send(self._writer, self._protocol)
 
     def _invalidate(self) -> None:
-        """The daemon said what it may not."""
+        """Count a fault of the daemon, and do not resume from this state."""
         self._faults += 1
         self._client_state.invalidate()
 
@@ -334,10 +336,10 @@ class MapClient(StateReader):
         news.set()
 
     def raise_error(self) -> None:
-        """Why there is no connection any more, if that is no wish of ours.
+        """Raise the error that ended the client, if there is one.
 
         Raises:
-            StreamError: that is why.
+            StreamError: of the last connection.
         """
         if self._error is not None:
             raise self._error

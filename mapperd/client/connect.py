@@ -1,4 +1,4 @@
-"""Addresses of daemons, and how a connection is made and kept."""
+"""Addresses of daemons; opens connections and chooses the delay between attempts."""
 
 import asyncio
 import os
@@ -24,11 +24,11 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class DaemonAddress:
-    """Where to connect to.
+    """Address of a daemon.
 
     Attributes:
-        paths: of Unix sockets, of which the first that exists is taken; none of TCP.
-        host, port: of TCP.
+        paths: of Unix sockets; the first that exists is used. Empty for TCP.
+        host, port: for TCP.
     """
 
     paths: tuple[Path, ...] = ()
@@ -36,22 +36,22 @@ class DaemonAddress:
     port: int = 0
 
     def __str__(self) -> str:
-        """For a person."""
+        """Return the address for people."""
         if not self.paths:
             return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
         return str(self.path)
 
     @property
     def path(self) -> Path:
-        """Of the Unix socket to be tried now."""
+        """Path of the Unix socket to connect to."""
         return next((path for path in self.paths if path.exists()), self.paths[0])
 
 
 def daemon_address(address: str) -> DaemonAddress:
-    """Of `HOST:PORT`, `[IPv6]:PORT`, the path of a Unix socket, or "" for this computer's daemon.
+    """Parse `HOST:PORT`, `[IPv6]:PORT`, the path of a Unix socket, or "" for the local daemon.
 
     Raises:
-        ValueError: it is none of these.
+        ValueError: it is something else.
     """
     if not address:
         return DaemonAddress(_usual_paths())
@@ -60,12 +60,12 @@ def daemon_address(address: str) -> DaemonAddress:
     host, sign, port = address.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     if not (sign and host and port.isascii() and port.isdigit() and 0 < int(port) < 1 << 16):
-        raise ValueError(f"{address!r}: HOST:PORT or the path of a socket was expected")
+        raise ValueError(f"{address!r}: expected HOST:PORT or the path of a socket")
     return DaemonAddress(host=host, port=int(port))
 
 
 def _usual_paths() -> tuple[Path, ...]:
-    # Only here: the settings' types take longer to import than all of this package.
+    # Imported here: the settings' types take longer to import than all of this package.
     from mapperd.config.tree import Config  # noqa: PLC0415
     from mapperd.wire.socket_paths import socket_places  # noqa: PLC0415
 
@@ -75,17 +75,17 @@ def _usual_paths() -> tuple[Path, ...]:
 READ_BYTES = 1 << 16
 CONNECT_S = 10.0
 SILENCE_S = 6.0
-"""The daemon says something once a second."""
+"""Timeout of a read; the daemon sends something every second."""
 
 WAIT_S, LONGEST_WAIT_S = 0.2, 5.0
 SOUND_S = 2.0
-"""A connection that lasted as long was a good one: the next attempt comes soon."""
+"""A connection that lasted this long was good: the next attempt follows soon."""
 
 UNSENT_BYTES = 1 << 16
-"""Of a daemon that does not read; no more is acknowledged to it meanwhile."""
+"""Unsent bytes from which on nothing is acknowledged, because the daemon does not read."""
 
 PLAIN = frozenset({"PACKET_LENGTH_TOO_LONG", "RECORD_LAYER_FAILURE", "WRONG_VERSION_NUMBER"})
-"""What TLS makes of a greeting without it, as versions of OpenSSL say it."""
+"""Reasons that versions of OpenSSL give for a plain greeting."""
 
 
 async def opened(
@@ -94,13 +94,13 @@ async def opened(
     """Connect.
 
     Raises:
-        OSError: nobody is there.
+        OSError: the connection failed.
     """
     try:
         async with asyncio.timeout(CONNECT_S):
             return await _opened(place, tls)
     except TimeoutError as error:
-        raise ConnectionError("nobody answers") from error
+        raise ConnectionError("no answer") from error
 
 
 async def _opened(
@@ -113,20 +113,20 @@ async def _opened(
 
 
 async def read(reader: asyncio.StreamReader) -> bytes:
-    """What comes next; nothing at the end.
+    """Read the next bytes; empty at the end.
 
     Raises:
-        OSError: the connection broke, or nothing came for long.
+        OSError: the connection broke, or nothing arrived within `SILENCE_S`.
     """
     try:
         async with asyncio.timeout(SILENCE_S):
             return await reader.read(READ_BYTES)
     except TimeoutError as error:
-        raise ConnectionError(f"nothing was heard for {SILENCE_S:g} s") from error
+        raise ConnectionError(f"the daemon sent nothing for {SILENCE_S:g} s") from error
 
 
 def send(writer: asyncio.StreamWriter, protocol: ClientProtocol) -> None:
-    """Send what is to be said."""
+    """Send the outgoing bytes."""
     if writer.is_closing():
         return
     is_read = writer.transport.get_write_buffer_size() < UNSENT_BYTES
@@ -135,41 +135,41 @@ def send(writer: asyncio.StreamWriter, protocol: ClientProtocol) -> None:
 
 
 def reason_of(error: OSError) -> str:
-    """For a person.
+    """Return the reason of a failed connection, for people.
 
     Raises:
-        EndedError: trying again does not mend it.
+        EndedError: reconnecting does not help.
     """
     if isinstance(error, ssl.SSLCertVerificationError):
         raise EndedError(f"not trusted: {error.verify_message}", "not_trusted") from error
     if isinstance(error, ssl.SSLError) and error.reason in PLAIN:
-        return "what answers there speaks no TLS: it is a plain socket, to be connected to without"
+        return "the server has no TLS: connect without it"
     if isinstance(error, PermissionError):
-        raise EndedError(f"you may not: {error.strerror}", "no_permission") from error
+        raise EndedError(f"cannot connect: {error.strerror}", "no_permission") from error
     return str(error.strerror or error) or type(error).__name__
 
 
 def with_hint(
     reason: str, place: DaemonAddress, tls: ssl.SSLContext | None, *, is_greeted: bool
 ) -> str:
-    """Why a connection ended, and what may be amiss where nothing was said on it."""
+    """Add a hint to the reason why a connection ended, if the daemon sent nothing on it."""
     if is_greeted or tls is not None or place.paths:
         return reason
-    return f"{reason} without a greeting: its socket may want TLS"
+    return f"{reason} without a greeting: it may require TLS"
 
 
 class RetryDelay:
-    """How long to wait between them: longer each time, unless a connection was a good one."""
+    """Delay between attempts: doubles each time until a connection is good."""
 
     def __init__(self) -> None:
         self._wait_s = WAIT_S
-        self._jitter = random.Random()  # noqa: S311 no secret
+        self._jitter = random.Random()  # noqa: S311 not a secret
 
     async def wait(self, lasted_s: float) -> None:
-        """Wait for the next one.
+        """Wait until the next attempt.
 
         Args:
-            lasted_s: of the last.
+            lasted_s: duration of the last connection.
         """
         if lasted_s > SOUND_S:
             self._wait_s = WAIT_S

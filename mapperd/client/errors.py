@@ -1,4 +1,4 @@
-"""What a client of the map stream is refused."""
+"""Errors of a client of the map stream."""
 
 from mapperd.errors import MapperdError
 from mapperd.wire.framing import StreamError
@@ -16,11 +16,11 @@ FINAL = frozenset(
         "wrong_token",
     }
 )
-"""Reasons that trying again does not mend."""
+"""Reasons for which reconnecting does not help."""
 
 
 class AskError(MapperdError):
-    """The daemon did not do what was asked.
+    """The daemon did not carry out a request.
 
     Attributes:
         reason: one of docs/reference/control.md, or of the client itself: `not_connected`,
@@ -35,9 +35,9 @@ class AskError(MapperdError):
 
 
 class EndedError(StreamError):
-    """The connection was ended in a proper way, or never let come about."""
+    """The daemon ended or refused the connection, or this client cannot use it."""
 
     @property
     def is_final(self) -> bool:
-        """Trying again does not mend it."""
+        """Whether reconnecting does not help."""
         return self.reason in FINAL

@@ -1,4 +1,4 @@
-"""The map stream of a daemon for programs that wait: a client in a thread of its own."""
+"""Client of a daemon's map stream for programs without asyncio: runs in its own thread."""
 
 import asyncio
 import ssl
@@ -22,7 +22,7 @@ Result = TypeVar("Result")
 
 
 class Options(TypedDict, total=False):
-    """Those of `MapClient`."""
+    """Options of `MapClient`."""
 
     token: bytes | None
     tls: ssl.SSLContext | None
@@ -34,19 +34,19 @@ class Options(TypedDict, total=False):
 
 
 class MapFollower(StateReader):
-    """A `MapClient` for programs without asyncio, `with`; once. Any thread may use it.
+    """A `MapClient` without asyncio; a context manager, to be used once. Any thread may use it.
 
     Args:
         address: as of `MapClient`.
-        options: its others.
+        options: other arguments of `MapClient`.
 
     Raises:
-        ValueError: as there.
+        ValueError: as `MapClient`.
     """
 
     def __init__(self, address: str = "", **options: Unpack[Options]) -> None:
         self._client = MapClient(address, **options)
-        self._client_state = self._client._client_state  # noqa: SLF001 one client in two coats
+        self._client_state = self._client._client_state  # noqa: SLF001 the same client
         self._ends = ExitStack()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._pending: ChangeQueue | None = None
@@ -55,7 +55,7 @@ class MapFollower(StateReader):
 
     @property
     def link(self) -> LinkStatus:
-        """How the connection is."""
+        """State of the connection."""
         return self._client.link
 
     def __enter__(self) -> Self:
@@ -80,7 +80,7 @@ class MapFollower(StateReader):
         self.close()
 
     def close(self) -> None:
-        """Hang up; who iterates over changes comes to their end."""
+        """Disconnect; iterators over changes end."""
         with self._ends:
             if self._pending is not None:
                 self._wait_for(self._client.close())
@@ -88,12 +88,12 @@ class MapFollower(StateReader):
         self._loop = None
 
     def changes(self, timeout_s: float | None = None) -> Iterator[ClientChange]:
-        """What happens within some time, or for ever, and what happened since the last call.
+        """Iterate over changes since the last call, until the timeout or for ever.
 
-        The first call begins with all that is known. What one thread takes, no other gets.
+        The first call begins with the state that is known already. Each change goes to one thread.
 
         Raises:
-            StreamError: the daemon will not have us, or what answers is none.
+            StreamError: the daemon refuses this client, or the server is not a daemon.
         """
         pending = self._pending
         if pending is None:
@@ -106,24 +106,24 @@ class MapFollower(StateReader):
             yield change
 
     def complete(self, timeout_s: float | None = None) -> None:
-        """Wait until all of the interest in the map is here as the daemon has it now.
+        """Wait until the mirror has all of the interest, up to date.
 
         Raises:
-            TimeoutError: it is not.
+            TimeoutError: the time is over.
             StreamError: as `changes`.
         """
         self._wait_for(self._client.complete(timeout_s))
 
     def ask(self, do: str, *, timeout_s: float = 60.0, **fields: Any) -> dict[str, Any]:  # noqa: ANN401 plain values
-        """Make a request of docs/reference/control.md; returns its result.
+        """Make a request of docs/reference/control.md; return its result.
 
         Raises:
-            AskError: it was not done.
+            AskError: the request was not carried out.
         """
         return self._wait_for(self._client.ask(do, timeout_s=timeout_s, **fields))
 
     def set(self, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Change settings of the daemon, all or none; returns name to values before and after.
+        """Change settings of the daemon, all or none; return name to values before and after.
 
         Raises:
             AskError: nothing was changed; `details` has the reasons by name.
@@ -137,10 +137,10 @@ class MapFollower(StateReader):
         interest: Interest | None = None,
         bytes_per_s: int | None = None,
     ) -> None:
-        """Wish for something else, now and after the next connection; what is None stays.
+        """Change options, for this connection and later ones; None keeps an option.
 
         Raises:
-            ValueError: there is no such thing to be wanted.
+            ValueError: a value is not allowed.
         """
         self._wait_for(self._client.change(wants=wants, interest=interest, bytes_per_s=bytes_per_s))
 
@@ -150,7 +150,7 @@ class MapFollower(StateReader):
             self._news.notify_all()
 
     def _next(self, pending: ChangeQueue, end_s: float | None) -> ClientChange | None:
-        """The next change; None at the end of the time, or of the client."""
+        """Return the next change; None after the timeout or when the client has closed."""
         while True:
             noted = self._noted
             change = pending.take()
@@ -167,8 +167,8 @@ class MapFollower(StateReader):
                     self._news.wait(left_s)
 
     def _wait_for(self, doing: Coroutine[Any, Any, Result]) -> Result:
-        """Have the client's thread do something."""
+        """Run a coroutine in the client's thread, and wait for its result."""
         if self._loop is None:
             doing.close()
-            raise AskError("not_connected", "this client hung up, or has not begun")
+            raise AskError("not_connected", "this client has closed or has not been entered")
         return asyncio.run_coroutine_threadsafe(doing, self._loop).result()

@@ -27,16 +27,16 @@ Number = TypeVar("Number", bound=np.generic)
 
 
 class BlockTable:
-    """Each block that has a known cell.
+    """Blocks with a known cell, in arrays that grow by doubling.
 
     Args:
-        counts: of observations are held too.
+        counts: hold counts of observations too.
 
     Attributes:
-        keys: (R, 3) int32, of rows in use and of others.
+        keys: (R, 3) int32; R counts used and unused rows.
         cells: (R, 512) int8.
-        counts: (R, 512) uint8; (R, 0) where none are held.
-        changed_ns: (R,) int64, Unix.
+        counts: (R, 512) uint8; (R, 0) without counts.
+        changed_ns: (R,) int64, Unix time of the last change.
     """
 
     def __init__(self, *, counts: bool) -> None:
@@ -48,7 +48,7 @@ class BlockTable:
         self._unused: list[int] = []
 
     def __len__(self) -> int:
-        """Blocks."""
+        """Return the number of blocks."""
         return len(self._row_of)
 
     def put(self, blocks: BlockSet, stamp_ns: int) -> None:
@@ -66,13 +66,13 @@ class BlockTable:
             self.counts[rows] = blocks.counts[kept]
 
     def rows(self, names: Iterable[bytes] | None = None) -> NDArray[np.intp]:
-        """Rows of those blocks that are there; None is all."""
+        """Return the rows of blocks, without those that are missing; None is all blocks."""
         if names is None:
             return np.fromiter(self._row_of.values(), np.intp, len(self._row_of))
         return np.array([self._row_of[name] for name in names if name in self._row_of], np.intp)
 
     def row_of_each(self, names: list[bytes]) -> NDArray[np.intp]:
-        """The row of each block, -1 where it is not there."""
+        """Return the row of each block, -1 for missing ones."""
         return np.fromiter((self._row_of.get(name, -1) for name in names), np.intp, len(names))
 
     def _taken(self, name: bytes) -> int:
@@ -105,13 +105,13 @@ def _longer(array: NDArray[Number], rows: int) -> NDArray[Number]:
 
 
 def names_of(keys: NDArray[np.int32]) -> list[bytes]:
-    """Each key (N, 3) as one hashable value."""
+    """Return each key (N, 3) as one hashable value."""
     named: list[bytes] = np.ascontiguousarray(keys, "<i4").view("V12").ravel().tolist()
     return named
 
 
 def keys_of(names: Iterable[bytes]) -> NDArray[np.int32]:
-    """What `names_of` named, (N, 3) int32."""
+    """Return the keys (N, 3) int32 of `names_of`."""
     return np.frombuffer(b"".join(names), "<i4").reshape(-1, 3).astype(np.int32)
 
 
@@ -123,8 +123,8 @@ class Cells:
         centres_m: (N, 3) float64, map frame.
         log_odds: (N,) float32, quantised.
         probability: (N,) float32, of being occupied.
-        count: (N,) uint16: that often observed at least; 0 where counts are not sent.
-        changed_ns: (N,) int64, Unix: when their block changed last.
+        count: (N,) uint16, lower bound of the number of observations; 0 without counts.
+        changed_ns: (N,) int64, Unix time when their block changed last.
     """
 
     centres_m: NDArray[np.float64]
@@ -142,26 +142,25 @@ Kind = Literal["occupied", "free", "known"]
 _LOCAL = np.stack(np.unravel_index(np.arange(CELLS), (BLOCK_EDGE,) * 3, order="F"), axis=-1).astype(
     np.int64
 )
-"""(512, 3): where in its block each cell is."""
+"""(512, 3): index of each cell in its block."""
 
 
 class MapMirror:
-    """Blocks of the map, replaced as the daemon tells of them.
+    """Blocks of the map, kept up to date by the daemon's messages.
 
-    Any thread may ask it: what it gives are copies, and each call sees messages wholly or not at
-    all. For several calls on one state, hold `lock` around them, and not for long: what comes in
-    waits meanwhile.
+    Any thread may use it. Results are copies; each call sees a message completely or not at all.
+    For several calls on one state, hold `lock` around them, and only briefly: new messages wait
+    for it.
 
     Args:
         facts: of the map.
-        interest: what is sent of it.
+        interest: part of the map that the daemon sends.
 
     Attributes:
-        lock: held by each call; a thread that has it may take it again.
+        lock: held by each call; reentrant.
         facts, interest: as given.
-        revision: the newest of all blocks.
-        complete: all of the interest was as of this revision, or newer, when the daemon last said
-            so; None before.
+        revision: newest revision of all blocks.
+        complete: revision up to which the mirror was last complete; None before the first time.
     """
 
     complete: int | None
@@ -171,7 +170,7 @@ class MapMirror:
         self.begin(facts, interest)
 
     def begin(self, facts: MapFacts, interest: Interest) -> None:
-        """Mirror another map, or another part of it, of which nothing is known yet."""
+        """Begin with an empty mirror of a map or of another part of it."""
         with self.lock:
             self.facts = facts
             self.interest = interest
@@ -180,7 +179,7 @@ class MapMirror:
             self._table = BlockTable(counts=interest.detail == "counts")
 
     def __len__(self) -> int:
-        """Blocks with a known cell."""
+        """Return the number of blocks with a known cell."""
         return len(self._table)
 
     @property
@@ -189,16 +188,19 @@ class MapMirror:
         return float(self.facts.resolution_m * 2**self.interest.level)
 
     def put(self, blocks: BlockSet, stamp_ns: int) -> None:
-        """Take blocks as they were at a moment, each key once; drop those without a known cell."""
+        """Replace blocks by their state at a Unix time; drop those without a known cell.
+
+        Each key occurs once.
+        """
         with self.lock:
             self._table.put(blocks, stamp_ns)
 
     def forget(self) -> None:
-        """Nothing is known any more."""
+        """Drop all blocks."""
         self.begin(self.facts, self.interest)
 
     def blocks(self) -> BlockSet:
-        """All blocks with a known cell, sorted by z, y, x; their ages are 0."""
+        """Return all blocks with a known cell, sorted by z, y, x; their ages are 0."""
         with self.lock:
             table = self._table
             at = table.rows()
@@ -207,12 +209,12 @@ class MapMirror:
             return BlockSet(table.keys[at], np.zeros(len(at), np.uint32), table.cells[at], counts)
 
     def keys(self) -> NDArray[np.int32]:
-        """Of all blocks with a known cell, (N, 3), in no particular order."""
+        """Return the keys (N, 3) of all blocks with a known cell, in no particular order."""
         with self.lock:
             return self._table.keys[self._table.rows()]
 
     def digest(self) -> str:
-        """SHA-256 of all blocks; equal mirrors have equal ones, however they came about."""
+        """Return the SHA-256 of all blocks; it does not depend on their order of arrival."""
         blocks = self.blocks()
         digest = hashlib.sha256(np.ascontiguousarray(blocks.keys, "<i4").tobytes())
         digest.update(blocks.cells.tobytes())
@@ -221,7 +223,7 @@ class MapMirror:
         return digest.hexdigest()
 
     def cells_of(self, keys: ArrayLike) -> NDArray[np.int8]:
-        """The cells (N, 512) of blocks (N, 3), x fastest; -128 is unknown."""
+        """Return the cells (N, 512) of blocks (N, 3), x fastest; -128 is unknown."""
         names = names_of(np.asarray(keys, np.int32).reshape(-1, 3))
         with self.lock:
             at = self._table.row_of_each(names)
@@ -236,12 +238,12 @@ class MapMirror:
         min_probability: float | None = None,
         keys: ArrayLike | None = None,
     ) -> Cells:
-        """The cells of a class.
+        """Return the cells of a class.
 
         Args:
-            kind: by the thresholds of the daemon.
-            min_probability: instead of the threshold of occupied cells.
-            keys: (M, 3), of these blocks alone.
+            kind: class by the thresholds of the daemon.
+            min_probability: replaces the threshold of occupied cells.
+            keys: (M, 3) of the blocks to search; None is all.
         """
         with self.lock:
             names = None if keys is None else names_of(np.asarray(keys, np.int32).reshape(-1, 3))
@@ -251,10 +253,16 @@ class MapMirror:
             return self._cells_at(at[row], cell, cells[row, cell])
 
     def classify(self, points_m: ArrayLike) -> NDArray[np.int8]:
-        """1 occupied, 0 free, -1 unknown or neither, at points (N, 3) of the map's frame.
+        """Classify points: 1 occupied, 0 free, -1 unknown or neither.
+
+        Args:
+            points_m: (N, 3), metres, map frame.
+
+        Returns:
+            (N,) int8.
 
         Raises:
-            ValueError: no points.
+            ValueError: `points_m` has another shape.
         """
         with self.lock:
             reach = BLOCK_EDGE * (MAX_KEY - 1)
@@ -271,11 +279,11 @@ class MapMirror:
             return classes
 
     def to_map(self, config: "Config | None" = None) -> "SonarMap":
-        """Every known cell as a voxel of a map, observed once, which all exports take.
+        """Make a map that can be saved and exported; each known cell is a voxel, observed once.
 
         Args:
-            config: the daemon's settings, as far as they are known; grid, thresholds and clamps
-                are the mirror's.
+            config: settings of the daemon, as far as known; grid, thresholds and clamps are the
+                mirror's.
         """
         with self.lock:
             facts, cell_m, cells = self.facts, self.cell_m, self.cells("known")
@@ -308,7 +316,7 @@ class MapMirror:
             return known
         if self.interest.detail == "classes":
             return np.asarray(cells == (1 if kind == "occupied" else -1))
-        # In double precision, as the daemon's own steps are chosen.
+        # In double precision, like the daemon.
         log_odds = cells * np.float64(self.facts.log_odds_step)
         if kind == "free":
             return np.asarray(known & (log_odds < self.facts.free_log_odds))
@@ -319,7 +327,7 @@ class MapMirror:
         return np.asarray(known & (log_odds >= least))
 
     def _log_odds(self, cells: NDArray[np.int8]) -> NDArray[np.float32]:
-        """Quantised log-odds; of classes, a value a step beyond their thresholds."""
+        """Return quantised log-odds; of classes, values one step beyond their thresholds."""
         facts = self.facts
         if self.interest.detail != "classes":
             return cells * np.float32(facts.log_odds_step)
@@ -331,27 +339,27 @@ class MapMirror:
 
 
 MAX_LOG_ODDS = 127.0
-"""Of any map."""
+"""Largest log-odds of any map."""
 
 
 def map_of(
     cells: Cells, cell_m: float, facts: MapFacts, config: "Config | None" = None
 ) -> "SonarMap":
-    """Every cell as a voxel with its quantised log-odds, observed once.
+    """Make a map of cells: each becomes a voxel with its quantised log-odds, observed once.
 
     Args:
-        cells: that are known.
-        cell_m: edge of a cell, which may be several voxels of the daemon's.
+        cells: known cells.
+        cell_m: edge of a cell, which may be several voxels of the daemon's map.
         facts: of the daemon's map.
-        config: the daemon's settings, as far as they are known; grid, thresholds and clamps are
-            those of the cells.
+        config: settings of the daemon, as far as known; grid, thresholds and clamps are taken from
+            the cells.
     """
-    # Only here: a client that does not want this needs neither the settings nor the core.
+    # Imported here: other uses of a client need neither the settings nor the core.
     from mapperd.config.tree import Config  # noqa: PLC0415
     from mapperd.mapping.sonar_map import SonarMap  # noqa: PLC0415
 
     config = config or Config()
-    # A whole number of steps may lie beyond what the map that was rounded to them can hold.
+    # Rounding to steps may exceed the clamps of the daemon's map.
     most = min(float(np.abs(cells.log_odds).max(initial=0.0)), MAX_LOG_ODDS)
     replace = msgspec.structs.replace
     sonar_map = SonarMap(
@@ -375,7 +383,7 @@ def map_of(
 
 
 def _probability(log_odds: float) -> float:
-    """Strictly between 0 and 1, as a threshold must be."""
+    """Return the probability of log-odds, strictly between 0 and 1 as thresholds must be."""
     odds = math.exp(-abs(log_odds))
     p = odds / (1 + odds) if log_odds < 0 else 1 / (1 + odds)
     return min(max(p, math.ulp(0.0)), math.nextafter(1.0, 0.0))

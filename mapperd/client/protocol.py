@@ -1,4 +1,4 @@
-"""A client's side of the protocol: bytes in, bytes out; no sockets, no clocks."""
+"""The client's side of the protocol: bytes in, bytes out, without sockets and clocks."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -35,16 +35,16 @@ __all__ = ["ClientProtocol", "StreamOptions"]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class StreamOptions:
-    """What a client would like to be sent.
+    """What a client requests.
 
     Attributes:
         wants: kinds of messages.
-        interest: in the map.
-        bytes_per_s: at most; 0 leaves it to the link.
+        interest: part of the map.
+        bytes_per_s: limit of the rate; 0 has no limit.
         name: of the program, for people.
 
     Raises:
-        ValueError: nothing of the kind can be sent.
+        ValueError: a value is not allowed.
     """
 
     wants: tuple[Want, ...]
@@ -61,7 +61,7 @@ class StreamOptions:
             raise ValueError(str(error)) from error
 
     def hello(self, proof: str, resume: Resume | None, events_since: int | None) -> HelloMessage:
-        """The first message."""
+        """Return the first message."""
         return HelloMessage(
             version=VERSION,
             proof=proof,
@@ -75,16 +75,16 @@ class StreamOptions:
 
 
 class ClientProtocol:
-    """One client, through all its connections.
+    """The protocol of one client, through all its connections.
 
     Args:
         options: of the first connection.
         client_state: takes what the daemon sends.
-        token: that the daemon may ask for.
+        token: for a daemon that requires one.
         answered: called with each answer.
 
     Attributes:
-        options: of now.
+        options: the current ones.
         is_greeted: the daemon has sent something on this connection, or on the one that ended.
         is_welcome: the connection is established.
     """
@@ -103,7 +103,7 @@ class ClientProtocol:
         self.begin()
 
     def begin(self) -> None:
-        """Begin a connection; the knowledge stays until the daemon changes it."""
+        """Begin a connection; the state stays until the daemon changes it."""
         self._inbox = client_inbox()
         self._acknowledged = 0
         self._outgoing = bytearray()
@@ -113,7 +113,7 @@ class ClientProtocol:
         self.end()
 
     def end(self) -> None:
-        """End the connection; the knowledge stays."""
+        """End the connection; the state stays."""
         self.is_welcome = False
         self._client_state.is_complete = False
 
@@ -129,7 +129,7 @@ class ClientProtocol:
             self._client_state.used = self._inbox.received
 
     def outgoing(self, *, acknowledge: bool = True) -> bytes:
-        """Return what is to be sent now, once."""
+        """Return the bytes to send, and remove them."""
         if acknowledge and self.is_welcome and self._inbox.received > self._acknowledged:
             self._acknowledged = self._inbox.received
             self._send(AckMessage(bytes=self._acknowledged))
@@ -153,7 +153,7 @@ class ClientProtocol:
         self._outgoing += frame
 
     def change(self, options: StreamOptions) -> None:
-        """Change the wishes."""
+        """Change the options."""
         before, self.options = self.options, options
         is_other = options.interest != before.interest
         self._client_state.interest = options.interest
@@ -177,14 +177,14 @@ class ClientProtocol:
     def _take(self, message: FromServer) -> None:
         if isinstance(message, ByeMessage):
             if message.reason == "bad_message":
-                self._client_state.forget_ticket()  # an earlier daemon knows no tickets
+                self._client_state.forget_ticket()  # earlier daemons do not know tickets
             raise EndedError(message.message or message.reason, message.reason)
         if isinstance(message, GreetingMessage):
             self._take_greeting(message)
         elif isinstance(message, WelcomeMessage):
             self._take_welcome(message)
         elif not self.is_welcome:
-            raise StreamError("news before a welcome", "bad_order")
+            raise StreamError("a message before the welcome", "bad_order")
         elif isinstance(message, AnswerMessage):
             self._answered(message)
         else:
@@ -195,14 +195,18 @@ class ClientProtocol:
             raise StreamError("a second greeting", "bad_order")
         self.is_greeted = True
         if greeting.mapperd != PROTOCOL:
-            raise EndedError(f"this is no {PROTOCOL} but a {greeting.mapperd!r:.50}", "bad_version")
+            raise EndedError(
+                f"the server is not a {PROTOCOL}: {greeting.mapperd!r:.50}", "bad_version"
+            )
         if VERSION not in greeting.versions:
-            spoken = ", ".join(map(str, greeting.versions[:10]))
-            raise EndedError(f"the daemon speaks versions {spoken}, not {VERSION}", "bad_version")
+            versions = ", ".join(map(str, greeting.versions[:10]))
+            raise EndedError(
+                f"the daemon supports versions {versions}, not {VERSION}", "bad_version"
+            )
         proof = ""
         if greeting.challenge:
             if self._token is None:
-                raise EndedError("the daemon wants a token", "needs_token")
+                raise EndedError("the daemon requires a token", "needs_token")
             proof = proof_of(self._token, greeting.challenge)
         if "map" in self.options.wants:
             self._resume = self._client_state.resume()
@@ -210,8 +214,8 @@ class ClientProtocol:
 
     def _take_welcome(self, welcome: WelcomeMessage) -> None:
         if not self.is_greeted or self.is_welcome:
-            raise StreamError("a welcome out of turn", "bad_order")
+            raise StreamError("an unexpected welcome", "bad_order")
         if welcome.version != VERSION:
-            raise StreamError(f"a welcome to version {welcome.version}", "bad_version")
+            raise StreamError(f"a welcome with version {welcome.version}", "bad_version")
         self._client_state.begin(welcome, self._resume)
         self.is_welcome = True

@@ -37,10 +37,10 @@ from mapperd.wire.messages import (
 __all__ = ["MAX_BLOCKS", "ClientState", "StateReader"]
 
 MAX_BLOCKS = 1 << 20
-"""That a mirror holds: half a GiB, with counts a whole one."""
+"""Maximum blocks of a mirror: half a GiB, 1 GiB with counts."""
 
 MAX_SETTINGS_BYTES = 1 << 20
-"""Of all their facts; a daemon has 50 000."""
+"""Maximum bytes of the facts of all settings; a daemon has 50 000."""
 
 NEWEST = (
     PoseMessage,
@@ -51,7 +51,7 @@ NEWEST = (
     LocalizationMessage,
     StatusMessage,
 )
-"""Of these only the newest counts."""
+"""Kinds of which only the newest message is kept."""
 
 Newest = TypeVar(
     "Newest",
@@ -66,24 +66,24 @@ Newest = TypeVar(
 
 
 class ClientState:
-    """Of one client, through all its connections; its arrays are read only.
+    """State of one client, kept through all its connections; its arrays are read only.
 
     Args:
-        publish: is called with each change, after it is in here.
-        most_blocks: that the mirror may hold.
+        interest: part of the map that the client wants.
+        publish: called with each change after it was applied.
+        most_blocks: maximum blocks of the mirror.
 
     Attributes:
-        interest: in the map, as the client would have it.
-        wants_map: it was wanted at some time of this connection.
-        welcome: the last one.
-        is_complete: the daemon reported on this connection that all of the interest is sent, and
-            nothing since.
-        mirror: of the map, and one object for good; empty where no map is wanted.
-        path: (N, 3) float32, metres, map frame.
-        newest: messages by type, of which only the newest counts.
+        interest: part of the map that the client wants.
+        wants_map: the map was wanted at some time of this connection.
+        welcome: the last one; None before the first connection.
+        is_complete: the last message about the map on this connection completed the interest.
+        mirror: of the map, always the same object; empty if no map is wanted.
+        path: (N, 3) float64, metres, map frame.
+        newest: the newest message of each type in `NEWEST`.
         settings: name to facts.
-        last_event: its number.
-        used: bytes of the last connection with a welcome that are in here.
+        last_event: number of the last event.
+        used: bytes of the last established connection that were applied.
     """
 
     def __init__(
@@ -112,16 +112,16 @@ class ClientState:
 
     @property
     def ticket(self) -> str:
-        """Of the last connection; "" where it has none, or is not to be gone on from."""
+        """Ticket of the last connection; "" if it has none or cannot be resumed."""
         return self._ticket
 
     def newest_of(self, kind: type[Newest]) -> Newest | None:
-        """The newest message of a kind."""
+        """Return the newest message of a kind; None before the first."""
         newest = self.newest.get(kind)
         return newest if isinstance(newest, kind) else None
 
     def resume(self) -> Resume | None:
-        """What another connection may go on from."""
+        """Return what a new connection may resume from; None if it has to begin again."""
         mirror = self.mirror
         if mirror is None or self.welcome is None or self._is_invalid:
             return None
@@ -145,30 +145,32 @@ class ClientState:
         )
 
     def forget_ticket(self) -> None:
-        """The next connection does not go on where the last one was."""
+        """Do not resume the last connection."""
         self._ticket = ""
 
     def invalidate(self) -> None:
-        """Something that was sent is wrong: the next connection begins with nothing."""
+        """Begin the next connection without a state: the daemon sent something invalid."""
         self.forget_ticket()
         self._is_invalid = True
 
     def begin(self, welcome: WelcomeMessage, resume: Resume | None) -> None:
-        """A connection has come about.
+        """Begin a connection.
 
         Args:
-            welcome: to it.
-            resume: what was said to be held.
+            welcome: of the daemon.
+            resume: what the client claimed to hold.
 
         Raises:
-            StreamError: it goes on from what was not.
+            StreamError: the daemon resumes something that the client did not claim.
         """
         check_facts(welcome.map)
         mirror = self.mirror
         if not welcome.resumed:
             self._begin_map(welcome.map, self.interest)
         elif resume is None or mirror is None or _grid(mirror.facts) != _grid(welcome.map):
-            raise StreamError("a map that was not held is gone on with", "bad_resume")
+            raise StreamError(
+                "the daemon resumes a map that this client does not hold", "bad_resume"
+            )
         else:
             mirror.facts = welcome.map
         is_other = self.welcome is None or self.welcome.session != welcome.session
@@ -178,10 +180,10 @@ class ClientState:
             self._take_path(PathMessage(first=0, points=b""))
 
     def take(self, news: FromServer) -> None:
-        """Take what is sent after the welcome.
+        """Apply a message that follows the welcome.
 
         Raises:
-            StreamError: it cannot be.
+            StreamError: the message is invalid.
         """
         check_message(news)
         if isinstance(news, BlocksMessage):
@@ -202,7 +204,7 @@ class ClientState:
             self.newest[type(news)] = news
             self._publish(news)
         else:
-            raise StreamError(f"a {news.__struct_config__.tag} out of turn", "bad_order")
+            raise StreamError(f"an unexpected message: {news.__struct_config__.tag}", "bad_order")
 
     def _begin_map(self, facts: MapFacts, interest: Interest) -> None:
         self._newest = 0
@@ -216,9 +218,9 @@ class ClientState:
     def _take_blocks(self, news: BlocksMessage) -> None:
         mirror = self.mirror
         if mirror is None or not self.wants_map:
-            raise StreamError("a map that nobody asked for", "not_asked")
+            raise StreamError("blocks, but the map was not requested", "not_asked")
         if news.complete is not None and news.complete > news.revision:
-            raise StreamError("complete as of a revision to come", "bad_value")
+            raise StreamError("complete up to a later revision than its own", "bad_value")
         keys = np.zeros((0, 3), np.int32)
         with mirror.lock:
             if news.body:
@@ -228,7 +230,7 @@ class ClientState:
             if news.complete is not None:
                 mirror.complete = max(mirror.complete or 0, news.complete)
         self.is_complete = news.complete is not None and mirror.interest == self.interest
-        # Without the mirror's lock: readers may hold it and wait for what is sent.
+        # Without the mirror's lock: a reader may hold it and wait for changes.
         self._publish(MapChanged(keys, news.stamp_ns, news.left))
 
     def _put(self, mirror: MapMirror, news: BlocksMessage) -> NDArray[np.int32]:
@@ -236,7 +238,7 @@ class ClientState:
         check_blocks(blocks, mirror.interest, mirror.cell_m)
         mirror.put(blocks, news.stamp_ns)
         if len(mirror) > self._most_blocks:
-            what = f"more than {self._most_blocks} blocks; ask for less of it, or more coarsely"
+            what = f"more than {self._most_blocks} blocks; request a smaller part or a higher level"
             raise EndedError(what, "too_many_blocks")
         return blocks.keys
 
@@ -265,7 +267,7 @@ class ClientState:
 
 
 def _grid(facts: MapFacts) -> tuple[str, float, float]:
-    """What blocks depend on: thresholds and origin may change meanwhile."""
+    """Return the facts that blocks depend on; thresholds and origin may change."""
     return facts.id, facts.resolution_m, facts.log_odds_step
 
 
@@ -275,53 +277,53 @@ def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class StateReader:
-    """The newest of everything; it stays while the connection is away. Any thread may read it."""
+    """The newest of each kind; it stays when the connection breaks. Any thread may read it."""
 
     _client_state: ClientState
 
     @property
     def welcome(self) -> WelcomeMessage | None:
-        """Of the last connection."""
+        """Welcome of the last connection."""
         return self._client_state.welcome
 
     @property
     def mirror(self) -> MapMirror | None:
-        """The map, one and the same object for good; None before the first connection."""
+        """Mirror of the map, always the same object; None before the first connection."""
         return self._client_state.mirror
 
     @property
     def path(self) -> NDArray[np.float64]:
-        """(N, 3), metres, map frame; read only."""
+        """Path of the vehicle, (N, 3), metres, map frame; read only."""
         return self._client_state.path
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Name to facts, as the answer to `params` of docs/reference/control.md."""
+        """Settings by name, as the answer to `params` of docs/reference/control.md."""
         return self._client_state.settings
 
     @property
     def pose(self) -> PoseMessage | None:
-        """Where the vehicle is."""
+        """Newest pose of the vehicle."""
         return self._client_state.newest_of(PoseMessage)
 
     @property
     def fan(self) -> FanMessage | None:
-        """What the sonar looks at."""
+        """Field of view of the sonar."""
         return self._client_state.newest_of(FanMessage)
 
     @property
     def returns(self) -> ReturnsMessage | None:
-        """What the last ping met."""
+        """First returns of the last ping."""
         return self._client_state.newest_of(ReturnsMessage)
 
     @property
     def image(self) -> ImageMessage | None:
-        """Of the last ping."""
+        """Image of the last ping."""
         return self._client_state.newest_of(ImageMessage)
 
     @property
     def robots(self) -> RobotsMessage | None:
-        """Others that were seen."""
+        """Other robots that were detected lately."""
         return self._client_state.newest_of(RobotsMessage)
 
     @property

@@ -1,4 +1,4 @@
-"""Whether messages of a daemon can be true: sizes and numbers that their types do not bound."""
+"""Checks of a daemon's messages: sizes and numbers that their types do not bound."""
 
 import math
 from collections.abc import Iterable
@@ -39,14 +39,14 @@ __all__ = [
 ]
 
 UNIT_LOW, UNIT_HIGH = 0.9, 1.1
-"""Of the length of a quaternion."""
+"""Bounds of a quaternion's length."""
 
 MAX_BITS = 16
 """Counts are below 2**16."""
 
 
 def check_message(message: FromServer) -> None:
-    """Refuse what is no pose, fan, image, ...
+    """Check the values of a message.
 
     Raises:
         StreamError: `bad_value`.
@@ -64,14 +64,14 @@ def check_message(message: FromServer) -> None:
         _check_image(message)
     elif isinstance(message, RobotsMessage):
         for _, *position_m in message.seen:
-            _finite("the place of a robot", position_m)
+            _finite("the position of a robot", position_m)
     elif isinstance(message, LocalizationMessage):
         floats_of(message.particles, 4)
         floats_of(message.scan, 3)
 
 
 def check_facts(facts: MapFacts) -> None:
-    """Refuse what is not a map.
+    """Check the facts about a map.
 
     Raises:
         StreamError: `bad_value`.
@@ -79,42 +79,42 @@ def check_facts(facts: MapFacts) -> None:
     numbers = (facts.resolution_m, facts.log_odds_step, *(facts.origin_deg or ()))
     _finite("a map", (*numbers, facts.occupied_log_odds, facts.free_log_odds))
     if facts.free_log_odds > facts.occupied_log_odds:
-        raise StreamError("a map whose free cells are occupied", "bad_value")
+        raise StreamError("a map whose free threshold is above the occupied one", "bad_value")
 
 
 def check_blocks(blocks: BlockSet, interest: Interest, cell_m: float) -> None:
-    """Refuse blocks that nobody asked for, and those that say what there is not.
+    """Check that blocks were requested and have valid cells.
 
     Raises:
         StreamError: `bad_blocks`, or `not_asked`.
     """
     if len(set(names_of(blocks.keys))) != len(blocks):
-        raise StreamError("a block that is told twice in a message", "bad_blocks")
+        raise StreamError("a block twice in a message", "bad_blocks")
     if interest.detail == "classes" and ((blocks.cells > 1) | _between(blocks.cells)).any():
-        raise StreamError("a cell of no class", "bad_blocks")
+        raise StreamError("a cell with an unknown class", "bad_blocks")
     if blocks.counts is not None and (blocks.counts > MAX_BITS).any():
-        raise StreamError("a count beyond what is counted", "bad_blocks")
+        raise StreamError("a count that is too large", "bad_blocks")
     if interest.box is not None:
         known = (blocks.cells != UNKNOWN).any(axis=1)
         _check_inside(blocks.keys[known], interest.box, cell_m)
 
 
 def floats_of(data: bytes, columns: int) -> NDArray[np.float32]:
-    """(N, columns) float32, of which all are finite.
+    """Decode finite float32 values, (N, columns).
 
     Raises:
         StreamError: `bad_value`.
     """
     if len(data) % (4 * columns):
-        raise StreamError(f"{len(data)} bytes are no rows of {columns} numbers", "bad_value")
+        raise StreamError(f"{len(data)} bytes are not rows of {columns} numbers", "bad_value")
     rows = np.frombuffer(data, "<f4").reshape(-1, columns).astype(np.float32, copy=False)
     if not np.isfinite(rows).all():
-        raise StreamError("a number that is none", "bad_value")
+        raise StreamError("a number that is not finite", "bad_value")
     return rows
 
 
 def places_of(path: PathMessage) -> NDArray[np.float64]:
-    """The points of a piece of the path, (N, 3) metres, map frame.
+    """Decode the points (N, 3) of a piece of the path, metres, map frame.
 
     Raises:
         StreamError: `bad_value`.
@@ -122,12 +122,12 @@ def places_of(path: PathMessage) -> NDArray[np.float64]:
     points = floats_of(path.points, 3).astype(np.float64)
     rest = floats_of(path.rest, 3)
     if len(rest) not in (0, len(points)):
-        raise StreamError("a path with the rest of other points", "bad_value")
+        raise StreamError("a path whose rest has another length", "bad_value")
     return points + rest if len(rest) else points
 
 
 def image_of(message: ImageMessage) -> NDArray[np.uint8]:
-    """The samples of an image, (rows, beams) uint8, row 0 nearest.
+    """Decode the samples of an image, (rows, beams) uint8, row 0 nearest.
 
     Raises:
         StreamError: `bad_value`.
@@ -135,7 +135,7 @@ def image_of(message: ImageMessage) -> NDArray[np.uint8]:
     size = message.rows * message.beams
     try:
         if zstandard.frame_content_size(message.body) != size:
-            raise StreamError("an image of another size than it says", "bad_value")
+            raise StreamError("an image whose size differs from its rows and beams", "bad_value")
         unpack = zstandard.ZstdDecompressor().decompress
         samples = unpack(message.body, max_output_size=size, allow_extra_data=False)
     except zstandard.ZstdError as error:
@@ -144,17 +144,17 @@ def image_of(message: ImageMessage) -> NDArray[np.uint8]:
 
 
 def size_of(value: Any) -> int:  # noqa: ANN401 plain values
-    """Bytes of what was sent, about as many as it came in."""
+    """Return the size of a value in bytes, as MessagePack."""
     try:
         return len(msgspec.msgpack.encode(value))
-    except RecursionError:  # so deep that it could just be read
+    except RecursionError:  # nested so deeply that it could only just be decoded
         return MAX_FROM_SERVER
 
 
 def _check_pose(position_m: Iterable[float], orientation_xyzw: tuple[float, ...]) -> None:
     _finite("a position", position_m)
     if not UNIT_LOW < math.hypot(*orientation_xyzw) < UNIT_HIGH:
-        raise StreamError("an orientation that is no rotation", "bad_value")
+        raise StreamError("an orientation that is not a unit quaternion", "bad_value")
 
 
 def _check_returns(returns: ReturnsMessage) -> None:
@@ -167,7 +167,7 @@ def _check_returns(returns: ReturnsMessage) -> None:
 def _check_image(image: ImageMessage) -> None:
     image_of(image)
     if len(floats_of(image.bearings_rad, 1)) != image.beams:
-        raise StreamError("an image with other bearings than beams", "bad_value")
+        raise StreamError("an image whose bearings differ in number from its beams", "bad_value")
     _finite("the rows of an image", (image.range_resolution_m,))
 
 
@@ -176,16 +176,16 @@ def _check_fan(fan: FanMessage) -> None:
     near, far = fan.min_range_m, fan.max_range_m
     _finite("a fan", (first, last, near, far, fan.vertical_aperture_rad))
     if not (-math.pi <= first <= last <= math.pi and 0 <= near <= far):
-        raise StreamError("a fan that is none", "bad_value")
+        raise StreamError("a fan with invalid limits", "bad_value")
 
 
 def _check_inside(keys: NDArray[np.int32], box: MapBox, cell_m: float) -> None:
-    """Blocks that touch the box, or are beside one that does."""
+    """Check that blocks touch the box or are next to a block that does."""
     edge_m = BLOCK_EDGE * cell_m
     low = np.floor(np.asarray(box.low_m) / edge_m) - 1
     high = np.floor(np.asarray(box.high_m) / edge_m) + 1
     if ((keys < low) | (keys > high)).any():
-        raise StreamError("a block outside of what was asked for", "not_asked")
+        raise StreamError("a block outside of the requested box", "not_asked")
 
 
 def _between(cells: NDArray[np.int8]) -> NDArray[np.bool_]:
@@ -194,4 +194,4 @@ def _between(cells: NDArray[np.int8]) -> NDArray[np.bool_]:
 
 def _finite(what: str, numbers: Iterable[float]) -> None:
     if not all(map(math.isfinite, numbers)):
-        raise StreamError(f"{what} of numbers that are none", "bad_value")
+        raise StreamError(f"{what} with numbers that are not finite", "bad_value")

@@ -1,4 +1,4 @@
-"""One connection of a client: its bytes, and its requests in their order."""
+"""One connection of a client: reads its bytes, sends messages, answers requests in order."""
 
 import asyncio
 from collections.abc import Callable
@@ -17,31 +17,32 @@ from mapperd.wire.requests import Fault
 __all__ = ["ClientConnection", "ServerContext"]
 
 LEAVE_S = 1.0
-"""For the last words to arrive."""
+"""Time for the last message to arrive before the connection is aborted."""
 
 ANSWERS_UNDER_WAY = 256 << 10
 BREATH_S = 0.05
 
 MAX_UNSENT = 2 * MAX_FROM_SERVER
-"""Who reads has never so much before it: one answer, and what the pacer gives."""
+"""Bytes in the write buffer at which a client counts as not reading: more than the largest answer
+and all that the pacer allows."""
 
 MAX_HEARD = 8192
-"""Bytes that are heard in one turn of the event loop: some hundred of the shortest messages."""
+"""Bytes to read in one turn of the event loop: some hundred of the shortest messages."""
 
 
 @dataclass(frozen=True, slots=True)
 class ServerContext:
-    """What all connections have in common.
+    """What all connections of a server share.
 
     Attributes:
         operations: the daemon.
-        limits: what a client may take.
-        count: one more of something that happened.
-        admit: makes a newcomer a client; raises `StreamError` where there is no room.
-        heard: a client said something.
-        refused: a newcomer was not let in, and why.
-        gone: a connection has ended.
-        clock: seconds, as the event loop's.
+        limits: limits for clients.
+        count: increments a counter.
+        admit: makes a newcomer a client; raises `StreamError` if there is no room.
+        heard: called after a client sent messages.
+        refused: called with the reason after a newcomer was refused.
+        gone: called after a connection has ended.
+        clock: monotonic time, seconds.
         now_ns: Unix time that is never set back.
     """
 
@@ -57,17 +58,17 @@ class ServerContext:
 
 
 class ClientConnection(asyncio.BufferedProtocol):
-    """From the greeting to the end.
+    """A connection from the greeting to its end.
 
     Args:
         session: of the client.
         origin: client, for events and settings.
-        context: what it shares with others.
+        context: what all connections share.
 
     Attributes:
         session, origin: as given.
-        is_over: nothing is said any more.
-        is_for_good: and that is no fault of the link.
+        is_over: nothing more is sent.
+        is_for_good: the client may not resume.
     """
 
     def __init__(self, session: ClientSession, origin: str, context: ServerContext) -> None:
@@ -83,19 +84,19 @@ class ClientConnection(asyncio.BufferedProtocol):
         self._heard = memoryview(bytearray(MAX_HEARD))
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Greet it."""
+        """Send the greeting."""
         assert isinstance(transport, asyncio.Transport)  # noqa: S101 of a stream
         self._transport = transport
         transport.write(self.session.greeting(self._context.clock()))
         loop = asyncio.get_running_loop()
         self._timer = loop.call_later(self._context.limits.hello_s, self._look_for_hello)
 
-    def get_buffer(self, sizehint: int) -> memoryview:  # noqa: ARG002 whoever says much waits
-        """Where the next bytes go: so many at most, then others have their turn."""
+    def get_buffer(self, sizehint: int) -> memoryview:  # noqa: ARG002 always the same
+        """Return the read buffer; its size bounds the work of one turn of the event loop."""
         return self._heard
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Hear what it says."""
+        """Process received bytes."""
         if self.is_over:
             return
         was_new = self.session.state == "greeted"
@@ -112,7 +113,7 @@ class ClientConnection(asyncio.BufferedProtocol):
             self._answering = asyncio.get_running_loop().create_task(self._answer())
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """It has left, or was let go."""
+        """Cancel what waits, and report the end of the connection."""
         if exc is not None:
             self._context.count("connections_lost")
         self.is_over = True
@@ -122,7 +123,7 @@ class ClientConnection(asyncio.BufferedProtocol):
         self._context.gone(self)
 
     def turn(self) -> None:
-        """Tell it what is due."""
+        """Send what is due."""
         self.measure()
         now_s = self._context.clock()
         try:
@@ -131,17 +132,17 @@ class ClientConnection(asyncio.BufferedProtocol):
             self.refuse(error, was_new=False)
             return
         if self._transport and self._transport.get_write_buffer_size() > MAX_UNSENT:
-            self.refuse(StreamError("it does not read what it is told", "unread"), was_new=False)
+            self.refuse(StreamError("the client does not read", "unread"), was_new=False)
             return
         self.write(self.session.next(now_s, self._context.now_ns()))
 
     def measure(self) -> None:
-        """Have the pacer know how the connection stands."""
+        """Pass the state of the connection to the pacer."""
         if self.is_over or self._transport is None:
             return
         connection = self._transport.get_extra_info("socket")
         if connection is None:
-            return  # TLS that is over already, which we hear of in the loop's next turn
+            return  # TLS that has ended; `connection_lost` follows
         state = tcp_state(connection)
         self.session.pacer.note_link(
             self._transport.get_write_buffer_size() + state.unsent,
@@ -157,7 +158,7 @@ class ClientConnection(asyncio.BufferedProtocol):
             self._transport.write(data)
 
     def refuse(self, error: StreamError, *, was_new: bool) -> None:
-        """Let it go because of what it said, or did not say."""
+        """Close the connection because of an error of the client."""
         self.is_for_good |= error.reason != "no_acks"
         kind = "refused" if was_new else "cut"
         self._context.count(f"{kind}_{error.reason}")
@@ -166,7 +167,7 @@ class ClientConnection(asyncio.BufferedProtocol):
         self.end(error.reason, str(error))
 
     def end(self, reason: str, message: str) -> None:
-        """Say goodbye and close."""
+        """Send the last message and close."""
         if self.is_over or self._transport is None:
             self.abort()
             return
@@ -178,26 +179,26 @@ class ClientConnection(asyncio.BufferedProtocol):
         self._timer = asyncio.get_running_loop().call_later(LEAVE_S, self._transport.abort)
 
     def abort(self) -> None:
-        """Close at once: what it was sent is not to be relied upon."""
+        """Close at once, so that the client cannot resume: what it got may be incomplete."""
         self.is_for_good = True
         self.drop()
 
     def resume_state(self) -> ResumeState | None:
-        """With what it may come back; None where it may not."""
+        """Return the state from which the client may resume; None if it may not."""
         return None if self.is_for_good else self.session.resume_state()
 
     def drop(self) -> None:
-        """Close at once: its link is dead."""
+        """Close at once; the client may resume."""
         self.is_over = True
         if self._transport is not None:
             self._transport.abort()
 
     def _look_for_hello(self) -> None:
         if self.session.state == "greeted":
-            self.refuse(StreamError("no hello came", "late_hello"), was_new=True)
+            self.refuse(StreamError("no hello arrived", "late_hello"), was_new=True)
 
     async def _answer(self) -> None:
-        """One request after the other; who takes no answers is answered no more."""
+        """Answer one request after the other; wait while the client does not take the answers."""
         session, context = self.session, self._context
         try:
             while session.asks and not self.is_over:

@@ -1,4 +1,4 @@
-"""Blocks made into bodies of messages, once for all clients that are sent the same."""
+"""Encodes blocks as messages, once for all clients that get the same ones."""
 
 from dataclasses import dataclass
 from typing import TypeVar
@@ -15,15 +15,15 @@ from mapperd.wire.messages import BlocksMessage
 __all__ = ["BlockEncoder", "Body", "RevisionTimes"]
 
 MAX_KEPT = 64
-"""Bodies, and messages: clients that keep up are sent the same, the others each their own."""
+"""Bodies and messages of one look that are kept: clients that keep up share them."""
 
 FIRST_GUESS = 64.0
-"""Bytes a block."""
+"""Bytes per block."""
 
 MAX_TIMES = 1 << 16
 
 BRICKS_AT_ONCE = 32
-"""Read from the file: they may take 1.5 MB each."""
+"""Bricks to read from the file at a time; each may take 1.5 MB."""
 
 Numbers = NDArray[np.int64]
 Key = TypeVar("Key")
@@ -35,9 +35,9 @@ class Body:
     """Blocks as they were read from the map.
 
     Attributes:
-        revision: of the map then.
-        number: counts the bodies.
-        data: as `BlocksMessage` has it.
+        revision: of the map when they were read.
+        number: of this body.
+        data: body of a `BlocksMessage`.
     """
 
     revision: int
@@ -46,14 +46,14 @@ class Body:
 
 
 class RevisionTimes:
-    """When the map was at which revision, roughly for what is long ago."""
+    """Times of the map's revisions, with less resolution for earlier ones."""
 
     def __init__(self) -> None:
         self._revisions: list[int] = []
         self._ns: list[int] = []
 
     def note(self, revision: int, now_ns: int) -> None:
-        """The map is at a revision now."""
+        """Note the current revision."""
         if self._revisions and revision <= self._revisions[-1]:
             return
         if len(self._revisions) == MAX_TIMES:
@@ -64,17 +64,17 @@ class RevisionTimes:
         self._ns.append(now_ns)
 
     def of(self, revisions: NDArray[np.uint64]) -> NDArray[np.int64]:
-        """When (N,) the map was first known to be at revisions (N,), or beyond."""
+        """Return the Unix times (N,) when the map had reached the revisions (N,)."""
         at = np.searchsorted(np.array(self._revisions, np.uint64), revisions)
         return np.array(self._ns, np.int64)[np.minimum(at, len(self._ns) - 1)]
 
 
 class BlockEncoder:
-    """Makes messages of blocks; of one thread.
+    """Encodes blocks; used in one thread only.
 
     Args:
         core: the map.
-        files: the part of it that is on disk alone; None where all is in memory.
+        files: the bricks on disk; None if the whole map is in memory.
     """
 
     def __init__(self, core: _core.VoxelMap, files: StoredBricks | None) -> None:
@@ -89,14 +89,14 @@ class BlockEncoder:
         self._framed: dict[int, tuple[BlocksMessage, bytes]] = {}
 
     def begin(self, now_ns: int) -> None:
-        """Discard what was encoded before: the map was looked at again."""
+        """Discard all encoded bodies and messages: a new look at the map begins."""
         self._stamp_ns = now_ns
         self._bodies.clear()
         self._messages.clear()
         self._framed.clear()
 
     def blocks_in(self, most_bytes: int, level: int, detail: str) -> int:
-        """How many blocks about fill so many bytes: few numbers, so that clients agree on them."""
+        """Estimate how many blocks fill this many bytes; rounded, so that clients share bodies."""
         number = max(int(most_bytes / self._guess.get((level, detail), FIRST_GUESS)), 1)
         low = 1 << number.bit_length() - 1
         return low + low // 2 if number >= low + low // 2 else low
@@ -109,17 +109,18 @@ class BlockEncoder:
         wanted: NDArray[np.bool_],
         least_number: int = 0,
     ) -> Body:
-        """Blocks as they are now, those that are not wanted as empty ones.
+        """Encode blocks as they are now, unwanted ones as empty.
 
         Args:
-            view: of the map.
+            view: index of the blocks.
             detail: of the interest.
-            numbers: of the blocks.
-            wanted: which of them are sent with their contents.
-            least_number: bodies of a lower number are not used: the client has newer blocks.
+            numbers: (N,) of the blocks.
+            wanted: (N,) whether to send the content of each block.
+            least_number: lowest number of a body to reuse; the client has newer blocks than those
+                of earlier bodies.
 
         Raises:
-            StoreError: the file cannot be read.
+            StoreError: the map's file cannot be read.
         """
         key = (id(view), detail, numbers.tobytes(), wanted.tobytes())
         known = self._bodies.get(key)
@@ -129,7 +130,7 @@ class BlockEncoder:
         return known
 
     def message(self, body: Body, left: int, complete: int | None) -> BlocksMessage:
-        """The same object for all who are sent the same."""
+        """Return a message; the same object for all clients that get the same one."""
         key = (body.number, left, complete)
         known = self._messages.get(key)
         if known is None:
@@ -144,7 +145,7 @@ class BlockEncoder:
         return known
 
     def framed(self, message: BlocksMessage) -> bytes:
-        """A message as it goes over the wire, made once for each object."""
+        """Return a message as bytes of the wire, encoded once for each object."""
         known = self._framed.get(id(message))
         if known is None or known[0] is not message:
             known = message, framed(message)

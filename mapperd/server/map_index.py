@@ -33,11 +33,11 @@ __all__ = [
 ]
 
 LEAVE = 1.1
-"""A block that was sent is forgotten beyond so many times the radius: at its edge none flickers."""
+"""A sent block is removed beyond this many times the radius: blocks at its edge do not flicker."""
 
 
 def vector_of(position_m: ArrayLike | None) -> Vector | None:
-    """A position as plain numbers."""
+    """Convert a position (3,) to floats."""
     if position_m is None:
         return None
     x, y, z = np.asarray(position_m, float).tolist()
@@ -45,7 +45,7 @@ def vector_of(position_m: ArrayLike | None) -> Vector | None:
 
 
 def distances_m(keys: NDArray[np.int32], block_m: float, position_m: Vector) -> NDArray[np.float64]:
-    """From a point to the nearest point of each block (N,).
+    """Return the distance of a point to the nearest point of each block (N,), metres.
 
     Args:
         keys: (N, 3).
@@ -58,7 +58,7 @@ def distances_m(keys: NDArray[np.int32], block_m: float, position_m: Vector) -> 
 
 
 def in_box(keys: NDArray[np.int32], block_m: float, interest: Interest) -> NDArray[np.bool_]:
-    """Which blocks (N,) have a part inside the box of an interest."""
+    """Return which blocks (N,) have a part inside the box of an interest."""
     if interest.box is None:
         return np.ones(len(keys), bool)
     low = keys * float(block_m)
@@ -74,14 +74,14 @@ def within(
     position_m: Vector | None,
     held: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
-    """Which blocks (N,) are to be sent to a client.
+    """Return which blocks (N,) a client gets.
 
     Args:
         keys: (N, 3).
         block_m: edge of a block.
         interest: of the client.
-        position_m: of the vehicle; where nobody knows it, nothing lies in a radius about it.
-        held: (N,), those that it was sent: they go later than they came.
+        position_m: of the vehicle; None if unknown: then no new blocks lie within the radius.
+        held: (N,) blocks that were sent: they are removed at a larger radius.
     """
     inside = in_box(keys, block_m, interest)
     if interest.radius_m == 0:
@@ -93,7 +93,7 @@ def within(
 
 
 FARTHEST_BRICK = 1 << 27
-"""Of a brick of a map: keys beyond are of damaged rows."""
+"""Limit of a brick's key: larger keys are of damaged rows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,14 +112,14 @@ class ChangedRows:
 
 
 class StoredBricks:
-    """Reads bricks; of one thread.
+    """Reads bricks from the map's file; used in one thread only.
 
     Args:
         path: of the file.
-        config: settings of its map.
+        config: settings of the map.
 
     Raises:
-        StoreError: it cannot be opened.
+        StoreError: the file cannot be opened.
 
     Attributes:
         damaged: keys of the bricks that were found damaged.
@@ -136,20 +136,20 @@ class StoredBricks:
             self._open = opening.pop_all()
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._open.close()
 
     def version(self) -> int:
-        """Another number whenever the file was written to.
+        """Return a number that changes with each write to the file.
 
         Raises:
-            StoreError: it cannot be read.
+            StoreError: the file cannot be read.
         """
         with translated(self._path):
             return int(self._connection.execute("PRAGMA data_version").fetchone()[0])
 
     def changed_since(self, revision: int) -> ChangedRows:
-        """Bricks whose rows changed after a revision.
+        """Return the bricks whose rows changed after a revision.
 
         Raises:
             StoreError: the file cannot be read.
@@ -169,7 +169,7 @@ class StoredBricks:
         )
 
     def has_losses(self) -> bool:
-        """Something of the map was damaged, and is not there any more.
+        """Return whether damaged bricks of the map were lost.
 
         Raises:
             StoreError: the file cannot be read.
@@ -179,10 +179,10 @@ class StoredBricks:
             return bool(self._connection.execute(lost).fetchone()[0])
 
     def load(self, bricks: NDArray[np.int32]) -> tuple[_core.VoxelMap, dict[Key, int]]:
-        """A map of some bricks alone, good until the next call.
+        """Load a map of some bricks, valid until the next call.
 
         Args:
-            bricks: keys (N, 3); those that are not in the file, or damaged in it, are unknown.
+            bricks: keys (N, 3); bricks that are missing or damaged in the file are unknown.
 
         Returns:
             the map; the revision of each brick's row.
@@ -213,13 +213,13 @@ class StoredBricks:
 
 
 CORE_BLOCKS_AT_ONCE = 256
-"""Blocks of the map that are looked at under one lock of it: some milliseconds at most."""
+"""Blocks of the map to read under one lock: some milliseconds at most."""
 
 BRICK_LEVEL = 3
-"""A block of this level is a brick of the map's file; one of a lower level lies within one."""
+"""Level whose blocks are the bricks of the map's file."""
 
 FARTHEST = 1 << 30
-"""Keys of the stream stay within: those of blocks beyond are sent to nobody."""
+"""Limit of the keys of the stream; blocks beyond are not sent."""
 
 Keys = NDArray[np.int32]
 Numbers = NDArray[np.int64]
@@ -227,34 +227,34 @@ Revisions = NDArray[np.uint64]
 
 
 DOUBT = np.uint64(0xD0B7_D0B7_D0B7_D0B7)
-"""Digest of a block that was sent as it was at no look: it differs from all that looks find."""
+"""Digest of a block that was sent in a state of no look; it differs from every real digest."""
 
 
 class ChangeListener(Protocol):
-    """Receives which blocks changed."""
+    """Gets the changed blocks of an index."""
 
     def changed(self, numbers: Numbers) -> None:
-        """These blocks differ from what was sent before."""
+        """Note that blocks (N,) changed."""
 
 
 class BlockIndex:
-    """An index of blocks, numbered in the order in which they came to be known.
+    """An index of blocks of one level, numbered in the order in which they are found.
 
     Args:
         level: of the blocks.
-        core_view: how they are sent.
+        core_view: level and detail, as the core takes them.
         resolution_m: of the map.
 
     Attributes:
         level, core: as given.
         block_m: edge of a block.
-        digests, revisions: (>= N,) of each block: what was sent of it last, and since when.
-        looked: revision up to which the map was looked at.
-        in_file: revision up to which the file was.
+        digests, revisions: (>= N,) content of each block, and revision of its last change.
+        looked: revision of the last look at the map in memory.
+        in_file: revision of the last look at the file.
         sure: revision up to which all changes in memory are indexed.
-        settled: revision up to which all changes are indexed; None before that was ever so.
-        listeners: are notified of changes.
-        unused_since_ns: nobody listens since then; None while somebody does.
+        settled: revision up to which all changes are indexed; None before the first time.
+        listeners: get the changed blocks.
+        unused_since_ns: Unix time since which nobody listens; None while somebody does.
     """
 
     def __init__(self, level: int, core_view: _core.StreamView, resolution_m: float) -> None:
@@ -283,27 +283,32 @@ class BlockIndex:
 
     @property
     def memory_bytes(self) -> int:
-        """Of the index."""
+        """Memory of the index."""
         return self._index.memory_bytes + self.digests.nbytes + self.revisions.nbytes
 
     def keys(self, numbers: Numbers) -> Keys:
-        """Keys (N, 3) of blocks."""
+        """Return the keys (N, 3) of block numbers (N,)."""
         return self._index.keys(numbers)
 
     def note_blocks(self, blocks: Keys) -> None:
-        """Blocks of the map (N, 3) in memory changed."""
+        """Note changed blocks of the map (N, 3) in memory, to be indexed by `work`."""
         self._waiting = np.concatenate([self._waiting, _stream_keys(blocks, self.level)])
 
     def note_bricks(self, bricks: Keys, revision: int | None) -> None:
-        """Bricks that are in the file alone changed, at this revision; None is as they say."""
+        """Note changed bricks that are only in the file, to be indexed by `work_on_file`.
+
+        Args:
+            bricks: keys (N, 3).
+            revision: of the change; None takes the revisions of the rows.
+        """
         for brick in bricks.tolist():
             self._bricks[tuple(brick)] = revision
 
     def doubt(self, numbers: Numbers, core: _core.VoxelMap) -> None:
-        """Blocks were sent as they are now, which may be newer than what is indexed of them.
+        """Mark blocks that were sent in a newer state than the indexed one.
 
-        They may be indexed next as what they were before: what was sent is wrong then, though
-        nothing seems to have changed. So those that changed since are taken for others.
+        The next look may find such a block in its indexed state again. It would then seem
+        unchanged, although the client has another state. `DOUBT` makes it differ.
         """
         for part in batches(len(numbers), self.level):
             some = numbers[part]
@@ -323,7 +328,7 @@ class BlockIndex:
         for part in batches(len(keys), self.level):
             digests, revisions, here = core.stream_digests(self.core, keys[part])
             self._settle(keys[part][here], digests[here], revisions[here])
-            # They left before this look: clients that saw them change get them from the file.
+            # These blocks left memory before they were read: the file has their changes.
             self.note_bricks(bricks_of(keys[part][~here], self.level), self.looked)
 
     def work_on_file(
@@ -332,7 +337,7 @@ class BlockIndex:
         """Index what is in the file alone, nearest to the vehicle first.
 
         Raises:
-            StoreError: it cannot be read; what is not indexed stays to be.
+            StoreError: the file cannot be read; the bricks stay to be indexed.
         """
         if not self._bricks:
             return
@@ -356,7 +361,7 @@ class BlockIndex:
         self._settle(keys, digests, revisions)
 
     def _settle(self, keys: Keys, digests: Revisions, revisions: Revisions) -> None:
-        """Note what is sent of blocks now, and notify the listeners of those that differ."""
+        """Index blocks, and pass those that differ to the listeners."""
         of_use = (self._index.numbers(keys, add=False) >= 0) | (digests != 0)
         numbers = self._index.numbers(keys[of_use], add=True)
         self._make_room()
@@ -377,20 +382,20 @@ class BlockIndex:
 
 
 def batches(blocks: int, level: int) -> Iterator[slice]:
-    """Slices of blocks of a level that are looked at under one lock."""
+    """Return slices of blocks to read under one lock each."""
     each = CORE_BLOCKS_AT_ONCE * 8 if level == 0 else CORE_BLOCKS_AT_ONCE >> 3 * (level - 1)
     for begin in range(0, blocks, each):
         yield slice(begin, begin + each)
 
 
 def bricks_of(keys: Keys, level: int) -> Keys:
-    """The bricks (N, 3) in which blocks of a level lie."""
+    """Return the bricks (N, 3) that contain blocks of a level."""
     bricks: Keys = keys >> np.int32(BRICK_LEVEL - level)
     return bricks
 
 
 def _stream_keys(blocks: Keys, level: int) -> Keys:
-    """The blocks (M, 3) of the stream that blocks of the map (N, 3) are in."""
+    """Return the blocks (M, 3) of the stream that contain blocks of the map (N, 3)."""
     if level == 0:
         eighths = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=-1)
         keys = (2 * blocks.astype(np.int64)[:, None] + eighths).reshape(-1, 3)

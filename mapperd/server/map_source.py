@@ -1,7 +1,7 @@
 """The map as the map stream serves it to clients.
 
-All of it is of one thread, which is not that of the pings; the map itself is read under its own
-locks, each for some milliseconds at most.
+One worker thread, which is not the mapping thread, uses all of this. It reads the map under the
+map's locks, for some milliseconds at most.
 """
 
 import math
@@ -37,16 +37,16 @@ def why_not(  # noqa: PLR0911 one reason each
     newest: int,
     has_losses: bool,
 ) -> str:
-    """Why a client has to be sent everything; "" when what it holds is good.
+    """Return why a client cannot resume; "" if it can.
 
     Args:
-        resume: what it holds.
-        interest: what it wants.
-        map_id: as it is sent to clients.
+        resume: what the client holds.
+        interest: what the client wants.
+        map_id: id of the map, as clients know it.
         identity: of the map.
-        looked: the highest revision up to which anybody can have been sent all.
-        newest: of the map.
-        has_losses: something of the map in the file was damaged.
+        looked: highest revision that any client can have completely.
+        newest: newest revision of the map.
+        has_losses: a part of the map's file was damaged.
     """
     held = (resume.level, resume.detail, resume.radius_m, resume.box)
     if resume.map != map_id:
@@ -54,7 +54,7 @@ def why_not(  # noqa: PLR0911 one reason each
     if held != (interest.level, interest.detail, interest.radius_m, interest.box):
         return "another_interest"
     if interest.radius_m > 0:
-        return "moving_interest"  # where the vehicle was then is forgotten
+        return "moving_interest"  # the position of the vehicle then is unknown
     if resume.revision is None:
         return "never_complete"
     claimed = max(resume.revision, resume.newest or 0)
@@ -75,7 +75,7 @@ BRICKS_AT_ONCE = 32
 """Bricks of the file that one look indexes."""
 
 UNUSED_NS = 60_000_000_000
-"""A view that nobody uses is forgotten then."""
+"""Time after which an unused index is dropped."""
 
 ATTEMPTS = 4
 
@@ -85,28 +85,28 @@ Origin = tuple[float, float] | None
 
 
 class MapStorage(Protocol):
-    """Where the map is kept: `mapperd.pipeline.persistence`."""
+    """Storage of the map: `mapperd.pipeline.persistence`."""
 
     @property
     def store(self) -> TileStore | None:
-        """Its file; None where it is in memory alone."""
+        """The map's file; None if the map is only in memory."""
 
 
 class MapSource:
-    """Watches one map for all clients, `with`.
+    """Watches one map for all clients; a context manager.
 
     Args:
-        sonar_map: the map; nobody maps before this is made.
-        keep: where it is kept.
-        log_odds_step: of the quantised log-odds.
-        origin_deg: says where the map's zero is.
+        sonar_map: the map; create this before mapping begins.
+        keep: storage of the map.
+        log_odds_step: step of the quantised log-odds.
+        origin_deg: returns latitude and longitude of the map's zero; None if unknown.
 
     Raises:
         StoreError: the map's file cannot be opened.
 
     Attributes:
-        now_ns: of the last look, Unix.
-        trouble: why something of the map's file cannot be sent at the moment; None: all is well.
+        now_ns: Unix time of the last look.
+        trouble: why the map's file cannot be read at the moment; None if it can.
         encoder: encodes blocks as messages.
     """
 
@@ -142,41 +142,41 @@ class MapSource:
         self.close()
 
     def close(self) -> None:
-        """Let go of the map's file."""
+        """Close the map's file."""
         if self._files is not None:
             self._files.close()
 
     @property
     def session(self) -> str:
-        """Which the revisions are of."""
+        """Id of the session that counts the revisions."""
         return self._identity.session
 
     @property
     def revision(self) -> int:
-        """Of the map, when it was looked at last."""
+        """Revision of the map at the last look."""
         return self._revision
 
     @property
     def indexing(self) -> int:
-        """Blocks, and bricks of the file, that are still to be found; 0 once all are."""
+        """Blocks in memory and bricks in the file that are still to be indexed."""
         return sum(view.left for view in self._views.values())
 
     @property
     def memory_bytes(self) -> int:
-        """Of indexes, and of what each client was sent."""
+        """Memory of the indexes and of all subscriptions."""
         views = sum(view.memory_bytes for view in self._views.values())
         return views + sum(one.memory_bytes for one in self._subscriptions)
 
     def facts(self) -> MapFacts:
-        """About the map."""
+        """Return the facts about the map."""
         return self._facts
 
     def subscribe(self, interest: Interest, resume: Resume | None = None) -> Subscription:
-        """A client comes.
+        """Begin a client's subscription.
 
         Args:
-            interest: in what.
-            resume: what it says that it holds.
+            interest: the part of the map that the client wants.
+            resume: what the client claims to hold.
         """
         known_up_to, reason = None, ""
         if resume is not None:
@@ -187,7 +187,7 @@ class MapSource:
         return one
 
     def view_of(self, interest: Interest) -> BlockIndex:
-        """The blocks as an interest has them told."""
+        """Return the index of blocks for the level and detail of an interest."""
         key = interest.level, interest.detail
         view = self._views.get(key)
         if view is None:
@@ -206,8 +206,8 @@ class MapSource:
         """Find what changed since the last look.
 
         Args:
-            now_ns: Unix.
-            position_m: (3,) of the vehicle: what is nearest is found first where there is much.
+            now_ns: Unix time.
+            position_m: (3,) of the vehicle, map frame; the nearest changes are indexed first.
         """
         self.now_ns = now_ns
         self.trouble = None
@@ -245,14 +245,14 @@ class MapSource:
         self._notice_damage()
 
     def _changes(self) -> "tuple[ChangedRows | None, _Changed, bool]":
-        """What changed in the file and in memory since it was looked at.
+        """Find what changed in the file and in memory since the last look.
 
-        A tile that leaves memory is in the file before: what changed is in the one or the other,
-        as long as the file is not written to meanwhile.
+        A tile is in the file before it leaves memory. So each change is in one or the other, unless
+        the file is written to between the two looks.
 
         Returns:
-            rows of the file; what is in memory, and which of the rows' bricks are; whether both
-            are of one state.
+            rows of the file; changes in memory, and which bricks of the rows are in memory;
+            whether both are of one state.
         """
         views = self._views.values()
         since = min((view.looked for view in views), default=self._revision)
@@ -287,7 +287,7 @@ class MapSource:
         return len(self._store.lost | self._files.damaged)
 
     def _notice_another_map(self) -> None:
-        """All is sent again of another map, and of this one when it is sent in another way."""
+        """Start again if the map was replaced or its facts changed."""
         if self._store is not None:
             self._identity, before = self._store.identity, self._identity
             if before.map != self._identity.map:
@@ -309,7 +309,7 @@ class MapSource:
         resolution_m = self._map.resolution_m
         occupied = _log_odds(mapping.occupied_threshold)
         free = _log_odds(mapping.free_threshold)
-        # What is sent in another way is another map to whoever resumes.
+        # Other facts are another map for a client that resumes.
         way = zlib.crc32(repr((resolution_m, self._step, occupied, free)).encode())
         return MapFacts(
             id=f"{self._identity.map}-{way:08x}",
@@ -354,13 +354,13 @@ def _log_odds(probability: float) -> float:
 
 
 class MapView(Protocol):
-    """What of the map one client has been sent."""
+    """The map as one client sees it: what was sent, and what is still to be sent."""
 
     resumed: bool
-    """What the client held was right."""
+    """Whether the client may keep what it held."""
 
     reason: str
-    """Why not."""
+    """Why it may not."""
 
     @property
     def number(self) -> int:
@@ -372,50 +372,55 @@ class MapView(Protocol):
 
     @property
     def near_left(self) -> int:
-        """Of those the ones near the vehicle that belong to this pass, as of the last message."""
+        """Near blocks that are left of this pass after the last message."""
 
     def next(self, position_m: Vector | None, most_bytes: int, part: Part = "any") -> bytes | None:
-        """The next message as it goes over the wire; None where all is sent.
+        """Return the next message as bytes of the wire; None if nothing is left.
 
         Args:
-            position_m: of the vehicle, what is nearest to it comes first.
-            most_bytes: about; one block is always told.
-            part: of the map, that it may be about.
+            position_m: (3,) of the vehicle, map frame; the nearest blocks come first.
+            most_bytes: approximate limit; a message has at least one block.
+            part: part of the map to send.
         """
 
     def change(self, interest: Interest) -> None:
-        """Something else is of interest from now on."""
+        """Change the interest."""
 
     def settle(self, number: int) -> None:
         """Note that the client has used the messages up to this one."""
 
     def go_on(self, interest: Interest, number: int) -> bool:
-        """The client is back, and has messages up to this one; later ones are sent again.
+        """Resume after a message: the blocks of later ones are sent again.
 
         Returns:
-            whether it may keep what it holds.
+            whether the client may keep what it holds.
         """
 
     def close(self) -> None:
-        """The client is gone."""
+        """End the view."""
 
 
 class Source(Protocol):
-    """The map."""
+    """The map that a server serves, used in its worker thread only."""
 
     @property
     def session(self) -> str:
-        """Which the revisions are of."""
+        """Id of the session that counts the revisions."""
 
     @property
     def revision(self) -> int:
-        """As of the last look."""
+        """Revision of the map at the last look."""
 
     def facts(self) -> MapFacts:
-        """What is the same for all of it."""
+        """Return the facts about the map."""
 
     def look(self, now_ns: int, position_m: Vector | None = None) -> None:
-        """Find what changed since the last look, nearest to the vehicle first."""
+        """Find what changed since the last look, nearest to the vehicle first.
+
+        Args:
+            now_ns: Unix time.
+            position_m: (3,) of the vehicle, map frame.
+        """
 
     def subscribe(self, interest: Interest, resume: Resume | None = None) -> MapView:
-        """Begin to tell a client."""
+        """Begin the view of a client."""

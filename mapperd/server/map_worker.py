@@ -1,4 +1,4 @@
-"""The map's way to the clients: round by round, in one worker thread."""
+"""Sends the map to the clients, in rounds, in one worker thread."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Collection, Iterator
@@ -19,20 +19,20 @@ from mapperd.wire.messages import Interest, ResetMessage, Resume, Vector
 __all__ = ["Frame", "MapWorker", "next_frames"]
 
 UNWATCHED_S = 2.0
-"""Between looks at the map while nobody watches it: the ages of its blocks come from them."""
+"""Time between looks at the map while no client watches it; ages of blocks depend on the looks."""
 
 ROUND_BYTES = 128 << 10
-"""To one client in one round: the others wait for it."""
+"""Limit for one client in one round, because the others wait for it."""
 
 BREATH_S = 1.0
-"""After a round that failed."""
+"""Delay after a round that failed."""
 
 Frame = tuple[bytes, int, int | None]
-"""A message, its number, and the near blocks that are left where it is about such."""
+"""A message; its number; the near blocks that are left of the pass, None for far blocks."""
 
 
 def next_frames(view: MapView, rooms: SendRoom, position_m: Vector | None) -> list[Frame]:
-    """What of the map a client is sent in one round: the near part, else the far one."""
+    """Return the messages about the map for one round: near blocks, otherwise far ones."""
     return [*_of_part(view, "near", rooms.near, position_m)] or [
         *_of_part(view, "far", rooms.far, position_m)
     ]
@@ -40,7 +40,7 @@ def next_frames(view: MapView, rooms: SendRoom, position_m: Vector | None) -> li
 
 def _of_part(view: MapView, part: Part, most: int, position_m: Vector | None) -> Iterator[Frame]:
     room = min(most, ROUND_BYTES)
-    # The last half of the room may stay empty: small messages are dear.
+    # The last half of the room may stay empty: small messages compress badly.
     while room > min(most, ROUND_BYTES) // 2:
         frame = view.next(position_m, room, part)
         if frame is None:
@@ -51,7 +51,7 @@ def _of_part(view: MapView, part: Part, most: int, position_m: Vector | None) ->
 
 @dataclass(slots=True)
 class _Order:
-    """What one client gets in a round."""
+    """Work for one client in a round."""
 
     client: ClientConnection
     view: MapView | None
@@ -66,15 +66,15 @@ class _Order:
 
 @dataclass(slots=True)
 class _Job:
-    """What is done in a round.
+    """Work of a round.
 
     Attributes:
-        look: at what changed.
-        orders: of the clients.
-        draw: kinds of messages to be drawn; none is nothing.
-        coarseness: of the pictures.
-        left: views of clients that are gone, and with what these may come back.
-        now_s: when it began.
+        look: look for changes of the map.
+        orders: work for each client.
+        draw: kinds of messages to draw.
+        coarseness: sizes of images to draw.
+        left: views of clients that left, and the states from which these may resume.
+        now_s: start of the round.
         map_start: of the map, when all is done.
     """
 
@@ -92,9 +92,9 @@ class MapWorker:
 
     Args:
         operations: the daemon.
-        feed: what else is drawn in the worker.
+        feed: state messages; the worker draws some of them.
         source: the map.
-        clients: who is connected, at any time.
+        clients: connected clients, updated by the server.
         context: clocks, counters, limits.
 
     Attributes:
@@ -102,7 +102,7 @@ class MapWorker:
     """
 
     FOLLOWS = ("stream.rate",)
-    """Settings that are read again each time."""
+    """Settings that are read in each round."""
 
     def __init__(
         self,
@@ -124,22 +124,22 @@ class MapWorker:
         self.resume_cache = ResumeCache(context.limits.clients)
 
     def wake(self) -> None:
-        """There may be something to do."""
+        """Wake the loop: there may be work."""
         self._due.set()
 
     def welcome(self, client: ClientConnection) -> None:
-        """Welcome a client that does not want the map, now: whatever the worker does or lacks."""
+        """Welcome a client that does not want the map, without waiting for the worker."""
         client.session.view_request = None
         client.session.view_ready(None, self._map_start)
         client.turn()
 
     def leave(self, view: MapView, resume_state: ResumeState | None) -> None:
-        """Its client is gone; for good where there is no parting."""
+        """Keep or close the view of a client that left; no `resume_state` closes it."""
         self._left.append((view, resume_state))
         self.wake()
 
     async def run(self) -> NoReturn:
-        """Go round whenever there is something to do, until cancelled."""
+        """Run rounds while there is work, until cancelled."""
         loop = asyncio.get_running_loop()
         worker = ThreadPoolExecutor(1, "map-stream")
 
@@ -152,7 +152,7 @@ class MapWorker:
                 self._due.clear()
                 try:
                     await self._round(in_worker)
-                except Exception as error:  # noqa: BLE001 a fault of ours must not end the stream
+                except Exception as error:  # noqa: BLE001 an internal error must not end the stream
                     self._failed(error)
                     await asyncio.sleep(BREATH_S)
         finally:
@@ -168,7 +168,7 @@ class MapWorker:
         self._map_start = map_start
         for order in job.orders:
             if order.fault is not None:
-                # Its view takes for told what never was: only another connection mends that.
+                # The view counts blocks as sent that were not: only a new connection repairs that.
                 self._failed(order.fault)
                 order.client.abort()
                 self._left = [(v, None if v is order.view else p) for v, p in self._left]
@@ -198,7 +198,7 @@ class MapWorker:
         )
 
     def _work(self, job: _Job) -> None:
-        """In the worker."""
+        """Run in the worker thread."""
         for view, resume_state in job.left:
             if resume_state is None:
                 view.close()
@@ -212,7 +212,7 @@ class MapWorker:
         for order in job.orders:
             try:
                 self._fill(order)
-            except Exception as error:  # noqa: BLE001 the others are to be sent what they were given
+            except Exception as error:  # noqa: BLE001 the other clients get their messages
                 order.fault = error
         source = self._source
         job.map_start = MapStart(source.facts(), source.revision, source.session)
@@ -240,7 +240,7 @@ class MapWorker:
         return _Order(client, session.view, None, rooms, session.settled)
 
     def _fill(self, order: _Order) -> None:
-        """In the worker."""
+        """Run in the worker thread."""
         if order.view_request is not None:
             self._meet(order, order.view_request)
             return
@@ -250,7 +250,7 @@ class MapWorker:
             order.frames = next_frames(view, order.rooms, position_m)
 
     def _meet(self, order: _Order, view_request: ViewRequest) -> None:
-        """In the worker: what is of interest now."""
+        """Create, change or close the view of a client, in the worker."""
         view = order.view
         if view_request.interest is None:
             if view is not None:
@@ -274,7 +274,7 @@ class MapWorker:
         client, view, now_s = order.client, order.view, self._context.clock()
         session = client.session
         if view is None or session.view is not view:
-            return  # it wanted something else meanwhile
+            return  # the client has changed its interest
         if order.rooms.near and all(near_left is None for _, _, near_left in order.frames):
             session.nothing_near()
         for frame, number, near_left in order.frames:
@@ -292,7 +292,7 @@ class MapWorker:
         session.view_ready(order.view, map_start)
         view = order.view if order.is_new and not is_first else None
         if view_request is not None and view_request.interest is not None and view is not None:
-            # What it held when it wanted the map before may be wrong by now.
+            # Blocks that the client holds from an earlier view may be outdated.
             facts, revision = map_start.facts, map_start.revision
             again = ResetMessage(map=facts, revision=revision, interest=view_request.interest)
             client.write(session.sent_reset(framed(again), view, now_s))

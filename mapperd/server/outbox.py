@@ -1,4 +1,4 @@
-"""What one client is sent next of each kind, but for the map, and how much of it."""
+"""Messages for one client, without the map: which are due, and which fit on the link."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator
@@ -29,19 +29,19 @@ SHARES = {
     "image": 0.15,
     "status": 0.05,
 }
-"""Of what a busy link delivers, for each kind at most: the rest is the map's."""
+"""Largest share of a busy link for each kind; the rest is for the map."""
 
 LATE_S = 0.1
-"""A kind whose turn came between two rounds loses nothing of its share."""
+"""Time that a message may be late without reducing the share of its kind."""
 
 ENDING = frozenset({"fan", "events", "settings", "path", "robots"})
-"""Kinds that have an end: they have no such share while the map lacks nothing."""
+"""Kinds with little data: their shares do not apply while the map is complete."""
 
 FIRST_IMAGES = (60_000, 16_000, 5_000)
-"""Bytes that pictures may have, until one has been seen."""
+"""Estimated bytes of an image of each size, until one has been encoded."""
 
 PIECE, EVENT = 4_000, 300
-"""Bytes of a message, about."""
+"""Approximate bytes of a message of settings or path, and of an event."""
 
 POINT = 24
 
@@ -57,18 +57,18 @@ _EMPTY = msgspec.Raw(b"\x80")
 
 
 class ClientOutbox:
-    """Of one client: which it has had, and which are due.
+    """Chooses the messages for one client by what it got, what is new and what has room.
 
     Args:
-        feed: messages.
-        events: what happened.
-        pacer: of what is under way.
+        feed: messages about the daemon's state.
+        events: event log of the daemon.
+        pacer: limits of the connection.
 
     Attributes:
-        wants: kinds of messages.
-        left: blocks of the map that the client still lacks.
-        skipped: messages that were never sent, by kind.
-        waits: something is due and lacks room, which the map is not to take.
+        wants: kinds of messages that the client wants.
+        left: blocks of the map that are still to be sent.
+        skipped: messages that were not sent, by kind.
+        waits: a message is due and has no room; the map must wait for it.
     """
 
     def __init__(self, feed: StateFeed, events: EventLog, pacer: Pacer) -> None:
@@ -88,25 +88,25 @@ class ClientOutbox:
         self._path_is_old = False
 
     def begin(self, events_since: int | None) -> None:
-        """Events are sent after this one; of None, those to come."""
+        """Send the events after this one; None sends new ones only."""
         last = self._events.last
         self._events_sent = last if events_since is None else min(events_since, last)
 
     def go_on(self, resume: Resume, *, same: bool) -> None:
-        """The client holds a path; of this session or not."""
+        """Continue the path that the client holds, if it is of the same session."""
         self._path = (resume.path_version, resume.path) if same else (-1, 0)
         self._path_is_old = not same and resume.path > 0
 
     def want(self, wants: Collection[str]) -> None:
-        """Other kinds from now on."""
+        """Set the kinds of messages that the client wants."""
         for kind in {*wants} - self.wants:
-            self._sent_numbers.pop(kind, None)  # what it was sent long ago may be forgotten
+            self._sent_numbers.pop(kind, None)  # what the client got long ago may be outdated
             if kind == "settings":
                 self._settings_sent = 0
         self.wants = frozenset(wants)
 
     def coarseness(self) -> int:
-        """Of the pictures that the link has room for: one a second."""
+        """Return the finest size of which the link has room for one image a second."""
         most = SHARES["image"] * self._rate()
         for coarse in range(len(IMAGE_SIZES) - 1):
             size = len(self._feed.image(coarse).frame) or FIRST_IMAGES[coarse]
@@ -115,7 +115,7 @@ class ClientOutbox:
         return len(IMAGE_SIZES) - 1
 
     def link(self) -> dict[str, Any]:
-        """How the connection goes, in plain values."""
+        """Return the state of the connection as plain values."""
         pacer = self._pacer
         return {
             "bytes": pacer.sent,
@@ -127,7 +127,10 @@ class ClientOutbox:
         }
 
     def pieces(self, now_s: float, now_ns: int) -> Iterator[bytes]:
-        """What is due and has room, most urgent first; each is sent before the next is taken."""
+        """Yield the messages that are due and have room, most urgent first.
+
+        Send each before taking the next.
+        """
         self.waits = False
         if now_s - self._beat_s >= BEAT_S or self._status_fits(now_s):
             yield self._beat(now_s, now_ns)
@@ -136,7 +139,7 @@ class ClientOutbox:
                 yield from self._of(kind, now_s)
 
     def _of(self, kind: str, now_s: float) -> Iterator[bytes]:
-        """What is due of a kind and has room."""
+        """Yield the messages of a kind that are due and have room."""
         while True:
             match kind:
                 case "events":
@@ -155,7 +158,7 @@ class ClientOutbox:
             yield frame
 
     def _may(self, kind: str, size: int, now_s: float) -> bool:
-        """Whether a message has room, and its kind has not had its share of a busy link."""
+        """Return whether a message has room and its kind has not used up its share."""
         pacer = self._pacer
         has_room = not self.left and (kind in ENDING or pacer.is_idle_for(size))
         if now_s < self._next_s.get(kind, 0.0) and not has_room:
@@ -220,7 +223,7 @@ class ClientOutbox:
         return len(body).to_bytes(4, "big") + body
 
     def _status_fits(self, now_s: float) -> bool:
-        """Whether a beat had no room for it, and there is some now."""
+        """Return whether the status was left out of a heartbeat and has room now."""
         return self._owes_status and self._may("status", len(bytes(self._feed.status)), now_s)
 
     def _rate(self) -> float:
@@ -228,4 +231,4 @@ class ClientOutbox:
 
 
 WANTS_IN_ORDER = tuple(kind for kind in SHARES if kind != "status")
-assert {*WANTS_IN_ORDER, "map", "status"} == {*WANTS}  # noqa: S101 a kind that nobody would be sent
+assert {*WANTS_IN_ORDER, "map", "status"} == {*WANTS}  # noqa: S101 every kind is sent

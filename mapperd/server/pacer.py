@@ -70,16 +70,16 @@ QUEUE_S, MIN_WINDOW = 0.2, 4096
 """Time that packets may wait in the network, and the smallest window."""
 
 MAX_IN_FLIGHT = 1 << 20
-"""Bytes that a client has not acknowledged."""
+"""Maximum bytes that a client has not acknowledged."""
 
 FIRST_RATE, FIRST_BYTES = 16_000, 8192
-"""Smallest rate in bytes a second until so many bytes have arrived: few say nothing of a link."""
+"""Smallest rate in bytes a second until so many bytes have arrived: few bytes measure no rate."""
 
 LOCAL_RATE, LOCAL_WINDOW = 100e6, 1 << 16
-"""Bytes a second of a Unix socket, and bytes that its client has not acknowledged."""
+"""Rate of a Unix socket in bytes a second, and maximum bytes in flight on it."""
 
 NEARLY_ALL = 0.75
-"""Share of all the room that there could be: a larger message is sent then, or never."""
+"""Share of the maximum room at which a message is sent even if it does not fit."""
 
 MIN_S, MAX_LEAST = 0.12, 16_384
 
@@ -144,7 +144,7 @@ class Pacer:
         return min(max(UNSENT_S * rate, MIN_UNSENT), self.max_in_flight)
 
     def room(self, now_s: float) -> int:
-        """Bytes that may be sent now; at 0 or less wait."""
+        """Return how many bytes may be sent now; it can be negative."""
         room = min(
             self.max_in_flight - self.in_flight,
             self._max_unsent - self._unsent,
@@ -153,7 +153,7 @@ class Pacer:
         return int(min(room, self.budget.left(now_s)) if self.bytes_per_s else room)
 
     def fits(self, size: int, now_s: float) -> bool:
-        """Whether `size` bytes may be sent now: there is room for half, or hardly ever more."""
+        """Return whether `size` bytes may be sent: half fit, or little more could ever fit."""
         room = self.room(now_s)
         most = min(self.window, self._max_unsent)
         if self.bytes_per_s:
@@ -161,12 +161,12 @@ class Pacer:
         return room > 0 and (size // 2 <= room or room >= NEARLY_ALL * most)
 
     def least(self) -> int:
-        """Bytes that make a message worth sending where more are to come."""
+        """Smallest message worth sending while more is to come, in bytes."""
         ever = min(self.window, self._max_unsent)
         return int(min(MIN_S * self.allowed_rate, MAX_LEAST, ever / 2))
 
     def is_idle_for(self, size: int) -> bool:
-        """Whether little is in flight and the link delivers `size` bytes in moments."""
+        """Return whether little is in flight and the link delivers `size` bytes in moments."""
         moments_s = (self.round_trip_s or 0.0) + UNSENT_S
         most = min(max(moments_s * self.allowed_rate, MIN_UNSENT), self.max_in_flight)
         return self.in_flight <= most / 2 and size <= most
@@ -220,7 +220,7 @@ class Pacer:
 
 
 UNSENT_BYTES = 16384
-"""Bytes that the kernel takes beyond what is on the wire: more would only become old there."""
+"""Bytes that the kernel queues beyond what is on the wire: more would only delay newer data."""
 
 CALM = b"bbr"
 """The congestion control that does not fill the network's buffers."""

@@ -21,10 +21,10 @@ from mapperd.wire.messages import Vector
 __all__ = ["BlockQueue", "Part", "SendRoom", "SendSchedule"]
 
 FRONT = 16384
-"""Blocks that are put in order at a time: all of a large map's are too many for each message."""
+"""Blocks that are sorted at a time: sorting all blocks of a large map would delay each message."""
 
 NEAR_M = 13.0
-"""What lies within is what a pilot steers by: 10 m, and what a vehicle comes to within seconds."""
+"""Radius of the near map: the 10 m a pilot steers by, and what a vehicle reaches in seconds."""
 
 WAITING, IN_FRONT = 2, 4
 """Bits of a block's flags."""
@@ -35,16 +35,18 @@ KeysOf = Callable[[Numbers], NDArray[np.int32]]
 
 
 class BlockQueue:
-    """A set of numbered blocks; what it needs of memory is a bit a block, and its front.
+    """A priority queue of numbered blocks.
+
+    It holds one byte of flags per block, and sorts only a front of the blocks that wait.
 
     Args:
-        keys_of: gives the keys of numbers.
+        keys_of: returns the keys (N, 3) of block numbers (N,).
         block_m: edge of a block.
 
     Attributes:
-        flags: uint8 a block; bits other than ours are the owner's.
-        near_left: blocks near the vehicle that this pass is still to tell, but for those that were
-            given last; with none left, the next pass begins when what is near is asked for again.
+        flags: uint8 per block; the queue uses `WAITING` and `IN_FRONT`, its owner the other bits.
+        near_left: near blocks that are left of this pass after the ones returned last. At 0, the
+            next request for near blocks begins a new pass.
     """
 
     def __init__(self, keys_of: KeysOf, block_m: float) -> None:
@@ -65,18 +67,18 @@ class BlockQueue:
         return self._waiting
 
     def make_room(self, blocks: int) -> None:
-        """So many blocks have numbers now."""
+        """Grow to this number of blocks."""
         if blocks > len(self.flags):
             more = np.zeros(max(blocks, len(self.flags) + len(self.flags) // 2), np.uint8)
             more[: len(self.flags)] = self.flags
             self.flags = more
 
     def add(self, numbers: Numbers, at: int) -> None:
-        """Blocks that are to be sent; such as wait already wait once.
+        """Add blocks; blocks that wait already stay where they are.
 
         Args:
             numbers: of the blocks.
-            at: the same for all that were found together, which wait equally long.
+            at: time of the look that found them; blocks of one look have equal priority.
         """
         if at != self._added_at:
             self._added_at = at
@@ -90,7 +92,7 @@ class BlockQueue:
             self._reach_m = -np.inf  # some of these may be nearer than all of the front
 
     def remove(self, numbers: Numbers) -> None:
-        """Blocks of the front that were sent, or are not to be sent after all."""
+        """Remove blocks of the front: they were sent or are no longer needed."""
         self.flags[numbers] &= np.uint8(~(WAITING | IN_FRONT) & 0xFF)
         self._waiting -= len(numbers)
         kept = self.flags[self._front] & IN_FRONT != 0
@@ -98,12 +100,12 @@ class BlockQueue:
         self._front_turns = self._front_turns[kept]
 
     def nearest(self, most: int, position_m: Vector | None, part: Part = "any") -> Numbers:
-        """Up to `most` of the blocks, the most urgent first; they stay."""
+        """Return up to `most` blocks, most urgent first, and keep them in the queue."""
         position = np.zeros(3) if position_m is None else np.asarray(position_m, float)
         order, far_m = self._order(most, position, part)
         if len(self._front) < self._waiting:
             moved_m = float(np.linalg.norm(position - self._ordered_at))
-            # Of what is near less may be wanted than there is: then all of it is in front already.
+            # If the front reaches beyond the near radius, it holds all near blocks already.
             short = len(order) < most and (part != "near" or self._reach_m - moved_m < NEAR_M)
             if short or far_m > self._reach_m - moved_m:
                 self._choose_front(position)
@@ -113,7 +115,7 @@ class BlockQueue:
     def _order(
         self, most: int, position: NDArray[np.float64], part: Part
     ) -> tuple[NDArray[np.intp], float]:
-        """Of the front: the most urgent `most`, and how far away the furthest of them is."""
+        """Return the most urgent blocks of the front, and the distance of the farthest of them."""
         away_m = distances_m(self._front_keys, self._block_m, tuple(position))
         near = away_m <= NEAR_M
         rank = np.where(near, self._front_turns + away_m / (2 * NEAR_M), away_m)
@@ -135,7 +137,7 @@ class BlockQueue:
         return order, float(away_m[order].max(initial=0.0))
 
     def _choose_front(self, position: NDArray[np.float64]) -> None:
-        """Of all that wait."""
+        """Choose the nearest of all waiting blocks as the front."""
         self.flags[self._front] &= np.uint8(~IN_FRONT & 0xFF)
         waiting = np.flatnonzero(self.flags & WAITING).astype(np.int64)
         away_m = distances_m(self._keys_of(waiting), self._block_m, tuple(position))
@@ -151,7 +153,7 @@ class BlockQueue:
         self._ordered_at = position
 
     def _turns_of(self, numbers: Numbers) -> NDArray[np.float64]:
-        """Since when they wait; of those that were not in the front, from now on."""
+        """Return the turns since which blocks wait; blocks new to the front wait from now on."""
         turns = np.full(len(numbers), self._turn)
         _, here, before = np.intersect1d(
             numbers, self._front, assume_unique=True, return_indices=True
@@ -168,7 +170,7 @@ class BlockQueue:
 
 
 def _least(rank: NDArray[np.float64], of: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """Of some, the `most` with the lowest ranks, in their order."""
+    """Return the `most` of the indices `of` with the lowest ranks, sorted by rank."""
     if len(of) > most > 0:
         of = of[np.argpartition(rank[of], most - 1)[:most]]
     chosen: NDArray[np.intp] = of[np.argsort(rank[of], kind="stable")][:most]
@@ -179,17 +181,17 @@ DUTY, LONGEST_REST_S = 0.6, 0.6
 """Share of the time that passes keep the link busy, and the longest rest after a pass."""
 
 IDLE, ASIDE_S = 0.4, 0.15
-"""Share of what the link delivers in a round trip and a moment: no more may be in flight when a
-message of far blocks is sent in between."""
+"""Share of what the link delivers in a round trip plus `ASIDE_S`: a message of far blocks is sent
+between near ones only if less is in flight."""
 
 QUIET_S = 2.0
-"""Time after the last pass until far blocks have the link for themselves."""
+"""Time after the last pass until far blocks may use the whole link."""
 
 EACH = 8
-"""Near messages in a row, after which a far one may follow, however much is left."""
+"""Near messages in a row, after which a far one may follow even if near blocks are left."""
 
 SHARE = 0.9
-"""Share of the window for the map: a pose never waits for the map to be acknowledged."""
+"""Share of the window for the map, so that a pose never waits for an acknowledgement of the map."""
 
 MIN = 600
 """Smallest message in bytes: blocks take less room the more of them are in one."""
@@ -197,7 +199,7 @@ MIN = 600
 
 @dataclass(frozen=True, slots=True)
 class SendRoom:
-    """Bytes of the map that may be sent now; 0 is nothing."""
+    """Bytes of near and far blocks that may be sent now."""
 
     near: int = 0
     far: int = 0
@@ -221,7 +223,7 @@ class SendSchedule:
         self._near_s: float | None = None
 
     def rooms(self, now_s: float) -> SendRoom:
-        """What may be sent now."""
+        """Return the bytes that may be sent now."""
         pacer = self._pacer
         room = int(min(pacer.max_in_flight * SHARE - pacer.in_flight, pacer.room(now_s) * SHARE))
         if room < max(MIN, SHARE * pacer.least()):
@@ -245,7 +247,7 @@ class SendSchedule:
             self.end_pass()
 
     def end_pass(self) -> None:
-        """End the pass: nothing is left of it, sent or not, as the vehicle may have moved on."""
+        """End the pass: no near blocks are left, or the vehicle has moved away from them."""
         if self._began_s is not None:
             rest_s = min(self._bytes / (DUTY * self._pacer.allowed_rate), LONGEST_REST_S)
             self._rests_until_s = self._began_s + rest_s

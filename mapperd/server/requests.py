@@ -41,7 +41,7 @@ EVENTS_AT_ONCE = 200
 async def answer(
     raw: msgspec.Raw, api: DaemonApi, origin: str, *, may_change: bool
 ) -> tuple[int | None, dict[str, Any] | Fault]:
-    """Carry out a request; an error of ours becomes an answer and an event.
+    """Carry out a request; an internal error becomes an answer and an event.
 
     Args:
         raw: the request, one value of MessagePack.
@@ -56,12 +56,12 @@ async def answer(
     if isinstance(request, Fault):
         return number, request
     if not may_change and not isinstance(request, LOOKS):
-        return number, Fault("needs_token", "changing anything by TCP needs a token")
+        return number, Fault("needs_token", "requests that change something need a token over TCP")
     try:
         return number, await _carried_out(request, api, origin)
     except OperationError as error:
         return number, Fault(error.reason, str(error))
-    except Exception as error:  # noqa: BLE001 a fault of ours must not end the daemon
+    except Exception as error:  # noqa: BLE001 an internal error must not end the daemon
         what = f"{request.__struct_config__.tag}: {type(error).__name__}: {error}"
         api.events.add(Severity.ERROR, "stream_failed", what)
         return number, Fault("failed", what)

@@ -2,8 +2,8 @@
 
 greeted ─ hello ─▶ admitted ─ the map is ready ─▶ served
 
-Nothing is queued for a client: of each kind it is sent the newest when there is room, so that one
-that is slow skips what nobody needs any more, and costs no more than one that is not.
+No messages are queued for a client: when there is room, it gets the newest message of each kind. A
+slow client skips outdated messages and costs no more than a fast one.
 """
 
 import hmac
@@ -66,22 +66,22 @@ class MessageEnds:
         self._ends: deque[tuple[int, int]] = deque(maxlen=MAX_ENDS)
 
     def begin(self, number: int, sent: int) -> None:
-        """A client that has the last message of this number is sent what follows."""
+        """Begin with a view whose last message has this number, at a byte of the connection."""
         self._settled, self._from = number, sent
         self._ends.clear()
 
     def note(self, number: int, sent: int) -> None:
-        """This message ends at a byte."""
+        """Note that a message ends at this byte."""
         self._ends.append((sent, number))
 
     def settled(self, acked: int) -> int:
-        """The last message that was acknowledged whole."""
+        """Return the number of the last message that was acknowledged completely."""
         while self._ends and self._ends[0][0] <= acked:
             self._settled = self._ends.popleft()[1]
         return self._settled
 
     def number_at(self, used: int) -> int | None:
-        """The last message that whoever used so many bytes has; None is none that is known."""
+        """Return the last message within the first `used` bytes; None if it is unknown."""
         if used < self._from:
             return None
         return max((number for end, number in self._ends if end <= used), default=self._settled)
@@ -89,14 +89,14 @@ class MessageEnds:
 
 @dataclass(frozen=True, slots=True)
 class ResumeState:
-    """How a client's connection was when it broke.
+    """State of a connection when it broke, from which the client may resume.
 
     Attributes:
-        ticket: of it.
-        acked, sent: bytes of it.
+        ticket: of the connection.
+        acked, sent: bytes of the connection.
         ends: of its messages about the map.
-        before: what the client showed when it came. Who may never have seen the welcome shows it
-            again.
+        before: what the client resumed from. A client that has not received the welcome sends the
+            same again.
     """
 
     ticket: str
@@ -106,13 +106,13 @@ class ResumeState:
     before: Resume | None = None
 
     def number_at(self, resume: Resume) -> int | None:
-        """The last message that the client has; None where it cannot be as it says."""
+        """Return the last message that the client has; None if its claim is impossible."""
         if is_ticket(resume.ticket, self.ticket):
             return self.ends.number_at(resume.bytes) if self._may_have(resume.bytes) else None
         return self.ends.number_at(0)
 
     def is_of(self, resume: Resume) -> bool:
-        """Whether this is the client's."""
+        """Return whether the client that sends `resume` had this connection."""
         if is_ticket(resume.ticket, self.ticket):
             return True
         before = self.before
@@ -133,13 +133,13 @@ class _Parked:
 
 @dataclass(slots=True)
 class ResumeCache:
-    """Of one server; of the thread of its map. Whoever calls says what time it is.
+    """Views of lost clients, kept for two minutes; used in the map's worker thread only.
 
     Args:
-        most: clients; the oldest goes for one more.
+        most: number of views; one more drops the oldest.
 
     Attributes:
-        counters: `parked`, `parked_resumed`, `parked_dropped`: how often.
+        counters: `parked`, `parked_resumed`, `parked_dropped`.
     """
 
     most: int
@@ -152,19 +152,19 @@ class ResumeCache:
         return len(self._parked)
 
     def park(self, view: MapView, resume_state: ResumeState, now_s: float) -> None:
-        """A client is lost; its view goes on listening."""
+        """Keep the view of a lost client; it goes on collecting changes."""
         self.counters["parked"] += 1
         self._parked.append(_Parked(view, resume_state, now_s))
         while len(self._parked) > self.most:
             self._drop(self._parked[0])
 
     def expire(self, now_s: float) -> None:
-        """Forget whoever does not come back."""
+        """Drop the views of clients that did not return in time."""
         while self._parked and now_s - self._parked[0].since_s > PARKED_S:
             self._drop(self._parked[0])
 
     def take(self, resume: Resume, interest: Interest, source: Source) -> MapView | None:
-        """The view of a client that comes back, once; None where it cannot go on."""
+        """Return the view of a client that returns, and remove it; None if it cannot resume."""
         found = [one for one in self._parked if one.resume_state.is_of(resume)]
         if not found:
             return None
@@ -190,18 +190,18 @@ class ResumeCache:
 
 
 def is_ticket(shown: str, ticket: str) -> bool:
-    """Whether a client knows it; takes as long whatever it shows."""
+    """Return whether `shown` is the ticket, in constant time."""
     return bool(shown) and hmac.compare_digest(shown.encode(), ticket.encode())
 
 
 @dataclass(frozen=True, slots=True)
 class Newcomer:
-    """A client that has connected and not said hello yet.
+    """A client that has connected and has not sent its hello yet.
 
     Attributes:
-        peer: its address.
-        challenge: that it was greeted with.
-        token: of the listener; None where file permissions decide, or all may come in.
+        peer: address of the client.
+        challenge: of its greeting.
+        token: of the listener; None if file permissions decide or everybody is admitted.
     """
 
     peer: str
@@ -209,24 +209,25 @@ class Newcomer:
     token: bytes | None
 
     def check(self, proof: str, failures: FailureLimiter, now_s: float) -> None:
-        """Check that it knows the token.
+        """Check that the client knows the token.
 
         Raises:
-            StreamError: it does not, or may not try again yet.
+            StreamError: the proof is wrong (`wrong_token`), or the client has to wait
+                (`locked_out`).
         """
         if self.token is None:
             return
         wait_s = failures.wait_s(self.peer, now_s)
-        if wait_s > 0:  # even with the right proof: else trying would go on
+        if wait_s > 0:  # even with the right proof: otherwise guessing would continue
             raise StreamError(f"too many wrong tokens; wait {wait_s:.0f} s", "locked_out")
         if not is_proof(proof, self.token, self.challenge):
             failures.failed(self.peer, now_s)
-            raise StreamError("the token is not the one of this daemon", "wrong_token")
+            raise StreamError("wrong token", "wrong_token")
 
 
 @dataclass(frozen=True, slots=True)
 class ViewRequest:
-    """Changed blocks of the map to send, or None."""
+    """The view of the map that a client requests; no interest closes its view."""
 
     interest: Interest | None
     resume: Resume | None = None
@@ -234,7 +235,7 @@ class ViewRequest:
 
 @dataclass(frozen=True, slots=True)
 class MapStart:
-    """The map when a client begins to receive it, as `WelcomeMessage` says it."""
+    """The map when a client's view begins, as in `WelcomeMessage`."""
 
     facts: MapFacts
     revision: int
@@ -242,41 +243,41 @@ class MapStart:
 
 
 def checked(interest: Interest) -> Interest:
-    """The interest, if it is one.
+    """Return the interest if its numbers are valid.
 
     Raises:
-        StreamError: its numbers are none.
+        StreamError: `bad_interest`.
     """
     box = interest.box
     numbers = [interest.radius_m, *(() if box is None else (*box.low_m, *box.high_m))]
     if not np.isfinite(numbers).all():
-        raise StreamError("an interest with numbers that are none", "bad_interest")
+        raise StreamError("an interest with numbers that are not finite", "bad_interest")
     if box is not None and any(a > b for a, b in zip(box.low_m, box.high_m, strict=True)):
-        raise StreamError("a box that ends before it begins", "bad_interest")
+        raise StreamError("a box whose low corner is above its high corner", "bad_interest")
     return interest
 
 
 ASKS = 8
-"""That may wait for their answers."""
+"""Requests of a client that may wait."""
 
 ANSWERS = 32
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 2000.0, 20_000
 CHANGES_PER_S, CHANGES_AT_ONCE = 4.0, 8
-"""Limit of what is sent of the map; of more, the newest is heeded when its time has come."""
+"""Changes of interest; of more frequent ones, the newest is applied later."""
 
 QUIET_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
 class SessionContext:
-    """What all clients share.
+    """What all sessions share.
 
     Attributes:
-        feed: messages.
-        events: what happened.
-        failures: of proofs, by address.
-        vehicle: its name.
-        bytes_per_s: of one client, at most; 0 has no limit.
+        feed: messages about the daemon's state.
+        events: event log of the daemon.
+        failures: wrong proofs by address.
+        vehicle: name of the vehicle.
+        bytes_per_s: limit of each client; 0 has no limit.
     """
 
     feed: StateFeed
@@ -287,22 +288,22 @@ class SessionContext:
 
 
 class ClientSession:
-    """One client, from the greeting to the bye; whoever calls says what time it is.
+    """One client, from the greeting to the bye. Callers pass the time in seconds.
 
     Args:
-        common: shared with others.
-        newcomer: who it is.
-        may_change: it may ask for what changes something.
+        common: what all sessions share.
+        newcomer: the client.
+        may_change: the client may make requests that change something.
 
     Attributes:
-        state: as above.
-        name: that the client gives itself.
-        view_request: what is to become of its view of the map; None once that is done.
-        view: of the map.
+        state: see the module's docstring.
+        name: of the client, as in its hello.
+        view_request: requested view of the map; None when it is fulfilled.
+        view: the client's view of the map.
         asks: requests that wait.
-        pacer: of what is under way.
-        outbox: of what it is sent.
-        ticket: with which the client resumes after a break.
+        pacer: limits of the connection.
+        outbox: messages without the map.
+        ticket: resumes this session after a break.
     """
 
     def __init__(self, common: SessionContext, newcomer: Newcomer, *, may_change: bool) -> None:
@@ -330,12 +331,12 @@ class ClientSession:
 
     @property
     def wants(self) -> frozenset[str]:
-        """Kinds of messages."""
+        """Kinds of messages that the client wants."""
         return self.outbox.wants
 
     @property
     def left(self) -> int:
-        """Blocks of the map that it still lacks."""
+        """Blocks of the map that are still to be sent."""
         return self.outbox.left
 
     @left.setter
@@ -343,63 +344,63 @@ class ClientSession:
         self.outbox.left = blocks
 
     def greeting(self, now_s: float) -> bytes:
-        """The first bytes."""
+        """Return the first message."""
         return self._sent(framed(GreetingMessage(challenge=self._newcomer.challenge)), now_s)
 
     def bye(self, reason: str, message: str) -> bytes:
-        """The last bytes."""
+        """Return the last message."""
         return framed(ByeMessage(reason=reason, message=message))
 
     def take(self, data: bytes, now_s: float) -> None:
-        """Bytes that the client sent.
+        """Process bytes of the client.
 
         Raises:
-            StreamError: it may not say that; it is to be let go.
+            StreamError: the client broke the protocol; close the connection.
         """
         for message in self._inbox.feed(data):
             if self._messages.take(now_s) > 0:
-                raise StreamError("more messages than anybody needs", "too_many_messages")
+                raise StreamError("too many messages", "too_many_messages")
             self._heard(message, now_s)
 
     def look(self, now_s: float) -> None:
-        """Whether it still listens; and heed what it wished for too soon.
+        """Apply a delayed change of interest, and check that the client still acknowledges.
 
         Raises:
-            StreamError: it does not.
+            StreamError: it does not (`no_acks`).
         """
         self._apply_interest(now_s)
         if self.pacer.quiet_s(now_s) > QUIET_S:
-            raise StreamError(f"nothing was acknowledged for {QUIET_S:g} s", "no_acks")
+            raise StreamError(f"no acknowledgement for {QUIET_S:g} s", "no_acks")
 
     def view_ready(self, view: MapView | None, map_start: MapStart) -> None:
-        """Its wish for a view of the map has been met."""
+        """Set the view that the client requested; welcome the client if it is new."""
         self.view = view
         self.left = 0 if view is None else view.left
         if self.state == "admitted":
             self._welcome(map_start)
 
     def took(self, view: MapView, *, is_resumed: bool) -> None:
-        """This view is its own from now on; perhaps it was of the connection before."""
+        """Number the messages of a new view, or of one that is resumed."""
         self._ends.begin(view.number, 0)
         self._is_resumed = is_resumed
 
     def resume_state(self) -> ResumeState:
-        """With what it may come back."""
+        """Return the state from which the client may resume."""
         before = self._resume if self._is_resumed else None
         return ResumeState(self.ticket, self.pacer.acked, self.pacer.sent, self._ends, before)
 
     def is_known_by(self, ticket: str) -> bool:
-        """Whether whoever shows this ticket is the same client, which does not miss this one."""
+        """Return whether a connection with this ticket replaces this one."""
         came_with = "" if self._resume is None or self.pacer.acked else self._resume.ticket
         return is_ticket(ticket, self.ticket) or is_ticket(ticket, came_with)
 
     @property
     def settled(self) -> int:
-        """The last message about the map that it acknowledged."""
+        """Number of the last message about the map that the client acknowledged."""
         return self._ends.settled(self.pacer.acked)
 
     def answer(self, number: int | None, result: dict[str, Any] | Fault) -> None:
-        """Add the answer to a request, by its id: the result, or why there is no result."""
+        """Add the answer to a request by its id: the result or a fault."""
         if isinstance(result, Fault):
             message = AnswerMessage(id=number, error=plain_map(result))
         else:
@@ -408,32 +409,32 @@ class ClientSession:
 
     @property
     def answers(self) -> int:
-        """That it has not been sent yet."""
+        """Answers that have not been sent yet."""
         return len(self._answers)
 
     def next(self, now_s: float, now_ns: int) -> bytes:
-        """All that is to be sent now, but for the map; most urgent first."""
+        """Return the bytes to send now, without the map, most urgent first."""
         if self.state != "served":
             return b""
-        words, self._answers = self._answers, deque()  # who asks much is sent less: see `asks`
-        data = b"".join(self._sent(word, now_s) for word in words)
+        answers, self._answers = self._answers, deque()  # `asks` limits how many there are
+        data = b"".join(self._sent(answer, now_s) for answer in answers)
         pieces = self.outbox.pieces(now_s, now_ns)
         return data + b"".join(self._sent(piece, now_s) for piece in pieces)
 
     def map_rooms(self, now_s: float) -> SendRoom:
-        """Bytes of the map that may be sent now."""
+        """Return how many bytes of the map may be sent now."""
         if self.state != "served" or self.view is None or self.outbox.waits:
             return SendRoom()
         return self._turns.rooms(now_s)
 
     def nothing_near(self) -> None:
-        """There was room for what is near, and nothing to tell."""
+        """End the pass: there was room for near blocks and none to send."""
         self._turns.end_pass()
 
     def mapped(
         self, frame: bytes, number: int, left: int, now_s: float, near_left: int | None = None
     ) -> bytes:
-        """Note a message about the map, and return it as it is to be sent.
+        """Note a message about the map, and return its bytes.
 
         Args:
             frame: the message.
@@ -452,7 +453,7 @@ class ClientSession:
         return sent
 
     def sent_reset(self, frame: bytes, view: MapView, now_s: float) -> bytes:
-        """A reset, as it is to be sent: a view is sent from there on, and nothing before counts."""
+        """Note a reset, after which the numbering of the view begins; return its bytes."""
         data = self._sent(frame, now_s)
         self._ends.begin(view.number, self.pacer.sent)
         return data
@@ -462,11 +463,11 @@ class ClientSession:
             self._hello(message, now_s)
             return
         if self.state == "greeted":
-            raise StreamError("the first message is hello", "no_hello")
+            raise StreamError("the first message must be hello", "no_hello")
         match message:
             case AckMessage(bytes=acked):
                 if not self.pacer.note_ack(acked, now_s):
-                    raise StreamError("an acknowledgement of what was not sent", "bad_ack")
+                    raise StreamError("an acknowledgement of bytes that were not sent", "bad_ack")
             case ChangeMessage():
                 self._change(message)
                 self._apply_interest(now_s)
@@ -479,7 +480,7 @@ class ClientSession:
         if self.state != "greeted":
             raise StreamError("hello may be sent once", "hello_twice")
         if hello.version != VERSION:
-            text = f"version {hello.version} is not spoken; allowed: {VERSION}"
+            text = f"version {hello.version} is not supported; allowed: {VERSION}"
             raise StreamError(text, "bad_version")
         self._newcomer.check(hello.proof, self._common.failures, now_s)
         if hello.beside:
@@ -528,7 +529,7 @@ class ClientSession:
             self._interest_changed = True
 
     def _apply_interest(self, now_s: float) -> None:
-        """A part of the map costs some work to begin with."""
+        """Apply a changed interest, unless the client changes it too often."""
         if self._interest_changed and not self._changes.wait_s(now_s):
             self._changes.take(now_s)
             self._interest_changed = False

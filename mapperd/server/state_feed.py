@@ -42,7 +42,7 @@ _ENCODER = msgspec.msgpack.Encoder(enc_hook=plain)
 
 
 class SettingLog:
-    """Facts of settings in the order in which they changed last; each stands in it once.
+    """Facts of settings, each once, in the order of their last changes.
 
     Args:
         facts: of all settings, by name.
@@ -59,7 +59,7 @@ class SettingLog:
         self.put(facts)
 
     def put(self, facts: Mapping[str, Any]) -> None:
-        """These are others than before."""
+        """Add changed facts."""
         for name, fact in facts.items():
             self.last += 1
             self._facts[name] = msgspec.Raw(_ENCODER.encode(fact))
@@ -67,10 +67,10 @@ class SettingLog:
         self._order = sorted((number, name) for name, number in self._numbers.items())
 
     def since(self, number: int, most_bytes: int) -> tuple[int, dict[str, msgspec.Raw]]:
-        """The next facts after a number, about so many bytes of them, at least one.
+        """Return the next facts after a number: about this many bytes, and at least one.
 
         Returns:
-            The number up to which all is sent then, and the facts by name.
+            the number of the last of these facts, and the facts by name.
         """
         at = bisect_right(self._order, number, key=lambda entry: entry[0])
         sent: dict[str, msgspec.Raw] = {}
@@ -84,18 +84,18 @@ class SettingLog:
 
 
 SPACING_M = 0.1
-"""Between points of the path, while there is room."""
+"""Distance between points of the path, until it is full."""
 
 SLOW_S = 0.2
-"""Between messages of a picture, a localization, or robots, at least."""
+"""Shortest time between two messages with a localization; images and returns take half."""
 
 EVENTS = 64
-"""Messages of events that are kept made."""
+"""Encoded events that are kept."""
 
 
 @dataclass(frozen=True, slots=True)
 class Newest:
-    """A message as it goes over the wire, and how many of its kind there were, it included."""
+    """The newest message of a kind as bytes of the wire, and its number among its kind."""
 
     number: int = 0
     frame: bytes = b""
@@ -105,16 +105,18 @@ NOTHING = Newest()
 
 
 class StateFeed:
-    """The event loop's, but for `put`, which is the mapping thread's, and `draw`, a worker's.
+    """The newest message of each kind, for all clients.
+
+    The mapping thread calls `put`, a worker thread `draw`, the event loop everything else.
 
     Args:
         operations: the daemon.
-        facts: the mapping thread's newest.
-        path_points: that are kept of the path.
+        facts: returns the newest snapshot of the mapping thread.
+        path_points: maximum number of points of the path.
 
     Attributes:
-        path: the vehicle's.
-        settings: their facts.
+        path: of the vehicle.
+        settings: facts of the settings.
         position_m: of the vehicle, map frame; None before it is known.
         left_out: values left out because they were not finite, by kind.
     """
@@ -143,25 +145,28 @@ class StateFeed:
         self.status = msgspec.Raw(b"\x80")
 
     def put(self, treated: PingResult) -> None:
-        """A ping, in the mapping thread: costs it next to nothing."""
+        """Take a processed ping; fast, for the mapping thread."""
         self._put = treated
         if isinstance(treated.pose, FusedPose):
             self.path.add(treated.pose.pose.position_m)
 
     def newest(self, kind: str) -> Newest:
-        """Of pose, fan, returns, robots, localization."""
+        """Return the newest message of `pose`, `fan`, `returns`, `robots` or `localization`."""
         return self._newest.get(kind, NOTHING)
 
     def image(self, coarseness: int) -> Newest:
-        """The newest picture; 0 is the finest. Its number is 0 where only others are as new."""
+        """Return the newest image of a size; 0 is the finest.
+
+        Its number is 0 if the newest ping was drawn in other sizes only.
+        """
         return self._images[coarseness]
 
     def refresh(self, wanted: Collection[str], now_s: float) -> None:
-        """Make messages of what is new.
+        """Encode what is new.
 
         Args:
-            wanted: kinds.
-            now_s: monotonic.
+            wanted: kinds of messages that clients want.
+            now_s: monotonic time.
         """
         self._follow_settings()
         treated = self._put
@@ -178,13 +183,13 @@ class StateFeed:
             self._add_localization(facts.localization, wanted, now_s)
 
     def make_status(self) -> None:
-        """How it goes, for the heartbeats of the next second."""
+        """Encode the daemon's status for the heartbeats of the next second."""
         self.status = msgspec.Raw(_ENCODER.encode(self._operations.status()))
 
     def wants_drawing(self, wanted: Collection[str], now_s: float) -> bool:
-        """Whether there is a ping to be drawn for somebody."""
+        """Return whether clients want returns or images, and a new ping is there to draw."""
         if not {"returns", "image"} & {*wanted}:
-            self._newest.pop("returns", None)  # it would be old when somebody wants it again
+            self._newest.pop("returns", None)  # outdated when a client wants it again
             self._images = [NOTHING] * len(IMAGE_SIZES)
             return False
         if self._shown is None or self._shown is self._drawn:
@@ -192,11 +197,11 @@ class StateFeed:
         return self._due("draw", now_s, SLOW_S / 2)
 
     def draw(self, wanted: Collection[str], coarseness: Collection[int]) -> None:
-        """Returns and pictures of the newest ping, in a worker.
+        """Encode returns and images of the newest ping; runs in the worker thread.
 
         Args:
-            wanted: kinds.
-            coarseness: of the pictures that somebody wants.
+            wanted: kinds of messages that clients want.
+            coarseness: image sizes that clients get.
         """
         treated, config = self._shown, self._config
         if treated is None:
@@ -209,14 +214,14 @@ class StateFeed:
             self._make("returns", returns_message(treated, sonar, config))
         ping, stamp_ns = treated.posed.ping, treated.posed.complete_ns or 0
         self._drawings += 1
-        images = [Newest(0, image.frame) for image in self._images]  # how long they are stays known
+        images = [Newest(0, image.frame) for image in self._images]  # keeps their lengths
         for coarse in coarseness:
             message = image_message(ping, stamp_ns, IMAGE_SIZES[coarse])
             images[coarse] = Newest(self._drawings, framed(message))
         self._images = images
 
     def event(self, event: Event, lost: int) -> bytes:
-        """One event, and how many before it are not sent."""
+        """Return the message of an event, and the number of lost events before it."""
         if lost:
             return framed(EventMessage(event=_plain_event(event), lost=lost))
         frame = self._events.get(event.number)
@@ -328,7 +333,7 @@ def _localization(facts: LocalizationFacts, config: Config) -> LocalizationMessa
 
 
 def _rows(points: NDArray[np.float64]) -> bytes:
-    """Those of which all is finite: no client takes others."""
+    """Encode the rows that are finite: clients refuse others."""
     rows = points.astype("<f4")
     sent: bytes = rows[np.isfinite(rows).all(axis=1)].tobytes()
     return sent

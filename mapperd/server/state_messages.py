@@ -1,4 +1,4 @@
-"""Poses, paths, pings and pictures as messages of the map stream."""
+"""Encodes poses, paths, pings and images as messages of the map stream."""
 
 import math
 import threading
@@ -31,14 +31,14 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 FINE_RAD, FINE_M = 1e-4, 1e-3
-"""What a fan is rounded to: the speed of sound makes its range tremble."""
+"""Rounding of a fan: the measured speed of sound makes its range vary slightly."""
 
 
 class SonarMounting:
-    """Where the sonar sits on the base.
+    """Pose of the sonar on the base.
 
     Args:
-        config: says it.
+        config: has the mounting.
     """
 
     def __init__(self, config: Config) -> None:
@@ -46,7 +46,7 @@ class SonarMounting:
         self._base = pose_from_rpy((place.x, place.y, place.z), (turn.roll, turn.pitch, turn.yaw))
 
     def of_sonar(self, base: Pose) -> Pose:
-        """The sonar where the base is; both in the map's frame."""
+        """Return the sonar's pose for a pose of the base, both in the map frame."""
         offset = quaternion_to_matrix(base.map_q_base) @ self._base.position_m
         turn = quaternion_product(base.map_q_base, self._base.map_q_base)
         return Pose(base.position_m + offset, turn / np.linalg.norm(turn))
@@ -61,7 +61,7 @@ def pose_message(
     velocity_mps: Floats | None = None,
     covariance: Floats | None = None,
 ) -> PoseMessage:
-    """As `PoseMessage` says; what is not finite is not sent."""
+    """Return the message of a pose; a covariance that is not finite is left out."""
     return PoseMessage(
         stamp_ns=max(stamp_ns, 0),
         position_m=_three(base.position_m),
@@ -75,7 +75,7 @@ def pose_message(
 
 
 def localized_covariance(facts: LocalizationFacts) -> Floats | None:
-    """(6, 6) of the estimate: what it does not know, height, roll and pitch, is the odometry's."""
+    """Return the covariance (6, 6) of the estimate, 0 for height, roll and pitch (odometry's)."""
     if facts.belief is None:
         return None
     covariance = np.zeros((6, 6))
@@ -84,7 +84,7 @@ def localized_covariance(facts: LocalizationFacts) -> Floats | None:
 
 
 def fan_message(ping: Ping, config: Config) -> FanMessage | None:
-    """What a ping looks at; None where its bearings are no fan."""
+    """Return the field of view of a ping; None if its bearings are not a fan."""
     try:
         view = beams_in_view(ping.bearings_rad, config.sonar)
     except MapError:
@@ -119,7 +119,7 @@ def _finite(covariance: Floats | None) -> tuple[float, ...] | None:
 
 
 IMAGE_SIZES = ((512, 256), (256, 128), (128, 64))
-"""Rows and beams at most, the finest first: slower links get a coarser image."""
+"""Maximum rows and beams of an image, finest first: slower links get a coarser image."""
 
 _COMPRESSOR = zstandard.ZstdCompressor(level=1)
 
@@ -127,11 +127,11 @@ _COMPRESSOR = zstandard.ZstdCompressor(level=1)
 def returns_message(
     treated: PingResult, sonar: Pose | None, config: Config
 ) -> ReturnsMessage | None:
-    """The first return of each beam; None where the ping is no image of a fan.
+    """Return the first return of each beam; None if the ping's bearings are not a fan.
 
     Args:
-        treated: the ping.
-        sonar: where it was, in the map; None where nobody knows.
+        treated: the processed ping.
+        sonar: pose of the sonar, map frame; None if unknown.
         config: the settings.
     """
     ping, echo = treated.posed.ping, treated.image
@@ -154,10 +154,10 @@ def returns_message(
 
 
 def first_returns(echo: PingImage, config: Config) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """The nearest sample of each beam above `filtering.intensity_threshold`.
+    """Find the nearest sample of each beam above `filtering.intensity_threshold`.
 
     Returns:
-        (N, 3) points in the sonar's frame, and their (N,) intensities.
+        points (N, 3) float32, metres, sonar frame, and their intensities (N,) uint8.
     """
     step_m = echo.range_resolution_m
     nearest = int(np.ceil(config.filtering.min_range / step_m))
@@ -175,7 +175,7 @@ def first_returns(echo: PingImage, config: Config) -> tuple[NDArray[np.float32],
 
 
 def image_message(ping: Ping, stamp_ns: int, most: tuple[int, int]) -> ImageMessage:
-    """The image with at most so many rows and beams: each pixel the highest of its samples."""
+    """Reduce the image to a maximum of rows and beams; each pixel is the maximum of its samples."""
     rows, beams = ping.image.shape
     by_row, by_beam = -(-rows // most[0]), -(-beams // most[1])
     row, beam = np.arange(0, rows, by_row), np.arange(0, beams, by_beam)
@@ -195,18 +195,18 @@ def image_message(ping: Ping, stamp_ns: int, most: tuple[int, int]) -> ImageMess
 
 
 MAX_M = 1e30
-"""That the float32 of the messages hold with room."""
+"""Largest coordinate of a path: well within float32."""
 
 
 class VehiclePath:
-    """Points of a path; one thread adds, any reads.
+    """The path of the vehicle; one thread adds points, any thread reads them.
 
-    A full path keeps every second point, and takes new ones at twice the distance: its points are
-    numbered again then, and its version counts up.
+    A full path drops every second point, and doubles the spacing of new ones. The rest of the
+    points get new numbers, and the version counts up.
 
     Args:
-        most: points, at least 2.
-        spacing_m: between points that are kept.
+        most: maximum number of points, at least 2.
+        spacing_m: distance between points.
 
     Attributes:
         version: of the numbering.
@@ -224,7 +224,7 @@ class VehiclePath:
         return self._count
 
     def add(self, position_m: NDArray[np.float64]) -> None:
-        """The vehicle is here now."""
+        """Add the position of the vehicle, if it is far enough from the last point."""
         x, y, z = position_m.tolist()  # Python's floats: numpy's take several times as long
         if abs(x) + abs(y) + abs(z) > MAX_M:
             return
@@ -241,15 +241,15 @@ class VehiclePath:
             self._count += 1
 
     def since(self, version: int, first: int, most: int) -> tuple[int, int, NDArray[np.float64]]:
-        """The next points of who holds some.
+        """Return the next points for a client.
 
         Args:
-            version: of what is held.
-            first: number of the first point that is not.
-            most: points to give.
+            version: of the points that the client holds.
+            first: number of the first point that it lacks.
+            most: maximum number of points.
 
         Returns:
-            The version, the number of the first point given, and (N, 3) points, metres, map frame.
+            the version, the number of the first point, and points (N, 3), metres, map frame.
         """
         with self._lock:
             if version != self.version or first > self._count:

@@ -1,8 +1,8 @@
-"""Serves clients: admits them, sends the live map and what happens, and answers their requests.
+"""Serves clients: admits them, sends the live map and state, and answers their requests.
 
-Twenty times a second the event loop makes what is new into messages, once, and gives each client
-what it has room for. The map itself is looked at, and cut into messages, in one worker thread. So
-the daemon never waits for a client, nor one client for another.
+Twenty times a second the event loop encodes what is new, once, and sends each client what has room
+on its link. One worker thread reads and encodes the map. So the daemon never waits for a client,
+and no client waits for another.
 """
 
 import asyncio
@@ -32,23 +32,23 @@ __all__ = ["StreamServer"]
 TICK_S = 0.05
 BEAT_S = 1.0
 BREATH_S = 1.0
-"""Between attempts when the system has no more sockets to give."""
+"""Delay after `accept` failed, as when no file descriptors are left."""
 
 LEAVE_S = 1.5
 NEWCOMERS = 32
-"""Connections of one listener before hello."""
+"""Maximum connections of one listener without a hello."""
 
 MAX_LISTED = 20
-"""Clients that the status names."""
+"""Maximum clients in the status."""
 
 
 class StreamServer:
-    """Serves the map stream and requests, `async with`, in the daemon's event loop.
+    """Serves the map stream and requests in the daemon's event loop; an async context manager.
 
     Args:
         operations: the daemon.
         doors: that it listens at; closed with the server.
-        feed: what the daemon knows.
+        feed: messages about the daemon's state.
         source: the map.
         limits: what clients may take; `clients` are those that follow the map.
         clock: seconds, monotonic.
@@ -118,7 +118,7 @@ class StreamServer:
         await self._open.aclose()
 
     def status(self) -> dict[str, Any]:
-        """Who is connected and what happened, in plain values; from any thread."""
+        """Return listeners, clients and counters as plain values; any thread may call it."""
         clients = [*self._clients]
         return {
             "listening": [door.name for door in self._doors],
@@ -143,18 +143,18 @@ class StreamServer:
                 if "status" in wanted and now_s - beat_s >= BEAT_S:
                     beat_s = now_s
                     self._feed.make_status()
-            except Exception as error:  # noqa: BLE001 a fault of ours must not end the stream
+            except Exception as error:  # noqa: BLE001 an internal error must not end the stream
                 self._failed(error)
             for client in [*self._clients]:
                 try:
                     client.turn()
-                except Exception as error:  # noqa: BLE001 nor what goes wrong with one client
+                except Exception as error:  # noqa: BLE001 nor an error with one client
                     self._failed(error)
                     client.abort()
             self._map_worker.wake()
 
     def _all_counters(self) -> dict[str, int]:
-        """Of what happened here, in the feed and with clients that left."""
+        """Return the counters of the server, of the feed and of the resume cache."""
         return {**self._counters, **self._feed.left_out, **self._map_worker.resume_cache.counters}
 
     async def _accept(self, door: Listener) -> None:
@@ -162,17 +162,17 @@ class StreamServer:
         while True:
             try:
                 connection, address = await self._loop.sock_accept(door.socket)
-            except OSError:  # no descriptors left, or it was gone before it was accepted
+            except OSError:  # no descriptors left, or the client has left already
                 self._counters["accepts_failed"] += 1
                 await asyncio.sleep(BREATH_S)
                 continue
             self._counters["accepted"] += 1
             try:
                 self._take_in(door, connection, address)
-            except Exception as error:  # noqa: BLE001 the next one is to be let in
+            except Exception as error:  # noqa: BLE001 later clients are accepted
                 connection.close()
                 self._failed(error)
-            # At least one turn of the loop: accepting may not have waited for anything.
+            # Always yields to the event loop: `sock_accept` may not have.
             await asyncio.sleep(connects.take(self._clock()))
 
     def _take_in(self, door: Listener, connection: socket.socket, address: object) -> None:
@@ -194,7 +194,7 @@ class StreamServer:
     async def _open_up(
         self, door: Listener, client: ClientConnection, connection: socket.socket
     ) -> None:
-        """Make a transport of a socket, with TLS if the door wants it."""
+        """Create the transport of a socket, with TLS if the listener has it."""
         limit_s = self._limits.hello_s if door.tls else None
         try:
             await self._loop.connect_accepted_socket(
@@ -222,13 +222,13 @@ class StreamServer:
         follows = bool(client.session.wants)
         clients = sum(bool(other.session.wants) == follows for other in self._clients)
         if clients >= (self._limits.clients if follows else self._limits.operators):
-            text = f"{clients} clients are connected; allowed: that many"
+            text = f"{clients} clients are connected, which is the maximum"
             raise StreamError(text, "too_many_clients")
         self._drop_newcomer(client)
         self._clients[client] = None
 
     def _take_over(self, ticket: str, newcomer: ClientConnection) -> None:
-        """Who comes back may know of the break before we do."""
+        """Drop the connection that a returning client replaces; its break may be unnoticed here."""
         for client in [*self._clients]:
             if client is not newcomer and client.session.is_known_by(ticket):
                 self._gone(client)
@@ -268,11 +268,11 @@ class StreamServer:
         self._operations.events.add(Severity.ERROR, "stream_failed", text)
 
     async def _end(self) -> None:
-        """Say goodbye to all, and wait a little until they are gone."""
+        """Send the last message to all clients, and wait a moment for them to leave."""
         tasks = [task for each in self._newcomers.values() for task in each.values()]
         everybody = [*self._clients, *(one for each in self._newcomers.values() for one in each)]
         for client in everybody:
-            client.end("closing", "the daemon ends")
+            client.end("closing", "the daemon stops")
         await _end_tasks(tasks)
         until_s = self._clock() + LEAVE_S
         while self._clients and self._clock() < until_s:  # noqa: ASYNC110 once, at the end

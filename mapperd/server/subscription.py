@@ -23,7 +23,7 @@ from mapperd.wire.messages import (
 __all__ = ["BlockSource", "InFlight", "Subscription"]
 
 MOST_BLOCKS, MAX_MESSAGES = 1 << 17, 4096
-"""Half a MiB a client; one with more in flight when its link breaks begins again."""
+"""Limits of what is remembered: half a MiB a client. A client with more in flight cannot resume."""
 
 Numbers = NDArray[np.int64]
 
@@ -43,11 +43,11 @@ class InFlight:
 
     @property
     def memory_bytes(self) -> int:
-        """Of what is remembered."""
+        """Memory of the messages."""
         return 4 * self._blocks
 
     def note(self, numbers: Numbers) -> None:
-        """One more message, with these blocks."""
+        """Note the next message, with these blocks."""
         self.number += 1
         self._messages.append((self.number, numbers.astype(np.uint32)))
         self._blocks += len(numbers)
@@ -55,18 +55,18 @@ class InFlight:
             self._forget()
 
     def note_reset(self) -> None:
-        """One more message, without which the client has another map: nobody goes on before it."""
+        """Note a reset as the next message; a client cannot resume before it."""
         self.number += 1
         self.settle(self.number)
 
     def settle(self, number: int) -> None:
-        """The client has used messages up to this one."""
+        """Forget the messages up to this one: the client has used them."""
         self._forgotten = max(self._forgotten, number)
         while self._messages and self._messages[0][0] <= number:
             self._forget()
 
     def beyond(self, number: int) -> Numbers | None:
-        """The blocks of later messages; None where these are not remembered."""
+        """Return the blocks of later messages; None if these were forgotten."""
         if not self._forgotten <= number <= self.number:
             return None
         later = [blocks for at, blocks in self._messages if at > number]
@@ -79,42 +79,42 @@ class InFlight:
 
 
 HELD = 1
-"""Bit of a block's flags: the client may know something of it."""
+"""Bit of a block's flags: the client may hold the block."""
 
 REFRESH = 0.02
-"""The radius is drawn again when the vehicle moved by this part of it."""
+"""The radius is applied again when the vehicle has moved by this part of it."""
 
 QUIET_NS = 1_000_000_000
-"""A client that lacks nothing is notified at most this often."""
+"""Shortest time between two messages without blocks, which report that the map is complete."""
 
 
 class BlockSource(Protocol):
-    """Where a subscription has the map from."""
+    """Source of a subscription's blocks."""
 
     encoder: BlockEncoder
     now_ns: int
     trouble: str | None
 
     def view_of(self, interest: Interest) -> BlockIndex:
-        """The blocks as an interest has them told."""
+        """Return the index of blocks for the level and detail of an interest."""
 
     def facts(self) -> MapFacts:
-        """About the map."""
+        """Return the facts about the map."""
 
 
 class Subscription:
-    """One client's interest, and what of it was sent to the client; of the source's thread.
+    """One client's interest, and the blocks that were sent; used in the source's thread only.
 
     Args:
         source: of the map.
         interest: of the client.
-        known_up_to: the revision up to which the client holds the interest; None holds nothing.
-        reason: why not.
+        known_up_to: revision up to which the client holds the interest; None if it holds nothing.
+        reason: why the client cannot resume.
 
     Attributes:
         interest: of the client.
-        resumed: what the client holds is good.
-        reason: why it is not; "" where it is, or nothing was said of it.
+        resumed: the client may keep what it holds.
+        reason: why it may not; "" if it may, or if it did not try to resume.
     """
 
     def __init__(
@@ -146,18 +146,18 @@ class Subscription:
             self.changed(np.arange(len(self._view), dtype=np.int64))
 
     def close(self) -> None:
-        """The client is gone; whoever forgets the subscription says as much."""
+        """Stop listening for changes; dropping the subscription does the same."""
         self._view.listeners.discard(self)
         self._closed = True
 
     def restart(self) -> None:
-        """The client forgets all, and is sent all again."""
+        """Send a reset and all blocks again."""
         self._view.listeners.discard(self)
         self._begin(None)
         self._reset = True
 
     def change(self, interest: Interest) -> None:
-        """Something else is of interest from now on."""
+        """Change the interest and restart."""
         self.interest = interest
         self.restart()
 
@@ -171,15 +171,15 @@ class Subscription:
         self._in_flight.settle(number)
 
     def go_on(self, interest: Interest, number: int) -> bool:
-        """The client is back, and has messages up to this one; later ones are sent again.
+        """Resume after a message: the blocks of later ones are sent again.
 
         Returns:
-            whether it may keep what it holds.
+            whether the client may keep what it holds.
         """
         numbers = self._in_flight.beyond(number)
         if self._reset or self._closed or interest != self.interest or numbers is None:
             return False
-        # It may still hold what they were before: that they are empty now is sent again as well.
+        # The client may hold earlier versions of these blocks: empty ones are sent again as well.
         self._queue.flags[numbers] |= HELD
         self._queue.add(numbers, self._source.now_ns)
         self._in_flight.settle(self._in_flight.number)
@@ -189,16 +189,16 @@ class Subscription:
 
     @property
     def left(self) -> int:
-        """Blocks that are still to be sent, as far as is known."""
+        """Blocks that are still to be sent or indexed."""
         return len(self._queue) + self._view.left
 
     @property
     def memory_bytes(self) -> int:
-        """Of what it remembers of blocks."""
+        """Memory of the block flags and of the messages in flight."""
         return int(self._queue.flags.nbytes) + self._in_flight.memory_bytes
 
     def changed(self, numbers: Numbers) -> None:
-        """These blocks differ from what was sent before."""
+        """Add changed blocks to the queue."""
         self._queue.make_room(len(self._view))
         flags = self._queue.flags
         if self._known_up_to is not None:
@@ -206,27 +206,27 @@ class Subscription:
             numbers = numbers[self._view.revisions[numbers] > self._known_up_to]
         held = flags[numbers] & HELD != 0
         numbers = numbers[held | (self._view.digests[numbers] != 0)]
-        # What lies outside is left to `_draw`, which knows where the vehicle is.
+        # `_draw` handles blocks outside of the radius: it knows where the vehicle is.
         inside = self._inside(numbers, self._drawn_at)
         self._queue.add(numbers[inside], self._source.now_ns)
 
     @property
     def near_left(self) -> int:
-        """Of those the ones near the vehicle that belong to this pass, as of the last message."""
+        """Near blocks that are left of this pass after the last message."""
         return self._queue.near_left
 
     def next(
         self, position_m: ArrayLike | None, most_bytes: int, part: Part = "any"
     ) -> bytes | None:
-        """What is to be sent next, as it goes over the wire.
+        """Return the next message as bytes of the wire.
 
         Args:
-            position_m: (3,) of the vehicle, map frame; None where nobody knows it.
-            most_bytes: about so many, and at least one block.
-            part: of the map, that it may be about.
+            position_m: (3,) of the vehicle, map frame; None if unknown.
+            most_bytes: approximate limit; a message has at least one block.
+            part: part of the map to send.
 
         Returns:
-            a `BlocksMessage` or a `ResetMessage`; None when there is nothing.
+            a `BlocksMessage` or a `ResetMessage`; None if there is nothing to send.
         """
         message = self.next_message(position_m, most_bytes, part)
         if isinstance(message, BlocksMessage):
@@ -236,7 +236,7 @@ class Subscription:
     def next_message(
         self, position_m: ArrayLike | None, most_bytes: int, part: Part = "any"
     ) -> BlocksMessage | ResetMessage | None:
-        """The same as a message."""
+        """Return what `next` returns, not encoded."""
         if self._reset:
             return self._reset_now()
         self._draw(vector_of(position_m))
@@ -270,7 +270,7 @@ class Subscription:
         return self._message(body, numbers)
 
     def _chosen(self, most: int, part: Part) -> tuple[Numbers, NDArray[np.bool_]]:
-        """The nearest blocks that wait, and which of them are sent with their contents."""
+        """Return the nearest waiting blocks, and which of them are sent with their content."""
         while True:
             numbers = self._queue.nearest(most, self._drawn_at, part)
             wanted = self._inside(numbers, self._drawn_at)
@@ -280,7 +280,7 @@ class Subscription:
             self._queue.remove(numbers[pointless])
 
     def _quiet(self) -> BlocksMessage | None:
-        """Say now and then that nothing is lacking, although the map changed."""
+        """Report from time to time that the map is complete although it changed elsewhere."""
         settled, now_ns = self._view.settled, self._source.now_ns
         if settled is None or settled == self._complete or self._view.left:
             return None
@@ -306,7 +306,7 @@ class Subscription:
         return self.interest.radius_m == 0 or self._drawn_at is not None
 
     def _draw(self, position_m: Vector | None) -> None:
-        """Find what comes into the interest, and what goes, as the vehicle moves."""
+        """Find the blocks that enter and leave the interest as the vehicle moves."""
         if self.interest.radius_m == 0 and self._drawn:
             self._drawn_at = position_m
             return

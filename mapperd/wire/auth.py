@@ -24,15 +24,15 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Bounds of what clients can do, wittingly or not.
+    """Limits for clients.
 
     Attributes:
-        clients: that follow the map, of all sockets together.
-        operators: that only send requests, of all sockets together.
-        newcomers: of one socket, that did not yet; one more and the oldest of them is cut.
-        connects_per_s, connects_at_once: of one socket; more have to wait.
-        asks_per_s, asks_at_once: of one client; more have to wait.
-        hello_s: from the connection to a hello, TLS included.
+        clients: maximum clients that follow the map.
+        operators: maximum clients that only send requests.
+        newcomers: maximum connections of one listener without a hello; one more closes the oldest.
+        connects_per_s, connects_at_once: connections of one listener; more have to wait.
+        asks_per_s, asks_at_once: requests of one client; more have to wait.
+        hello_s: time from the connection to the hello, including TLS.
     """
 
     clients: int = 16
@@ -46,11 +46,11 @@ class Limits:
 
 
 class TokenBucket:
-    """Lets so many a second through, and some at once after a rest.
+    """A token bucket: limits a rate, and allows some at once after a pause.
 
     Args:
-        per_s: in the long run.
-        at_once: after a rest.
+        per_s: rate in the long run.
+        at_once: capacity.
     """
 
     def __init__(self, per_s: float, at_once: int) -> None:
@@ -60,18 +60,18 @@ class TokenBucket:
         self._seen_s: float | None = None
 
     def take(self, now_s: float) -> float:
-        """Let one through; returns how long it has to wait, in seconds."""
+        """Take a token; return how long the caller has to wait for it, in seconds."""
         self._refill(now_s)
         self._left -= 1.0
         return max(0.0, -self._left / self._per_s)
 
     def wait_s(self, now_s: float) -> float:
-        """How long one would have to wait, if it came now."""
+        """Return the time until a token is available, in seconds."""
         self._refill(now_s)
         return max(0.0, (1.0 - self._left) / self._per_s)
 
     def is_full(self, now_s: float) -> bool:
-        """Whether nothing is remembered any more."""
+        """Return whether the bucket is full."""
         self._refill(now_s)
         return self._left >= self._at_once
 
@@ -87,7 +87,7 @@ CREDENTIALS = ("server-token", "control-token", "stream-token")
 MIN_LETTERS, MAX_BYTES = 16, 1024
 PURPOSE = b"mapperd-control-1 "
 IPV6_SITE = 64
-"""Bits: who has one address there has all of these."""
+"""Prefix length of an IPv6 site: one client may have all addresses of a site."""
 
 
 def token_file(setting: str, environ: Mapping[str, str]) -> Path | None:
@@ -100,14 +100,14 @@ def token_file(setting: str, environ: Mapping[str, str]) -> Path | None:
 
 
 def read_token(path: Path, place: str = "$.server.token_file") -> bytes:
-    """Read a token: one word of at least 16 printable letters.
+    """Read a token: one word of at least 16 printable characters.
 
     Args:
         path: of its file.
-        place: in the settings, for messages.
+        place: of the setting, for messages.
 
     Raises:
-        ConfigError: it cannot be read, everybody may read it, or it is no such word.
+        ConfigError: the file cannot be read, everybody may read it, or the token is invalid.
     """
     try:
         with path.open("rb") as file:
@@ -119,7 +119,7 @@ def read_token(path: Path, place: str = "$.server.token_file") -> bytes:
         raise ConfigError(f"{path}: everybody may read it or write to it; chmod 600 it", place)
     if not MIN_LETTERS <= len(token) <= MAX_BYTES or not all(33 <= c < 127 for c in token):  # noqa: PLR2004 printable ASCII
         raise ConfigError(
-            f"{path}: a token is one word of {MIN_LETTERS} or more printable letters; "
+            f"{path}: a token is one word of {MIN_LETTERS} or more printable characters; "
             "`openssl rand -hex 32` makes one",
             place,
         )
@@ -127,23 +127,23 @@ def read_token(path: Path, place: str = "$.server.token_file") -> bytes:
 
 
 def proof_of(token: bytes, challenge: str) -> str:
-    """What only who knows the token can answer to a challenge, HMAC-SHA256 (RFC 2104) in hex."""
+    """Return the proof of a token for a challenge: HMAC-SHA256 (RFC 2104) in hex."""
     return hmac.new(token, PURPOSE + challenge.encode(), hashlib.sha256).hexdigest()
 
 
 def is_proof(proof: str, token: bytes, challenge: str) -> bool:
-    """Whether that is the answer; takes as long for any wrong one."""
+    """Return whether a proof is right, in constant time."""
     right = proof_of(token, challenge)
     return hmac.compare_digest(proof.encode(errors="replace"), right.encode())
 
 
 class FailureLimiter:
-    """Makes an address that failed too often wait, whatever it says next.
+    """Makes an address wait after too many failures.
 
     Args:
         per_s: failures forgotten a second.
-        at_once: failures that are allowed after a rest.
-        addresses: that are remembered; the one that failed longest ago is forgotten first.
+        at_once: failures that are allowed at once.
+        addresses: maximum addresses; the one that failed longest ago is forgotten first.
     """
 
     def __init__(self, per_s: float = 0.1, at_once: int = 5, addresses: int = 1024) -> None:
@@ -156,7 +156,7 @@ class FailureLimiter:
         return len(self._failed)
 
     def wait_s(self, address: str, now_s: float) -> float:
-        """How long an address has to wait before it is listened to again."""
+        """Return how long an address has to wait, in seconds."""
         bucket = self._failed.get(site_of(address))
         return 0.0 if bucket is None else bucket.wait_s(now_s)
 
@@ -173,7 +173,7 @@ class FailureLimiter:
 
 
 def site_of(address: str) -> str:
-    """The address, or of IPv6 the network that one customer has."""
+    """Return an IPv4 address, or the network of a site for an IPv6 address."""
     try:
         parsed = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:

@@ -1,27 +1,25 @@
 """Bodies of messages as arrays: blocks of cells in one zstd frame, and paths.
 
 A block is a cube of 8 x 8 x 8 cells, a cell a cube of 2**level voxels along an edge. Block (x, y,
-z) begins at 8 * 2**level * (x, y, z) voxels of the map's frame; its cells are sent x fastest, z
-slowest. Before compression, in little endian, N blocks are:
+z) begins at 8 * 2**level * (x, y, z) voxels of the map's frame; its cells are in the order x
+fastest, z slowest. Before compression, in little endian, N blocks are:
 
     uint32      N
     int32       x of every block, then y of every block, then z of every block
     uint32      age of every block: ms from its last change to the message's stamp, saturated
-    uint8       kind of every block: 0 nothing known, 1 all cells alike, 2 each its own
+    uint8       kind of every block: 0 unknown, 1 all cells equal, 2 individual cells
     int8        the cell of every block of kind 1
     int8        the 512 cells of every block of kind 2
     uint8       with detail `counts`, the 512 counts of every block of kind 1 or 2
 
-A cell is -128 where nothing is known. With detail `classes` it is -1 free, 0 neither, 1 occupied;
+An unknown cell is -128. With detail `classes` it is -1 free, 0 neither, 1 occupied;
 otherwise its log-odds in units of the map's `log_odds_step`, within +-127: the highest of its known
 voxels. A count is the number of bits of the highest observation count of its voxels: 0 for none, 1
 for 1, 2 for 2 and 3, 3 for 4 to 7, ...
 
-Pieces of the vehicle's way as messages, which hold double precision in two single ones.
-
-Points alone are half a metre off where the map's zero is 4650 km away, as that of a survey's zone.
-They go on being in the map's frame, which whoever knows no more of a path reads; what rounding
-them left goes beside them.
+Messages of the vehicle's path hold each coordinate as two float32: the rounded value and the
+rounding error. The rounded values alone are off by up to half a metre if the map's zero is 4650 km
+away, as in a survey's zone; readers that ignore the errors still get the path in the map frame.
 """
 
 import functools
@@ -51,16 +49,16 @@ UNKNOWN = -128
 EMPTY, UNIFORM, PLANE = 0, 1, 2
 
 ROW_BYTES = 3 * 4 + 4 + 1
-"""Of a block's columns, without its cells."""
+"""Bytes of a block without its cells."""
 
 MAX_BODY = 4 + MAX_BLOCKS * (ROW_BYTES + 2 * CELLS)
 
 MAX_KEY = 1 << 30
-"""Keys are nearer to 0 than this along each axis."""
+"""Limit of the absolute value of a key along each axis."""
 
 LEVEL = 9
-"""Of zstd: against 3, messages of the demo's dive are 13 % smaller, and take five times as long to
-make: half a millisecond a hundred blocks, once for all who keep up."""
+"""Level of zstd. Compared to 3, messages of the demo's dive are 13 % smaller and take five times as
+long to encode: 0.5 ms per hundred blocks, once for all clients that keep up."""
 
 _DECOMPRESSOR = zstandard.ZstdDecompressor()
 
@@ -73,7 +71,7 @@ class BlockSet:
         keys: (N, 3) int32.
         ages_ms: (N,) uint32.
         cells: (N, 512) int8.
-        counts: (N, 512) uint8; None where they are not sent.
+        counts: (N, 512) uint8; None without counts.
     """
 
     keys: NDArray[np.int32]
@@ -86,7 +84,7 @@ class BlockSet:
 
 
 def encode_blocks(blocks: BlockSet) -> bytes:
-    """The body of up to `MAX_BLOCKS` blocks."""
+    """Encode the body of up to `MAX_BLOCKS` blocks."""
     cells = blocks.cells
     uniform = (cells == cells[:, :1]).all(axis=1)
     empty = uniform & (cells[:, 0] == UNKNOWN)
@@ -110,14 +108,14 @@ def _compressor(level: int) -> zstandard.ZstdCompressor:
 
 
 def decode_blocks(body: bytes, *, counts: bool) -> BlockSet:
-    """The blocks of a body.
+    """Decode the blocks of a body.
 
     Args:
         body: of one message.
-        counts: it tells counts.
+        counts: the body has counts.
 
     Raises:
-        StreamError: it is none (`bad_blocks`).
+        StreamError: the body is invalid (`bad_blocks`).
     """
     columns = _Columns(_unpacked(body))
     number = int(columns.take(1, "<u4")[0])
@@ -144,7 +142,7 @@ def decode_blocks(body: bytes, *, counts: bool) -> BlockSet:
 
 
 class _Columns:
-    """Arrays that follow each other in bytes."""
+    """Reads arrays from bytes, one after the other."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -164,7 +162,7 @@ class _Columns:
 
 
 def _unpacked(body: bytes) -> bytes:
-    """The body uncompressed; never more than the largest that there can be."""
+    """Decompress a body, up to the largest valid size."""
     try:
         size = zstandard.frame_content_size(body)
         if not 0 <= size <= MAX_BODY:
@@ -175,11 +173,17 @@ def _unpacked(body: bytes) -> bytes:
 
 
 SEEN_M = 1e-3
-"""Rounding is sent from here on; within 32 km of the map's zero it is less, and costs no bytes."""
+"""Smallest rounding error that is sent; within 32 km of the map's zero all are smaller."""
 
 
 def path_message(first: int, points_m: NDArray[np.float64], version: int = 0) -> PathMessage:
-    """A piece of the path, (N, 3) metres, map frame, whose first point has that number."""
+    """Encode a piece of the path.
+
+    Args:
+        first: number of its first point.
+        points_m: (N, 3), metres, map frame.
+        version: of the numbering.
+    """
     points = points_m.astype("<f4")
     rest = points_m - points
     has_rest = bool((np.abs(rest) >= SEEN_M).any())

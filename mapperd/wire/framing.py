@@ -1,4 +1,4 @@
-"""Messages as bytes: the length of each, four bytes in big endian, before it."""
+"""Messages as bytes: each follows its length, four bytes in big endian."""
 
 from typing import Generic, TypeVar
 
@@ -12,13 +12,13 @@ __all__ = ["Inbox", "StreamError", "client_inbox", "framed", "server_inbox"]
 HEAD = 4
 
 NO_MESSAGE = (msgspec.MsgspecError, ValueError, TypeError, OverflowError, RecursionError)
-"""Texts that are no UTF-8 are a ValueError, keys of maps that are maps a TypeError."""
+"""Errors of decoding: invalid UTF-8 is a ValueError, a map as key of a map a TypeError."""
 
 Message = TypeVar("Message")
 
 
 class StreamError(MapperdError):
-    """The other side said what it may not; the connection is of no more use.
+    """The other side broke the protocol; the connection cannot be used any more.
 
     Attributes:
         reason: short and stable: `too_long`, `bad_message`, `bad_blocks`, ...
@@ -33,20 +33,20 @@ _ENCODER = msgspec.msgpack.Encoder()
 
 
 def framed(message: FromClient | FromServer) -> bytes:
-    """A message as it goes over the wire."""
+    """Encode a message with its length."""
     body = _ENCODER.encode(message)
     return len(body).to_bytes(HEAD, "big") + body
 
 
 class Inbox(Generic[Message]):
-    """Bytes of one connection, in any pieces, to messages.
+    """Decodes the messages of one connection from bytes in any pieces.
 
     Args:
         decoder: of one message.
-        limit: bytes of one message.
+        limit: maximum bytes of one message.
 
     Attributes:
-        received: bytes of messages that were given.
+        received: bytes of all decoded messages.
     """
 
     def __init__(self, decoder: "msgspec.msgpack.Decoder[Message]", limit: int) -> None:
@@ -56,14 +56,14 @@ class Inbox(Generic[Message]):
         self._held = bytearray()
 
     def __len__(self) -> int:
-        """Bytes of a message that is not whole yet."""
+        """Return the bytes of an incomplete message."""
         return len(self._held)
 
     def feed(self, data: bytes) -> list[Message]:
-        """The messages that are whole with these bytes.
+        """Return the messages that these bytes complete.
 
         Raises:
-            StreamError: a message is too long, or none.
+            StreamError: a message is too long or invalid.
         """
         self._held += data
         messages = []
@@ -85,14 +85,14 @@ class Inbox(Generic[Message]):
         try:
             return self._decoder.decode(body)
         except NO_MESSAGE as error:
-            raise StreamError(f"no message of this stream: {error}", "bad_message") from error
+            raise StreamError(f"not a message of this protocol: {error}", "bad_message") from error
 
 
 def client_inbox() -> Inbox[FromServer]:
-    """Of a client: takes what a server says."""
+    """Return the decoder for a client: of the server's messages."""
     return Inbox(msgspec.msgpack.Decoder(FromServer), MAX_FROM_SERVER)
 
 
 def server_inbox() -> Inbox[FromClient]:
-    """Of a server: takes what a client says."""
+    """Return the decoder for a server: of the clients' messages."""
     return Inbox(msgspec.msgpack.Decoder(FromClient), MAX_FROM_CLIENT)

@@ -59,18 +59,18 @@ BLOCK_EDGE = 8
 """Cells along one edge of a block of the stream."""
 
 MAX_LEVEL = 3
-"""Cells of level n are cubes of 2**n voxels along an edge."""
+"""Cells of level n are cubes with an edge of 2**n voxels."""
 
 MAX_BLOCKS = 2048
-"""In one message."""
+"""Blocks of one message."""
 
 MAX_FROM_SERVER = 4 << 20
-"""Bytes of a message, its length not counted."""
+"""Bytes of a message, without its length."""
 
 MAX_FROM_CLIENT = 64 << 10
 
 MAX_PATH = 100_000
-"""Points of a path, all pieces together."""
+"""Points of a path, in all of its pieces."""
 
 MAX_SETTINGS = 10_000
 
@@ -100,7 +100,7 @@ def _tag(name: str) -> str:
 
 
 class WireMessage(Struct, frozen=True, kw_only=True, tag_field="t", tag=_tag, omit_defaults=True):
-    """Unknown keys are passed over, so that a later version may say more."""
+    """A message; readers ignore unknown keys, so that later versions may add some."""
 
 
 class MapBox(Struct, frozen=True, forbid_unknown_fields=True):
@@ -111,14 +111,14 @@ class MapBox(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Interest(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Which part of the map a client is sent, and how finely.
+    """The part of the map that a client gets, and its detail.
 
     Attributes:
-        level: cells are cubes of 2**level voxels.
-        detail: `classes` tells unknown, free and occupied alone; `log_odds` their quantised
-            log-odds too, `counts` also how often cells were observed.
+        level: cells are cubes with an edge of 2**level voxels.
+        detail: `classes` has unknown, free and occupied only; `log_odds` has quantised log-odds;
+            `counts` has the numbers of observations too.
         radius_m: around the vehicle; 0 has no limit.
-        box: and inside this; None has no limit.
+        box: limits the part further; None has no limit.
     """
 
     level: Annotated[int, Meta(ge=0, le=MAX_LEVEL)] = 0
@@ -132,14 +132,14 @@ class Resume(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
 
     Attributes:
         map: id of the map that it holds.
-        session: of the daemon that said `revision`.
-        revision: all of its interest is as it was then, or newer; None before that was ever so.
-        level, detail, radius_m, box: the interest in what it holds.
-        newest: the highest revision of any message about the map that it used; None is unknown.
-        path: points of the path that it holds.
-        path_version: of them.
-        ticket: of the welcome of the connection before this one; "" where it had none.
-        bytes: of that connection that were read and used, as `AckMessage` counts them.
+        session: of the daemon that sent `revision`.
+        revision: revision up to which its interest was last complete; None if it never was.
+        level, detail, radius_m, box: the interest that it holds.
+        newest: highest revision of all messages about the map that it used; None if unknown.
+        path: number of points of the path that it holds.
+        path_version: version of these points.
+        ticket: of the previous connection's welcome; "" without one.
+        bytes: of the previous connection that were used, as `AckMessage` counts them.
     """
 
     map: Name
@@ -160,15 +160,15 @@ class HelloMessage(WireMessage, frozen=True, kw_only=True):
     """The first message of a client.
 
     Attributes:
-        version: that is to be spoken.
-        proof: that the token is known; "" without one.
+        version: of the protocol.
+        proof: proves that the client knows the token; "" without a token.
         name: of the program, for people.
         wants: kinds of messages.
-        interest: in the map.
-        bytes_per_s: at most; 0 leaves it to the link.
+        interest: part of the map.
+        bytes_per_s: limit of the rate; 0 has no limit.
         resume: what the client holds.
-        events_since: number of the last event that it has; None requests new ones alone.
-        beside: earlier clients asked for a second connection by it, which is refused.
+        events_since: number of the last event that it has; None requests new events only.
+        beside: requests a second connection, as earlier clients do; the daemon refuses it.
     """
 
     version: int
@@ -183,7 +183,7 @@ class HelloMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class ChangeMessage(WireMessage, frozen=True, kw_only=True):
-    """Something else is wanted from now on; what is None stays."""
+    """Changes what a client wants; None keeps a value."""
 
     wants: Annotated[list[Want], Meta(max_length=32)] | None = None
     interest: Interest | None = None
@@ -191,7 +191,7 @@ class ChangeMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class AckMessage(WireMessage, frozen=True, kw_only=True):
-    """So many bytes of this connection have been read and used, the lengths of messages too."""
+    """Acknowledges bytes of this connection that were used, including the lengths of messages."""
 
     bytes: Count
 
@@ -203,12 +203,12 @@ class AskMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class GreetingMessage(WireMessage, frozen=True, kw_only=True, omit_defaults=False):
-    """The first message of the daemon; it says everything, to those who know nothing yet.
+    """The first message of the daemon; it includes default values.
 
     Attributes:
-        mapperd: what this is.
-        versions: that it speaks.
-        challenge: to be answered by the proof of the token; without one none is needed.
+        mapperd: name of the protocol.
+        versions: of the protocol that the daemon supports.
+        challenge: for the proof of the token; "" if no token is needed.
     """
 
     mapperd: str = PROTOCOL
@@ -217,15 +217,15 @@ class GreetingMessage(WireMessage, frozen=True, kw_only=True, omit_defaults=Fals
 
 
 class MapFacts(Struct, frozen=True):
-    """What is the same for all of a map.
+    """Facts about a map.
 
     Attributes:
-        id: of this map; another one after a reset.
+        id: of this map; it changes with a reset.
         resolution_m: edge of a voxel.
         log_odds_step: of the quantised log-odds.
-        occupied_log_odds, free_log_odds: occupied is above the one, free below the other.
+        occupied_log_odds, free_log_odds: cells above the first are occupied, below the second free.
         frame: name of the frame of all coordinates.
-        origin_deg: latitude and longitude of its zero, x east and y north; None where unknown.
+        origin_deg: latitude and longitude of its zero, x east and y north; None if unknown.
         bricks_lost: damaged bricks of the map file, whose space is unknown.
     """
 
@@ -240,19 +240,19 @@ class MapFacts(Struct, frozen=True):
 
 
 class WelcomeMessage(WireMessage, frozen=True, kw_only=True):
-    """The answer to a hello that is good.
+    """The answer to a valid hello.
 
     Attributes:
-        version: that is spoken.
+        version: of the protocol.
         server: version of mapperd.
-        vehicle: its name.
+        vehicle: name of the vehicle.
         session: of the daemon.
-        map: that is served.
-        revision: of the map now.
-        resumed: what the client holds is good; otherwise it forgets all blocks and the path.
-        reason: why not.
-        may_change: requests that change something are obeyed.
-        ticket: a secret of this connection; whoever shows it goes on where this one broke.
+        map: facts about the map.
+        revision: current revision of the map.
+        resumed: the client keeps what it holds; otherwise it drops all blocks and the path.
+        reason: why it does not.
+        may_change: requests that change something are allowed.
+        ticket: secret of this connection; a client that sends it resumes where this one broke.
     """
 
     version: int
@@ -268,14 +268,14 @@ class WelcomeMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class BlocksMessage(WireMessage, frozen=True, kw_only=True):
-    """Blocks of the map as they are now: `mapperd.wire.blocks`.
+    """Current state of blocks of the map: `mapperd.wire.blocks`.
 
     Attributes:
-        revision: of the map that they are of.
-        stamp_ns: when they were so.
+        revision: of the map when they were read.
+        stamp_ns: time when they were read.
         left: blocks that are still to be sent.
-        complete: with these, all of the interest is as of this revision; None while it is not.
-        body: a zstd frame; b"" is no block.
+        complete: revision up to which these blocks complete the interest; None if they do not.
+        body: a zstd frame; b"" without blocks.
     """
 
     revision: Count
@@ -286,13 +286,13 @@ class BlocksMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class ResetMessage(WireMessage, frozen=True, kw_only=True):
-    """All blocks are forgotten: the map is another one, or is sent in another way from now on.
+    """The client drops all blocks: the map, its facts or the interest changed.
 
     Attributes:
-        map: that is sent.
-        revision: of it.
-        interest: that is sent. Each change of a client's interest is answered by a reset, or
-            several at once: only this says which one is heeded. None is the newest one.
+        map: facts about the map.
+        revision: of the map.
+        interest: that applies from now on; None is the newest one. A reset answers one or several
+            changes of the interest.
     """
 
     map: MapFacts
@@ -301,16 +301,16 @@ class ResetMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class PoseMessage(WireMessage, frozen=True, kw_only=True):
-    """Where the vehicle is: its base and its sonar in the map's frame.
+    """Pose of the vehicle: its base and its sonar in the map frame.
 
     Attributes:
-        stamp_ns: of the pose.
+        stamp_ns: time of the pose.
         position_m: of the base.
-        orientation_xyzw: takes base coordinates to the map's.
-        velocity_mps: of the base, map frame; None where unknown.
+        orientation_xyzw: rotation from the base frame to the map frame.
+        velocity_mps: of the base, map frame; None if unknown.
         sonar_position_m, sonar_orientation_xyzw: of the sonar.
-        covariance: (6, 6) row by row, x y z and turns about the map's axes, metres and radians;
-            None where nobody knows it.
+        covariance: (6, 6) row by row, x y z and rotations about the map's axes, metres and
+            radians; None if unknown.
         source: `odometry`, `localization` or `fixed`.
     """
 
@@ -325,13 +325,13 @@ class PoseMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class PathMessage(WireMessage, frozen=True, kw_only=True):
-    """A piece of the way that the vehicle has come.
+    """A piece of the vehicle's path.
 
     Attributes:
-        first: number of the first of these points; what the client holds from there on is old.
+        first: number of the first point; the client drops its points from there on.
         points: float32 (N, 3), metres, map frame.
-        version: counts up when a long path is thinned, which numbers its points again.
-        rest: float32 (N, 3), metres: what rounding left of the points; b"" where next to nothing.
+        version: counts up when a long path is thinned, which changes the numbers of its points.
+        rest: float32 (N, 3), metres: rounding errors of the points; b"" if negligible.
     """
 
     first: Count
@@ -341,12 +341,12 @@ class PathMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class FanMessage(WireMessage, frozen=True, kw_only=True):
-    """The water that the sonar looks at, in its own frame (x forward, y port, z up).
+    """Field of view of the sonar, in its own frame (x forward, y port, z up).
 
     Attributes:
-        bearings_rad: the outermost ones, positive to starboard.
-        vertical_aperture_rad: full.
-        min_range_m, max_range_m: between which it sees.
+        bearings_rad: outermost bearings, positive to starboard.
+        vertical_aperture_rad: full angle.
+        min_range_m, max_range_m: limits of the range.
     """
 
     bearings_rad: tuple[float, float]
@@ -356,12 +356,12 @@ class FanMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class ReturnsMessage(WireMessage, frozen=True, kw_only=True):
-    """What one ping met: the first return of each beam that has one.
+    """First returns of the beams of one ping.
 
     Attributes:
-        stamp_ns: when it was complete.
-        ping_id: the sonar's number of it.
-        sonar_position_m, sonar_orientation_xyzw: then, in the map.
+        stamp_ns: time when the ping was complete.
+        ping_id: number of the ping, from the sonar.
+        sonar_position_m, sonar_orientation_xyzw: pose of the sonar, map frame; None if unknown.
         outcome: `mapped`, or why the ping is not in the map.
         points: float32 (N, 3), metres, sonar frame, in the plane of the fan.
         intensities: uint8 (N,).
@@ -377,10 +377,10 @@ class ReturnsMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class ImageMessage(WireMessage, frozen=True, kw_only=True):
-    """The image of a ping, no finer than a person sees.
+    """The image of a ping, reduced for display.
 
     Attributes:
-        stamp_ns, ping_id: as those of `ReturnsMessage`.
+        stamp_ns, ping_id: as in `ReturnsMessage`.
         rows, beams: of the image; row 0 is nearest, column 0 the most negative bearing.
         range_resolution_m: thickness of a row.
         bearings_rad: float32 (beams,), positive to starboard.
@@ -397,16 +397,16 @@ class ImageMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class RobotsMessage(WireMessage, frozen=True, kw_only=True):
-    """Other robots that were seen lately: (time in ns, x, y, z) in the map's frame."""
+    """Other robots that were detected lately: (time in ns, x, y, z), map frame."""
 
     seen: list[tuple[int, float, float, float]]
 
 
 class LocalizationMessage(WireMessage, frozen=True, kw_only=True):
-    """As the answer to `localization` of docs/reference/control.md says it.
+    """State of the localization.
 
     Attributes:
-        report: plain values.
+        report: plain values, as the answer to `localization` of docs/reference/control.md.
         particles: float32 (N, 4): x, y in metres, yaw in radians, weight; map frame.
         scan: float32 (M, 3): points of the last scan, metres, map frame.
     """
@@ -417,13 +417,14 @@ class LocalizationMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class StatusMessage(WireMessage, frozen=True, kw_only=True):
-    """How it goes, once a second, whether it is wanted or not; without `status` it is empty.
+    """Heartbeat, once a second for every client.
 
     Attributes:
-        stamp_ns: now.
-        status: as the answer to `status` of docs/reference/control.md.
+        stamp_ns: current time.
+        status: as the answer to `status` of docs/reference/control.md; empty for clients that do
+            not want `status`.
         link: of this client: `bytes`, `bytes_per_s`, `round_trip_s`, `in_flight`, `left` (blocks
-            still to be sent), `skipped` (kind of message to those that were too much).
+            still to be sent), `skipped` (messages that were not sent, by kind).
     """
 
     stamp_ns: Count
@@ -432,14 +433,14 @@ class StatusMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class EventMessage(WireMessage, frozen=True, kw_only=True):
-    """Something happened; `lost` are those before it that nobody remembers."""
+    """An event; `lost` is the number of forgotten events before it."""
 
     event: dict[str, Any]
     lost: Count = 0
 
 
 class SettingsMessage(WireMessage, frozen=True, kw_only=True):
-    """Settings and all about them: the first time all, then those that changed.
+    """Settings: all of them at first, then those that changed.
 
     Attributes:
         facts: name to facts, as the answer to `params` of docs/reference/control.md.
@@ -449,7 +450,7 @@ class SettingsMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class AnswerMessage(WireMessage, frozen=True, kw_only=True):
-    """What became of a request, as docs/reference/control.md says."""
+    """The answer to a request: docs/reference/control.md."""
 
     id: int | None = None
     result: dict[str, Any] | None = None
@@ -457,7 +458,7 @@ class AnswerMessage(WireMessage, frozen=True, kw_only=True):
 
 
 class ByeMessage(WireMessage, frozen=True, kw_only=True):
-    """The last message, and why it is."""
+    """The last message, with the reason."""
 
     reason: str
     message: str = ""

@@ -45,17 +45,17 @@ class _Request(
 
 
 class StatusRequest(_Request, frozen=True, kw_only=True):
-    """How it goes."""
+    """Return the daemon's status."""
 
 
 class ParamsRequest(_Request, frozen=True, kw_only=True):
-    """All about settings or sections; none is all."""
+    """Return facts of settings or sections; no names request all."""
 
     names: Names = field(default_factory=list)
 
 
 class GetRequest(_Request, frozen=True, kw_only=True):
-    """Values of settings or sections."""
+    """Return values of settings or sections."""
 
     names: Annotated[list[str], Meta(min_length=1, max_length=1000)]
 
@@ -67,7 +67,7 @@ class SetRequest(_Request, frozen=True, kw_only=True):
 
 
 class SaveRequest(_Request, frozen=True, kw_only=True):
-    """Write the map into a file of the folder for maps."""
+    """Write the map to a file in the folder for maps."""
 
     name: Annotated[str, Meta(max_length=1000)]
 
@@ -81,17 +81,17 @@ class ReloadRequest(_Request, frozen=True, kw_only=True):
 
 
 class SnapshotRequest(_Request, frozen=True, kw_only=True):
-    """Bring the map and the recording to the disk."""
+    """Write the map and the recording to disk."""
 
 
 class EventsRequest(_Request, frozen=True, kw_only=True):
-    """What happened after an event's number."""
+    """Return the events after a number."""
 
     since: Id = 0
 
 
 class LocalizationRequest(_Request, frozen=True, kw_only=True):
-    """Where the vehicle is on the known map, and some of the particles."""
+    """Return the pose on the known map, and some of the particles."""
 
     particles: Annotated[int, Meta(ge=0, le=500)] = 0
 
@@ -107,11 +107,11 @@ class GlobalLocalizationRequest(_Request, frozen=True, kw_only=True, tag="global
 
 
 class NoMotionUpdateRequest(_Request, frozen=True, kw_only=True, tag="request_nomotion_update"):
-    """Have the next scan be an update."""
+    """Use the next scan as an update even without motion."""
 
 
 class SetMapRequest(_Request, frozen=True, kw_only=True, tag="set_map"):
-    """Localize on another map; with a pose from there on."""
+    """Localize on another map, from a pose if it is given."""
 
     name: Annotated[str, Meta(max_length=1000)]
     pose: PoseRequest | None = None
@@ -136,7 +136,7 @@ Request = (
 
 
 class Fault(Struct, frozen=True):
-    """Why something was not done.
+    """Why a request was not carried out.
 
     Attributes:
         reason: short and stable.
@@ -164,19 +164,19 @@ def decode_request(raw: bytes) -> tuple[Request | Fault, int | None]:
         the request, or what is wrong with it; and its id, if it has one.
     """
     try:
-        # By way of JSON, in which requests are documented: what it cannot hold is in none of them.
+        # Through JSON, in which requests are documented: no request has values that JSON lacks.
         line = msgspec.json.encode(msgspec.msgpack.decode(raw))
     except (msgspec.MsgspecError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        return Fault("bad_request", f"no request: {error}"), None
+        return Fault("bad_request", f"not a request: {error}"), None
     try:
         request = _REQUESTS.decode(line)
     except (msgspec.DecodeError, RecursionError) as error:
-        return Fault("bad_request", f"no request: {error}"), _id_of(line)
+        return Fault("bad_request", f"not a request: {error}"), _id_of(line)
     return request, request.id
 
 
 def plain(value: object) -> object:
-    """Numbers of numpy become numbers; anything else that is not plain becomes text."""
+    """Convert numbers of numpy to plain numbers, and other objects to text."""
     return value.item() if isinstance(value, np.generic) else str(value)
 
 

@@ -98,7 +98,7 @@ def test_threads_read_while_the_map_changes() -> None:
 
 def test_follower_that_never_began_is_reported() -> None:
     follower = MapFollower("127.0.0.1:1")
-    with pytest.raises(AskError, match="not begun"):
+    with pytest.raises(AskError, match="not been entered"):
         follower.ask("status")
     assert list(follower.changes()) == []
     follower.close()

@@ -142,7 +142,7 @@ def test_addresses_are_read() -> None:
     [
         (TOKEN, 0o604, "everybody may read it"),
         (TOKEN, 0o602, "everybody may read it or write"),
-        (b"short", 0o600, "16 or more printable letters"),
+        (b"short", 0o600, "16 or more printable characters"),
         (b"", 0o600, "16 or more"),
         (b"two words of a long token", 0o600, "one word"),
         (b"x" * 2000, 0o600, "one word"),

@@ -162,7 +162,7 @@ def test_as_many_as_allowed(call: Call, running: Running) -> None:
     others = [ControlConnection(DaemonTarget(running.socket), 30.0) for _ in range(4)]
     code, _, output = call("status")
     assert code == 75
-    assert "4 clients are connected; allowed: that many" in output
+    assert "4 clients are connected, which is the maximum" in output
     for other in others:
         other.close()
 
