@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 from mapperd.errors import ExportError
 
-__all__ = ["atomic_file", "make_folder", "remove"]
+__all__ = ["atomic_file", "make_folder", "remove", "sync_folder"]
 
 
 def make_folder(folder: Path) -> None:
@@ -44,7 +44,7 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
         partial.replace(path)
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
     except OSError as error:
         raise ExportError(f"{path}: cannot be written: {error.strerror}") from error
     finally:
@@ -52,7 +52,7 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
             partial.unlink()
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
     """Bring a new name to the disk, where the file system can."""
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)

@@ -147,7 +147,11 @@ async def _served(
             source |= localization_summary(facts)
         whole, lost = await asyncio.to_thread(opened.persistence.whole)
         if (stored := opened.persistence.status()) is not None:
-            source["store"] = {"path": stored["path"], "bricks_lost": lost}
+            source["store"] = {
+                "path": stored["path"],
+                "bricks_lost": lost,
+                "sessions_not_mapped": stored["sessions_not_mapped"],
+            }
     return whole, summary_of(source, whole, live.poses, live.counters, wall_s)
 
 

@@ -3,7 +3,6 @@
 Lost parts of the file are restored from the recordings of all its sessions.
 """
 
-import contextlib
 import time
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ import numpy as np
 
 from mapperd.config.loader import config_of
 from mapperd.config.tree import Config
-from mapperd.errors import CheckpointError, ConfigError
+from mapperd.errors import CheckpointError, ConfigError, ReplayError
 from mapperd.geometry.frames import Pose
 from mapperd.localization.session import (
     LocalizationSession,
@@ -33,7 +32,7 @@ from mapperd.session.store_session import SqlitePersistence
 from mapperd.session_log import SESSION, Remarks, remarks_in, without_skipped
 from mapperd.store.checkpoint import decode_state, encode_state
 from mapperd.store.metadata import kind_of
-from mapperd.store.position import Position, RecordingOffset
+from mapperd.store.position import Position, RecordingOffset, position_in
 from mapperd.store.tile_store import TileStore
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording import open_recording
@@ -42,12 +41,11 @@ __all__ = [
     "Recovered",
     "StoredSession",
     "config_at",
-    "headless_in",
     "map_recorded_sessions",
     "map_rest",
     "recover",
     "replay_sessions",
-    "sessions_for",
+    "unmapped_sessions",
 ]
 
 NOWHERE = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
@@ -210,7 +208,7 @@ class StoredSession:
         sonar_map: its map.
         session: id.
         position: of the file within this session; None before its beginning.
-        before: ids of the sessions that are in the map.
+        before: position of the file at the end of the sessions before; None in a new file.
         interval_s: between saves.
         localization: its state at the position; None where it does not affect the map.
     """
@@ -219,7 +217,7 @@ class StoredSession:
     sonar_map: SonarMap
     session: str
     position: Position | None = None
-    before: tuple[str, ...] = ()
+    before: Position | None = None
     interval_s: float = 5.0
     localization: LocalizationSession | None = None
 
@@ -230,12 +228,11 @@ class StoredSession:
 
     def persistence(self) -> SqlitePersistence:
         """Return the persistence of the session's map."""
-        before = self.before if self.position is None else self.position.sessions
         return SqlitePersistence(
             self.store,
             self.sonar_map,
             self.session,
-            before,
+            self.before if self.position is None else self.position,
             interval_s=lambda: self.interval_s,
             resumed=self.position,
         )
@@ -303,26 +300,45 @@ def _works(decoder: SessionDecoder, tail: Tail) -> Iterator[list[Work]]:
     yield decoder.end()
 
 
-def sessions_for(config: Config, folder: Path) -> tuple[str, ...]:
-    """Return the ids of the recorded sessions for the map file of the settings, in order.
+def unmapped_sessions(
+    config: Config, folder: Path, position: Position | None, *, empty: bool
+) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Return the recorded sessions that the map file should hold and does not, in order.
 
     Args:
         config: names the file and the kind of map in it.
         folder: of the recordings.
+        position: of the file.
+        empty: the file holds no brick.
+
+    Returns:
+        those that can be mapped now, and those that cannot, with the reason.
     """
-    return tuple(
-        recorded.session
-        for recorded in _sessions_in(folder)
-        if recorded.session is not None and _is_for(recorded, config)
-    )
+    found = _sessions_in(folder)
+    known = set() if position is None else {*position.sessions, *position.emptied}
+    in_map = [recorded.session in known for recorded in found]
+    first = in_map.index(True) if True in in_map else 0
+    left: list[str] = []
+    reasons: dict[str, str] = {}
+    for index, recorded in enumerate(found):
+        session = recorded.session
+        if session is None or session in known or not any(True for _ in recorded):
+            continue
+        if recorded.beginning() is None:
+            reasons[session] = HEADLESS
+        elif not _is_for(recorded, config):
+            continue
+        elif position is None and not empty:
+            reasons[session] = "the map file does not list its sessions"
+        elif index < first:
+            reasons[session] = "it was recorded before the first session of the map file"
+        else:
+            left.append(session)
+    return tuple(left), reasons
 
 
-def headless_in(folder: Path) -> int:
-    """Return the number of recorded sessions whose first file, with their settings, is missing."""
-    return sum(
-        any(True for _ in recorded) and recorded.beginning() is None
-        for recorded in _sessions_in(folder)
-    )
+HEADLESS = "its first file is missing"
+"""Such as when the disk budget has deleted it; the settings of a session are in its first file."""
 
 
 def _sessions_in(folder: Path) -> list[RecordedSession]:
@@ -360,8 +376,10 @@ def map_recorded_sessions(
     sessions: tuple[str, ...],
     folder: Path,
     damaged: DamagedData | None = None,
-) -> int:
-    """Map whole recorded sessions into an empty file, as recorded; return the mapped pings.
+    *,
+    before: Position | None = None,
+) -> tuple[int, dict[str, str]]:
+    """Map whole recorded sessions into a file, as recorded.
 
     Args:
         store: the file.
@@ -369,28 +387,34 @@ def map_recorded_sessions(
         sessions: their ids.
         folder: of the recordings.
         damaged: data that fail their checksum; by default they are not mapped.
+        before: position of the file; None in a new file.
+
+    Returns:
+        the mapped pings, and the sessions that could not be mapped to their end, with the reason.
 
     Raises:
         StoreError: the file cannot be written.
         MapError: nothing can be saved, so nothing more can be mapped.
     """
     counters = PipelineCounters()
-    for index, session in enumerate(sessions):
+    reasons: dict[str, str] = {}
+    for session in sessions:
         files = files_of(folder, session)
         recorded = RecordedSession(list(files.values()), session, damaged)
-        if recorded.beginning() is None:
-            continue
-        with contextlib.suppress(CheckpointError, ConfigError):  # a known map that is gone
+        try:
             run = as_recorded(recorded)
             sonar_map.reconfigure(run.config)
             localization = poses_depend_on(run.localization)
             stored = StoredSession(
-                store, sonar_map, session, None, sessions[:index], localization=localization
+                store, sonar_map, session, None, before, localization=localization
             )
             tail = Tail(files, RecordingOffset(), damaged)
             for _ in map_rest(stored, run.poses, tail, run.remarks, counters=counters):
                 pass
-    return counters.pings_mapped
+        except (CheckpointError, ConfigError, ReplayError) as error:  # a known map that is gone
+            reasons[session] = str(error)
+        before = position_in(store.position)
+    return counters.pings_mapped, reasons
 
 
 def replay_sessions(

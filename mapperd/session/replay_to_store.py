@@ -76,7 +76,7 @@ def map_into_store(
                 sonar_map,
                 session,
                 resumed,
-                () if position is None else position.sessions,
+                position,
                 config.visualization.tile_save_interval,
                 _localization(config, resumed),
             )

@@ -5,6 +5,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
 from mapperd.config.paths import map_path, recordings_folder
 from mapperd.config.tree import Config
 from mapperd.errors import StoreError
@@ -14,11 +16,10 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.persistence import MapPersistence, MemoryPersistence
 from mapperd.session.recordings import DamagedData
 from mapperd.session.recovery import (
-    headless_in,
     map_recorded_sessions,
     recover,
     replay_sessions,
-    sessions_for,
+    unmapped_sessions,
 )
 from mapperd.session.store_session import SqlitePersistence
 from mapperd.store.maintenance import put_aside, rebuild_lost
@@ -30,6 +31,10 @@ __all__ = ["OpenMap", "open_map"]
 
 VERIFIED_FIRST_BYTES = 64 << 20
 """A map file up to this size is verified before the session, a larger one during it."""
+
+
+MAX_NAMED = 5
+"""Sessions in the text of an event; its facts hold all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,15 +83,23 @@ def open_map(
     make_folder(startup.path.parent)
     sonar_map, store, position = startup.opened()
     sessions = () if position is None else position.sessions
+    verification = startup.verification_of(store)
+
+    def close() -> None:
+        if verification is not None:
+            verification.stop()
+        store.close()
 
     persistence = SqlitePersistence(
         store,
         sonar_map,
         session,
-        sessions,
+        position,
+        not_mapped=startup.not_mapped,
         interval_s=interval_s,
         on_trouble=startup.log_trouble,
         on_damage=startup.log_damage,
+        on_begin=(lambda: None) if verification is None else verification.start,
     )
     if sessions:
         text = (
@@ -95,12 +108,14 @@ def open_map(
         )
         events.add(Severity.NOTICE, "map_continued", text, sessions=len(sessions))
     origin_deg = None if position is None else position.origin_deg
-    return OpenMap(sonar_map, persistence, startup.verify(store), origin_deg)
+    return OpenMap(sonar_map, persistence, close, origin_deg)
 
 
 class _Startup:
     def __init__(self, config: Config, path: Path, folder: Path, events: EventLog) -> None:
         self.path = path
+        self.not_mapped: dict[str, str] = {}
+        self._not_recovered = ""
         self._config = config
         self._folder = folder
         self._events = events
@@ -114,14 +129,15 @@ class _Startup:
         position = position_in(store.position)
         try:
             if position is not None and not position.whole:
-                self._recover(store, sonar_map, position)
+                problem = self._recover(store, sonar_map, position)
                 sonar_map, store = self._again(store)
-                position = position_in(store.position)
+                position = _incomplete(position_in(store.position), problem)
             if store.lost and position is not None and position.whole:
                 self._rebuild(store, sonar_map, position)
                 sonar_map, store = self._again(store)
             elif store.lost:
                 self._log_lost(len(store.lost), "no recording restores them")
+            sonar_map, store, position = self._reconcile(store, sonar_map, position)
         except BaseException:
             store.close()
             raise
@@ -130,17 +146,9 @@ class _Startup:
             self._events.add(Severity.ERROR, "recording_damaged", text)
         return sonar_map, store, position
 
-    def verify(self, store: TileStore) -> Callable[[], None]:
-        """Verify a file in the background if that is still to be done; return what closes it."""
-        if self._is_verified:
-            return store.close
-        verification = Verification(store, self._log_verification)
-
-        def close() -> None:
-            verification.stop()
-            store.close()
-
-        return close
+    def verification_of(self, store: TileStore) -> Verification | None:
+        """Return the verification of a file that is still to be done during the session."""
+        return None if self._is_verified else Verification(store, self._log_verification)
 
     def log_damage(self, count: int) -> None:
         """Log bricks that were found damaged during the session."""
@@ -193,26 +201,61 @@ class _Startup:
         aside = put_aside(self.path)
         text = f"{error}; it was renamed to {aside.name}, and a new file was created"
         self._events.add(Severity.ERROR, "store_damaged", text, path=str(aside))
-        sessions = sessions_for(self._config, self._folder)
+        sessions, _ = unmapped_sessions(self._config, self._folder, None, empty=True)
         sonar_map, store = self._at_path()
         if not sessions:
             mark.unlink()
             return sonar_map, store
         try:
-            pings = map_recorded_sessions(store, sonar_map, sessions, self._folder, self._damaged)
+            pings, self.not_mapped = map_recorded_sessions(
+                store, sonar_map, sessions, self._folder, self._damaged
+            )
         except BaseException:
             store.close()
             raise
         mark.unlink()
         text = f"{pings} pings of {len(sessions)} recorded sessions were mapped again"
         self._events.add(Severity.WARNING, "map_rebuilt", text, pings=pings)
-        if headless := headless_in(self._folder):
-            text = (
-                f"{headless} recorded sessions cannot be mapped again: the disk budget has "
-                "deleted their first files"
-            )
-            self._events.add(Severity.ERROR, "sessions_lost", text, sessions=headless)
         return self._again(store)
+
+    def _reconcile(
+        self, store: TileStore, sonar_map: SonarMap, position: Position | None
+    ) -> tuple[SonarMap, TileStore, Position | None]:
+        """Map the recorded sessions that the file lacks, and name those that cannot be mapped."""
+        sessions, reasons = unmapped_sessions(
+            self._config, self._folder, position, empty=sonar_map.core.revision == 0
+        )
+        sessions = tuple(session for session in sessions if session not in self.not_mapped)
+        if sessions:
+            pings, failed = map_recorded_sessions(
+                store, sonar_map, sessions, self._folder, self._damaged, before=position
+            )
+            reasons |= failed
+            held = "lacked" if position is not None else "holds no session; it lacked"
+            text = (
+                f"the map file {held} {len(sessions)} recorded sessions; {pings} pings of them "
+                "were mapped now"
+            )
+            facts = {"sessions": list(sessions), "pings": pings}
+            self._events.add(Severity.WARNING, "sessions_mapped", text, **facts)
+            sonar_map, store = self._again(store)
+            position = position_in(store.position)
+        self.not_mapped |= reasons
+        for problem in self.not_mapped.items():
+            position = _incomplete(position, problem)
+        self._name_sessions(position)
+        return sonar_map, store, position
+
+    def _name_sessions(self, position: Position | None) -> None:
+        """Name the recorded sessions that are not in the map, or only in part."""
+        named = self.not_mapped | ({} if position is None else position.incomplete)
+        named.pop(self._not_recovered, None)  # which has an event of its own
+        if not named:
+            return
+        listed = "; ".join(f"{session}: {why}" for session, why in list(named.items())[:MAX_NAMED])
+        more = f"; and {len(named) - MAX_NAMED} more" if len(named) > MAX_NAMED else ""
+        text = f"recorded sessions that are not in the map as a whole: {listed}{more}"
+        self._events.add(Severity.ERROR, "sessions_not_mapped", text, sessions=named)
 
     def _mark(self) -> None:
         try:
@@ -240,8 +283,9 @@ class _Startup:
         count = rebuild_lost(
             store,
             sonar_map,
-            lambda scratch: replay_sessions(
-                scratch, position.sessions, self._folder, self._damaged
+            lambda scratch: (
+                replay_sessions(scratch, position.sessions, self._folder, self._damaged)
+                and not position.incomplete
             ),
         )
         left = len(store.lost)
@@ -267,10 +311,13 @@ class _Startup:
             text += " until the next start rebuilds it from the recordings"
         self._events.add(Severity.ERROR, "store_damaged", text, path=str(self.path))
 
-    def _recover(self, store: TileStore, sonar_map: SonarMap, position: Position) -> None:
+    def _recover(
+        self, store: TileStore, sonar_map: SonarMap, position: Position
+    ) -> tuple[str, str] | None:
+        """Map the rest of the last session; return it with the problem, if there is one."""
         recovered = recover(store, sonar_map, position, self._folder, self._damaged)
         if recovered is None:
-            return
+            return None
         session, pings = recovered.session, recovered.pings
         if recovered.problem is None:
             text = f"session {session} was interrupted: its last {pings} pings were mapped now"
@@ -280,3 +327,14 @@ class _Startup:
         else:
             text = f"the end of session {session} is not in the map: {recovered.problem}"
             self._events.add(Severity.ERROR, "not_recovered", text, session=session)
+            self._not_recovered = session
+            return session, recovered.problem
+        return None
+
+
+def _incomplete(position: Position | None, problem: tuple[str, str] | None) -> Position | None:
+    """Add a session of the map that is not in it as a whole, and why, to a position."""
+    if position is None or problem is None or problem[0] not in position.sessions:
+        return position
+    incomplete = {**position.incomplete, problem[0]: problem[1]}
+    return msgspec.structs.replace(position, incomplete=incomplete)

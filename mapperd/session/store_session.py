@@ -7,10 +7,11 @@ decodes the recording from there, skips the work that is in the map, and does th
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -59,11 +60,13 @@ class SqlitePersistence:
         store: the map's file, open.
         sonar_map: its map.
         session: id.
-        sessions: earlier sessions since the map was empty.
+        earlier: position of the file at the end of the sessions before; None in a new file.
+        not_mapped: recorded sessions that are not in the map, and why.
         interval_s: returns the time between saves.
         resumed: position of the file within this session.
         on_trouble: called with why saving fails, and with None when it works again.
         on_damage: called with the number of bricks that were found damaged since the last call.
+        on_begin: called when the file holds the beginning of the session durably.
     """
 
     def __init__(
@@ -71,21 +74,28 @@ class SqlitePersistence:
         store: TileStore,
         sonar_map: SonarMap,
         session: str,
-        sessions: tuple[str, ...] = (),
+        earlier: Position | None = None,
         *,
+        not_mapped: Mapping[str, str] = MappingProxyType({}),
         interval_s: Callable[[], float] = lambda: 5.0,
         resumed: Position | None = None,
         on_trouble: Callable[[str | None], None] = lambda _: None,
         on_damage: Callable[[int], None] = lambda _: None,
+        on_begin: Callable[[], None] = lambda: None,
     ) -> None:
         self.store = store
         self._map = sonar_map
         self._session = session
-        self._sessions = tuple(one for one in sessions if one != session)
+        before = () if earlier is None else earlier.sessions
+        self._sessions = tuple(one for one in before if one != session)
+        self._emptied = () if earlier is None else earlier.emptied
+        self._incomplete = {} if earlier is None else dict(earlier.incomplete)
+        self._not_mapped = dict(not_mapped)
         self._interval_s = interval_s
         self._resumed = resumed
         self._on_trouble = on_trouble
         self._on_damage = on_damage
+        self._on_begin = on_begin
         self._damage_reported = store.counters.bricks_damaged
         self._done = 0
         self._next: _Point | None = None
@@ -125,6 +135,8 @@ class SqlitePersistence:
         self._advance()
         if self._resumed is None:
             self._try_to_save()  # so that a recovery finds the recording from the first byte on
+            self._try_to_sync()
+        self._on_begin()
         self._thread.start()
 
     def skip(self, works: int) -> None:
@@ -164,11 +176,13 @@ class SqlitePersistence:
         Raises:
             StoreError: the map cannot be emptied; it is unchanged.
         """
-        before, self._sessions = self._sessions, ()
+        before = self._sessions, self._emptied, self._incomplete
+        self._sessions, self._emptied = (), (*self._emptied, *self._sessions)
+        self._incomplete = {}
         try:
             self.store.reset()
         except StoreError:
-            self._sessions = before
+            self._sessions, self._emptied, self._incomplete = before
             raise
 
     def end(self) -> None:
@@ -176,10 +190,16 @@ class SqlitePersistence:
         self.stop()
         self._report_damage()
         position = Position(
-            self._session, whole=True, sessions=self._all_sessions, origin_deg=self._origin_deg()
+            self._session,
+            whole=True,
+            sessions=self._all_sessions,
+            origin_deg=self._origin_deg(),
+            emptied=self._emptied,
+            incomplete=self._incomplete,
         )
         self.store.advance(partial(self._sealed_whole, position))
         self._try_to_save()
+        self._try_to_sync()
 
     def stop(self) -> None:
         """Stop saving at intervals."""
@@ -224,6 +244,7 @@ class SqlitePersistence:
             "path": str(self.store.path),
             **self.store.status(),
             "checkpoint_bytes": len(self._point.checkpoint) if self._began else 0,
+            "sessions_not_mapped": self._not_mapped | self._incomplete,
         }
 
     @property
@@ -253,6 +274,13 @@ class SqlitePersistence:
             self._on_trouble(str(error))
         else:
             self._on_trouble(None)
+
+    def _try_to_sync(self) -> None:
+        if self.store.trouble is None:
+            try:
+                self.store.sync()
+            except StoreError as error:
+                self._on_trouble(str(error))
 
     def _request_snapshot(self) -> Snapshot:
         """Request a snapshot from the mapping thread and wait for it."""
@@ -315,6 +343,8 @@ class SqlitePersistence:
             checkpoint=point.checkpoint,
             origin_deg=self._origin_deg(),
             localization=point.localization,
+            emptied=self._emptied,
+            incomplete=self._incomplete,
         ).encoded()
 
     def _origin_deg(self) -> tuple[float, float] | None:

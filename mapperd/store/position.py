@@ -41,6 +41,8 @@ class Position(Struct, frozen=True):
         session: id of the session that made the map last.
         whole: nothing of the session is missing; then nothing below matters.
         sessions: ids of all sessions since the map was empty, this one included.
+        emptied: ids of sessions that a reset has removed from the map.
+        incomplete: sessions of which the map or the recordings lack a part, and why.
         place: of the checkpoint.
         done: pieces of work that are in the map since then.
         config: the settings in force at the checkpoint, as plain values.
@@ -61,6 +63,8 @@ class Position(Struct, frozen=True):
     checkpoint: bytes = b""
     origin_deg: tuple[float, float] | None = None
     localization: bytes = b""
+    emptied: tuple[str, ...] = ()
+    incomplete: dict[str, str] = {}
 
     def encoded(self) -> bytes:
         """As the map's file holds it."""

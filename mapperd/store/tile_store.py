@@ -17,6 +17,7 @@ from typing import Self
 
 from mapperd import _core
 from mapperd.errors import MapError, StoreError
+from mapperd.io import sync_folder
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.database import (
     migrate,
@@ -68,7 +69,7 @@ class TileStore:
         StoreError: the file cannot be used, or is of other settings.
 
     Attributes:
-        position: up to which the map was complete when the file was saved; empty in a new file.
+        position: up to which the map was complete at the last save; empty in a new file.
         identity: of the map; any thread may read it.
         counters: what happened.
         trouble: why nothing can be saved at the moment; None when all is well.
@@ -195,13 +196,14 @@ class TileStore:
                 return
             try:
                 with translated(self.path):
-                    self._saver.write(_sealed(snapshot))
+                    snapshot = _sealed(snapshot)
+                    self._saver.write(snapshot)
             except StoreError as error:
                 self.counters.saves_failed += 1
                 self.trouble = str(error)
                 raise
             self._written = snapshot.number
-            self._saved_revision = snapshot.revision
+            self._saved_revision, self.position = snapshot.revision, _made(snapshot.position)
             for key in snapshot.damaged:
                 self._damaged.pop(key, None)
             self._lost.difference_update(snapshot.rebuilt)
@@ -215,6 +217,16 @@ class TileStore:
             StoreError: it cannot be; the file is as before, and the map is still in memory.
         """
         self.write(self.take())
+
+    def sync(self) -> None:
+        """Move all that was saved from the write-ahead log into the file, durably.
+
+        Raises:
+            StoreError: it cannot be.
+        """
+        with self._writing, translated(self.path):
+            self._saver.sync()
+            sync_folder(self.path.parent)
 
     def check(self) -> frozenset[Key]:
         """Read the whole file for damage, which is noticed otherwise when a tile is needed.

@@ -102,6 +102,16 @@ class Saver:
         self.bricks_written += rows
         self.bytes_written += sizes
 
+    def sync(self) -> None:
+        """Move the write-ahead log into the file, and the file to the disk.
+
+        Raises:
+            sqlite3.Error: it cannot be.
+        """
+        busy, *_ = self._connection.execute("PRAGMA wal_checkpoint(FULL)").fetchone()
+        if busy:
+            raise sqlite3.OperationalError("a reader holds the write-ahead log")
+
     def forget(self, revision: int, position: bytes, identity: Identity) -> Identity:
         """Empty the map; nothing is lost any more, for nothing should be there.
 

@@ -18,7 +18,7 @@ INSTRUCTIONS = 10_000
 
 
 class Verification:
-    """Reads a whole file once, in a thread; the store receives the damaged bricks.
+    """Reads a whole file once, in a thread of `start`; the store receives the damaged bricks.
 
     Args:
         store: open.
@@ -26,23 +26,29 @@ class Verification:
             None if it is sound; not called after `stop`.
 
     Attributes:
-        state: `running`, `done` or `failed`.
+        state: `waiting`, `running`, `done` or `failed`.
     """
 
     def __init__(self, store: TileStore, on_end: Callable[[StoreError | None], None]) -> None:
-        self.state = "running"
+        self.state = "waiting"
         self._store = store
         self._on_end = on_end
         self._stopped = threading.Event()
         self._connection = open_reader(store.path)
         self._connection.set_progress_handler(self._stopped.is_set, INSTRUCTIONS)
         self._thread = threading.Thread(target=self._run, name="verification", daemon=True)
+
+    def start(self) -> None:
+        """Start to read."""
+        self.state = "running"
         self._thread.start()
 
     def stop(self) -> None:
         """End the thread, whether or not all is read."""
         self._stopped.set()
-        self._thread.join()
+        if self._thread.ident is not None:
+            self._thread.join()
+        self._connection.close()
 
     def _run(self) -> None:
         problem = None
@@ -50,8 +56,6 @@ class Verification:
             self._verify()
         except StoreError as error:
             problem = error
-        finally:
-            self._connection.close()
         if self._stopped.is_set():
             return
         self.state = "done" if problem is None else "failed"

@@ -218,7 +218,7 @@ def test_a_rebuild_leaves_altered_pings_out_unless_asked(
     damaged = DamagedData(use=use)
     sonar_map = SonarMap(config)
     with TileStore(path, sonar_map, tile_size_m=8.0, cache_tiles=8) as store:
-        mapped = map_recorded_sessions(store, sonar_map, ("one",), folder, damaged)
+        mapped, _ = map_recorded_sessions(store, sonar_map, ("one",), folder, damaged)
     assert mapped == (5 if use else 0)  # the whole dive is one chunk
     assert len(damaged.parts) == 1
     assert not replay_sessions(SonarMap(config), ("one",), folder, DamagedData(use=use))

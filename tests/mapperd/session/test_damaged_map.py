@@ -134,11 +134,12 @@ def test_a_large_file_is_verified_during_the_session(
     monkeypatch.setattr("mapperd.session.startup.VERIFIED_FIRST_BYTES", 0)
     flip(path_of(config))
     opening, events = opened(config)
+    assert isinstance(opening.persistence, SqlitePersistence)
+    opening.persistence._on_begin()
     wait_for(lambda: "map_verified" in sessions.codes(events))
     store = opening.persistence.store
     assert store is not None
     assert not store.lost
-    assert isinstance(opening.persistence, SqlitePersistence)
     opening.persistence._report_damage()  # as between two pings
     assert len(store.lost) == 1
     opening.close()
@@ -161,6 +162,8 @@ def test_a_large_file_with_a_damaged_index_is_rebuilt_at_the_next_start(
     path.write_bytes(data)
     monkeypatch.setattr("mapperd.session.startup.VERIFIED_FIRST_BYTES", 0)
     opening, events = opened(config)
+    assert isinstance(opening.persistence, SqlitePersistence)
+    opening.persistence._on_begin()
     wait_for(lambda: "store_damaged" in sessions.codes(events))
     opening.close()
     assert sessions.codes(sessions.opened(config)) == ["store_damaged", "map_rebuilt"]
@@ -224,6 +227,7 @@ def test_the_verification_ends_with_the_store(tmp_path: Path) -> None:
         ended: list[object] = []
         Verification(store, ended.append).stop()
         verification = Verification(store, ended.append)
+        verification.start()
         wait_for(lambda: verification.state == "done")
         verification.stop()
         assert ended[-1] is None

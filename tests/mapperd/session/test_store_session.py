@@ -63,7 +63,7 @@ class Session:
             self.store,
             sonar_map,
             "now",
-            ("before",),
+            Position("before", whole=True, sessions=("before",)),
             interval_s=lambda: 0.0 if self.at_once else 3600.0,
             on_trouble=self.troubles.append,
         )
@@ -95,6 +95,17 @@ def test_a_session_is_in_the_file_from_its_beginning(session: Session) -> None:
     position = session.position()
     assert (position.session, position.sessions) == ("now", ("before", "now"))
     assert (position.whole, position.place, position.done) == (False, RecordingOffset(), 0)
+
+
+def test_the_beginning_of_a_session_does_not_need_the_write_ahead_log(
+    session: Session, tmp_path: Path
+) -> None:
+    without_log = tmp_path / "cut.map"
+    without_log.write_bytes(session.path.read_bytes())
+    with StoreReader(without_log) as reader:
+        position = position_in(reader.load(SonarMap(CONFIG)).position)
+    assert position == session.position()
+    assert position.sessions == ("before", "now")
 
 
 def test_nothing_is_saved_that_is_not_recorded(session: Session) -> None:

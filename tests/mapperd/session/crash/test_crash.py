@@ -166,6 +166,29 @@ def test_map_after_a_kill_is_that_of_the_recordings(
     assert mapped > 10 * KILLS
 
 
+def test_a_session_killed_soon_after_its_start_needs_no_write_ahead_log(
+    tmp_path: Path, world: World, daemons: Daemons
+) -> None:
+    chance = random.Random(13)  # noqa: S311 for the instants
+    for number in range(max(KILLS // 10, 2)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        text = settings_of(world, folder)
+        (folder / "live.yaml").write_text(text, encoding="utf-8")
+        process = daemons.start("--config", folder / "live.yaml", "--out", folder / "out")
+        assert wait_for_bytes(process, folder / "recordings", "*", chance.randint(1, 100_000))
+        os.kill(process, signal.SIGKILL)
+        assert daemons.ended() == -signal.SIGKILL
+        for suffix in ("-wal", "-shm"):
+            (folder / f"dive.map{suffix}").unlink(missing_ok=True)
+        config = config_from_text(text)
+        with StoreReader(folder / "dive.map") as reader:
+            position = position_in(reader.load(SonarMap(config)).position)
+        assert position is not None
+        recovered(config)
+        assert content(folder / "dive.map", config) == as_recorded(folder / "recordings")[0]
+
+
 def test_who_is_reported_to_end_leaves_a_whole_map(
     tmp_path: Path, world: World, daemons: Daemons
 ) -> None:

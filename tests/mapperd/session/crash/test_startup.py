@@ -96,9 +96,8 @@ def mapped(config: Config, session: str, *, chunks: int | None = None, save_at: 
         cache_tiles=settings.cache_size,
     )
     position = position_in(store.position)
-    before = () if position is None else position.sessions
     files = files_of(Path(config.recording.folder), session)
-    stored = StoredSession(store, sonar_map, session, None, before, 3600.0)
+    stored = StoredSession(store, sonar_map, session, None, position, 3600.0)
     remarks = remarks_in(Tail(files, RecordingOffset()))
     steps = map_rest(stored, OdometryPoses(config), Tail(files, RecordingOffset()), remarks)
     for count, _ in enumerate(steps):
