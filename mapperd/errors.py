@@ -10,6 +10,9 @@ MapperdError
  +-- ExportError      a result cannot be written
 """
 
+import re
+import shlex
+import sys
 from dataclasses import dataclass
 
 __all__ = [
@@ -22,6 +25,7 @@ __all__ = [
     "Reject",
     "ReplayError",
     "StoreError",
+    "missing_extra",
 ]
 
 
@@ -102,3 +106,27 @@ class Reject:
 
     reason: str
     detail: str
+
+
+def missing_extra(library: str, extra: str) -> str:
+    """Return one line that names a missing library and the command that installs its extra.
+
+    The command names the extra's libraries, so it works in every folder, for an installation from
+    a checkout and from a wheel.
+
+    Args:
+        library: name for people.
+        extra: name in the optional dependencies of mapperd.
+    """
+    from importlib import metadata  # noqa: PLC0415 slow to import, rarely needed
+
+    try:
+        requirements = metadata.requires("mapperd") or []
+    except metadata.PackageNotFoundError:  # the source tree is on the path
+        requirements = []
+    marker = re.compile(rf"""\bextra\s*==\s*['"]{re.escape(extra)}['"]""")
+    parts = (requirement.partition(";") for requirement in requirements)
+    libraries = [shlex.quote(name.strip()) for name, _, rule in parts if marker.search(rule)]
+    words = [shlex.quote(sys.executable or "python3"), "-m pip install"]
+    words += libraries or [f"'.[{extra}]'"]
+    return f"{library} cannot be imported; to install the extra `{extra}`: {' '.join(words)}"

@@ -32,8 +32,9 @@ from mapperd.errors import (
     MapperdError,
     ReplayError,
     StoreError,
+    missing_extra,
 )
-from mapperd.export.picture import MISSING, can_draw
+from mapperd.export.picture import can_draw
 from mapperd.imaging.filter_chain import check_filters
 from mapperd.io import make_folder
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
@@ -49,7 +50,7 @@ MAX_PLACES = 3
 
 
 class DaemonExit(IntEnum):
-    """Exit codes; those above 64 are of sysexits.h."""
+    """DaemonExit codes; those above 64 are of sysexits.h."""
 
     OK = 0
     USAGE = 2
@@ -96,12 +97,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
 
 
+def _check_picture() -> None:
+    """Report before the work that the results will have no picture."""
+    if not can_draw():
+        _print(f"map.png is not drawn: {missing_extra('matplotlib', 'topside')}")
+
+
 def _live(arguments: Arguments) -> DaemonExit:
     """Map until stopped, then write the results."""
     store = ConfigStore(_settings(arguments))
     make_folder(arguments.out)
-    if not can_draw():
-        _print(MISSING)
+    _check_picture()
     again = partial(_settings, arguments)
     notifier = Notifier(os.environ)
     run = LiveRun(store, partial(_poses, arguments), arguments.duration_s, _print, again, notifier)
@@ -119,8 +125,7 @@ def _replay(arguments: Arguments) -> DaemonExit:
 
     def ready() -> None:
         make_folder(arguments.out)
-        if not can_draw():
-            _print(MISSING)
+        _check_picture()
 
     def settings() -> Config:
         return _settings(arguments).config

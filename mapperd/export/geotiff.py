@@ -7,13 +7,12 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.errors import ExportError
+from mapperd.errors import ExportError, missing_extra
 from mapperd.export.cells import Tops
 from mapperd.geometry.geodesy import Origin, TransverseMercator, local_projection
 
-__all__ = ["MISSING", "NO_DATA", "Band", "GridPlace", "write_geotiff", "write_tiles"]
+__all__ = ["NO_DATA", "Band", "GridPlace", "write_geotiff", "write_tiles"]
 
-MISSING = "tifffile cannot be imported (pip install 'mapperd[geo]')"
 
 NO_DATA = -9999.0
 
@@ -159,7 +158,7 @@ def _library() -> Callable[..., object]:
     try:
         import tifffile  # noqa: PLC0415 an extra
     except ImportError:
-        raise ExportError(MISSING) from None
+        raise ExportError(missing_extra("tifffile", "geo")) from None
     write: Callable[..., object] = tifffile.imwrite
     return write
 

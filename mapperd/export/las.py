@@ -9,13 +9,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.errors import ExportError
+from mapperd.errors import ExportError, missing_extra
 from mapperd.geometry.geodesy import Origin, utm_zone
 from mapperd.mapping.sonar_map import Voxels
 
-__all__ = ["MISSING", "STEP_M", "las_cloud", "write_las"]
-
-MISSING = "laspy, or its lazrs, cannot be imported (pip install 'mapperd[las]')"
+__all__ = ["STEP_M", "las_cloud", "write_las"]
 
 STEP_M = 0.0001
 """Coordinates are whole numbers of these."""
@@ -106,9 +104,9 @@ def _library(*, packed: bool) -> Any:  # noqa: ANN401 it has no types
     try:
         import laspy  # noqa: PLC0415 an extra
     except ImportError:
-        raise ExportError(MISSING) from None
+        raise ExportError(missing_extra("laspy", "las")) from None
     if packed and not laspy.LazBackend.Lazrs.is_available():
-        raise ExportError(MISSING)
+        raise ExportError(missing_extra("lazrs", "las"))
     return laspy
 
 

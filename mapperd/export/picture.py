@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mapperd.mapping.sonar_map import Voxels
 
-__all__ = ["MAX_PIXELS", "MISSING", "View", "can_draw", "project", "write_picture"]
+__all__ = ["MAX_PIXELS", "View", "can_draw", "project", "write_picture"]
 
 MAX_PIXELS = 1500
 """Along one side of a view; a longer map gets several voxels to the pixel."""
@@ -54,8 +54,6 @@ def project(centres_m: NDArray[np.float64], resolution_m: float, across: int, up
     right, top = left + width * float(pixel_m[0]), bottom + height * float(pixel_m[1])
     return View(grid.reshape(height, width), (left, right, bottom, top))
 
-
-MISSING = "map.png is not drawn: matplotlib cannot be imported (pip install 'mapperd[topside]')"
 
 PAPER, INK, WATER = "#ffffff", "#1b2733", "#eef2f5"
 SIZE_IN, DPI = (15.0, 11.0), 110

@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.config.tree import Config
-from mapperd.errors import ExportError
+from mapperd.errors import ExportError, missing_extra
 from mapperd.export.cells import FREE, OCCUPIED, UNKNOWN, GridLayer, Heights, known_cells
 from mapperd.export.clouds import POINT
 from mapperd.geometry.frames import Pose, quaternion_to_matrix
 from mapperd.mapping.sonar_map import SonarMap, Voxels
 from mapperd.odometry.fusion import FusedPose
 
-__all__ = ["GRID_TOPIC", "MISSING", "Bag", "Messages", "Storage", "Turned", "open_bag"]
+__all__ = ["GRID_TOPIC", "Bag", "Messages", "Storage", "Turned", "open_bag"]
 
 NOBODY_KNOWS = 1e6
 """Variances of what nobody knows, which zeros would call exact."""
@@ -196,8 +196,6 @@ class Messages:
 
 Storage = Literal["mcap", "sqlite3"]
 
-MISSING = "rosbags cannot be imported (pip install 'mapperd[ros]')"
-
 GRID_TOPIC = "/map"
 """Where Nav2 looks for one."""
 
@@ -287,7 +285,7 @@ def open_bag(path: Path, config: Config, storage: Storage) -> Iterator[Bag]:
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer, WriterError  # noqa: PLC0415 an extra
     except ImportError:
-        raise ExportError(MISSING) from None
+        raise ExportError(missing_extra("rosbags", "ros")) from None
     if path.exists():
         raise ExportError(f"{path}: is there already")
     partial = path.with_name(f".{path.name}.partial")

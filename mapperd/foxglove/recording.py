@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from mapperd.errors import ExportError
+from mapperd.errors import ExportError, missing_extra
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
@@ -31,7 +31,7 @@ def foxglove_missing(error: ModuleNotFoundError) -> str:
     """
     if (error.name or "").partition(".")[0] != "foxglove":
         raise error
-    return "this needs foxglove-sdk: pip install 'mapperd[foxglove]'"
+    return missing_extra("foxglove-sdk", "foxglove")
 
 
 TICK_S = 0.25

@@ -7,7 +7,7 @@ import dataclasses
 import importlib.util
 
 from mapperd.config.tree import Config
-from mapperd.errors import ConfigError
+from mapperd.errors import ConfigError, missing_extra
 from mapperd.imaging.ping_image import PingImage
 from mapperd.imaging.robots import Robot
 
@@ -23,11 +23,7 @@ def check_filters(config: Config) -> None:
     for name in ("crosstalk", "robot_detection"):
         if getattr(config, name).enabled and importlib.util.find_spec("cv2") is None:
             path = f"$.{name}.enabled"
-            raise ConfigError(
-                f"{path}: needs OpenCV, which is not installed; "
-                "allowed: pip install 'mapperd[filters]'",
-                path,
-            )
+            raise ConfigError(f"{path}: {missing_extra('OpenCV', 'filters')}", path)
 
 
 def filter_ping_image(echo: PingImage, config: Config) -> tuple[PingImage, tuple[Robot, ...]]:

@@ -1,7 +1,7 @@
 """Settings become a decoder. Libraries of a format are imported only where it is wanted."""
 
 from mapperd.config.odometry import FormatSettings
-from mapperd.errors import ConfigError
+from mapperd.errors import ConfigError, missing_extra
 from mapperd.odometry.decoder import Decoder, LineDecoder, ReadLine
 from mapperd.odometry.native import MAX_LINE_BYTES as JSON_BYTES
 from mapperd.odometry.native import NativeDecoder, NativeSerialDecoder, read_native_json
@@ -59,7 +59,4 @@ def _mavlink(settings: FormatSettings, *, datagrams: bool) -> Decoder:
 def _explained(error: ModuleNotFoundError, library: str, extra: str) -> Exception:
     if (error.name or "").partition(".")[0] != library:
         return error
-    return ConfigError(
-        f"format {extra} needs {library}, which is not installed; "
-        f"allowed: pip install 'mapperd[{extra}]'"
-    )
+    return ConfigError(f"format {extra}: {missing_extra(library, extra)}")

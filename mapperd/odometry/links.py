@@ -15,7 +15,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, NoReturn, Protocol, TypeVar
 
 from mapperd.config.link_address import LinkAddress, serial_path
-from mapperd.errors import ConfigError
+from mapperd.errors import ConfigError, missing_extra
 
 if TYPE_CHECKING:
     from serial import Serial
@@ -152,10 +152,7 @@ def _opened(address: LinkAddress) -> "Serial":
     try:
         import serial  # noqa: PLC0415 an extra
     except ModuleNotFoundError as error:
-        raise ConfigError(
-            "serial links need pyserial, which is not installed; "
-            "allowed: pip install 'mapperd[serial]'"
-        ) from error
+        raise ConfigError(f"serial links: {missing_extra('pyserial', 'serial')}") from error
     path = serial_path(address.device)
     return serial.Serial(str(path), address.baud, timeout=0, exclusive=True)
 

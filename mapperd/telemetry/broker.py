@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from mapperd.config.paths import read_secret
 from mapperd.config.tree import Config, MqttConfig
-from mapperd.errors import ConfigError
+from mapperd.errors import ConfigError, missing_extra
 from mapperd.telemetry.topics import Topics
 
 if TYPE_CHECKING:
@@ -50,11 +50,7 @@ def check_telemetry(config: Config, environment: Mapping[str, str]) -> None:
     if not settings.host:
         return
     if importlib.util.find_spec("aiomqtt") is None:
-        raise ConfigError(
-            "mqtt.host: needs aiomqtt, which is not installed; "
-            "allowed: pip install 'mapperd[mqtt]'",
-            "$.mqtt.host",
-        )
+        raise ConfigError(f"mqtt.host: {missing_extra('aiomqtt', 'mqtt')}", "$.mqtt.host")
     if _password(settings, environment) is not None and not settings.username:
         raise ConfigError("mqtt.username: a password needs one", "$.mqtt.username")
     if settings.tls:

@@ -3,11 +3,16 @@
 import ast
 import os
 import re
+import shlex
 import subprocess
+import sys
 import tomllib
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+
+from mapperd.errors import missing_extra
 
 ROOT = Path(__file__).resolve().parents[2]
 IMPORT_NAMES = {"pyyaml": "yaml"}
@@ -57,6 +62,42 @@ def test_wheel_holds_four_import_names_and_their_commands() -> None:
     assert {"bench", "studies"} <= checkout_only
     for folder in packages.values():
         assert not imported(ROOT / folder) & checkout_only
+
+
+def test_missing_extra_is_installed_with_its_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
+    wheel = ["lz4>=4", "aiomqtt<3,>=2.5; extra == 'mqtt'", 'laspy[lazrs]>=2; extra == "las"']
+    monkeypatch.setattr(metadata, "requires", lambda _: wheel)
+    hint, _, command = missing_extra("aiomqtt", "mqtt").partition("`mqtt`: ")
+    assert hint == "aiomqtt cannot be imported; to install the extra "
+    assert shlex.split(command) == [sys.executable, "-m", "pip", "install", "aiomqtt<3,>=2.5"]
+    assert missing_extra("laspy", "las").endswith("-m pip install 'laspy[lazrs]>=2'")
+    monkeypatch.setattr(metadata, "requires", lambda _: None)
+    assert missing_extra("aiomqtt", "mqtt").endswith("-m pip install '.[mqtt]'")
+
+
+def test_named_extras_exist() -> None:
+    text = "".join(
+        path.read_text(encoding="utf-8")
+        for folder in ("mapperd", "tools")
+        for path in (ROOT / folder).rglob("*.py")
+    )
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    found = set(re.findall(r"""missing_extra\([^()]*, ["'](\w+)["']\)""", text))
+    assert {"filters", "foxglove", "geo", "las", "mqtt", "ros", "serial", "topside"} <= found
+    assert found <= set(project["optional-dependencies"])
+
+
+def test_no_text_installs_a_name_that_is_not_published() -> None:
+    listed = subprocess.run(
+        ["git", "grep", "-IlE", "pip install ['\"]?mapperd"],  # noqa: S607
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if listed.returncode > 1:
+        pytest.skip("no Git checkout")
+    assert listed.stdout == ""
 
 
 @pytest.mark.parametrize(

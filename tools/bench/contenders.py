@@ -109,7 +109,7 @@ CONTENDERS = (
 
 
 PACKAGES = {
-    "octomap_rival": "OctoMap (pip install 'mapperd[octomap]')",
+    "octomap_rival": "OctoMap (pip install '.[octomap]')",
     "openvdb_rival": "OpenVDB (apt install libopenvdb-dev libboost-dev)",
     "bonxai_rival": "Bonxai (--bonxai with a checkout, apt install libeigen3-dev)",
 }

@@ -74,7 +74,7 @@ def draw(out: Path, accuracy: MapAccuracy) -> list[Path]:
     try:
         from demo.picture import draw_demo, read_ping  # noqa: PLC0415 matplotlib is an extra
     except ImportError as error:
-        print(f"no demo.png: {error.name} is missing (pip install 'mapperd[topside]')")
+        print(f"no demo.png: {error.name} is missing (pip install '.[topside]')")
     else:
         caption = (
             f"{accuracy.occupied_voxels} occupied voxels, {accuracy.median_m:.2f} m (median) from "

@@ -19,7 +19,7 @@ from mapper_survey.export import Progress, grid_place
 from mapper_survey.tally import Tally
 from mapper_survey.windows import WINDOW_BRICKS, StoredMap, Tiling, tiling_of
 from mapperd.config.tree import Config
-from mapperd.errors import ExportError
+from mapperd.errors import ExportError, missing_extra
 from mapperd.export.geotiff import write_tiles
 from mapperd.export.picture import can_draw
 from mapperd.geometry.geodesy import Origin
@@ -30,7 +30,6 @@ __all__ = [
     "DIFFERENCE",
     "DISAGREEMENT",
     "DISTANCES",
-    "MISSING",
     "OVERLAP",
     "REPORT",
     "VERSION",
@@ -227,8 +226,6 @@ def _grade(share: float | None) -> str | None:
 COVERAGE, OVERLAP = "coverage.png", "overlap.png"
 DISAGREEMENT, DISTANCES = "disagreement.png", "distances.png"
 
-MISSING = "no pictures: matplotlib cannot be imported (pip install 'mapperd[survey]')"
-
 DPI = 110
 PAPER, INK, LOOKED = "#ffffff", "#1b2733", "#d9e0e6"
 MAX_LINES = 6
@@ -250,7 +247,7 @@ def draw_pictures(
         ExportError: matplotlib is not there, or a file cannot be written.
     """
     if not can_draw():
-        raise ExportError(MISSING)
+        raise ExportError(f"no pictures: {missing_extra('matplotlib', 'survey')}")
     for name, figure in (
         (COVERAGE, _coverage(report, pictures, raster)),
         (OVERLAP, _overlap(report, pictures, raster)),

@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 
 from mapperd.cli.mapperctl.errors import CtlError, CtlExit
 from mapperd.client import Interest, MapClient, StreamError
+from mapperd.errors import missing_extra
 from mapperd.foxglove.recording import FoxgloveRecording
 from mapperd.viewer.app import VIEW_WANTS, ViewerPage
 
@@ -43,10 +44,7 @@ def open_page(host: str, port: int) -> "ViserServer":
         import rich  # noqa: PLC0415 of the extra `topside`
         import viser  # noqa: PLC0415
     except ImportError as error:
-        raise CtlError(
-            f"mapperctl view needs the extra `topside`: pip install 'mapperd[topside]' ({error})",
-            CtlExit.USAGE,
-        ) from error
+        raise CtlError(missing_extra(error.name or "viser", "topside"), CtlExit.USAGE) from error
     rich.reconfigure(quiet=True)  # it prints boxes
     with _only_from_here():
         server = viser.ViserServer(host=host, port=port, verbose=False)

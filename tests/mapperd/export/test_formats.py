@@ -21,7 +21,7 @@ Saved = Callable[..., Path]
 def octomap(program: str, *words: str | Path) -> None:
     path = ROOT / ".venv" / "bin" / program
     if not path.exists():
-        pytest.skip("OctoMap's programs are not installed (pip install 'mapperd[octomap]')")
+        pytest.skip("OctoMap's programs are not installed (pip install '.[octomap]')")
     subprocess.run([path, *words], check=True, capture_output=True, timeout=60)  # noqa: S603
 
 

@@ -3,7 +3,6 @@ import io
 import numpy as np
 import pytest
 
-from mapperd.export import picture
 from mapperd.export.picture import MAX_PIXELS, can_draw, project, write_picture
 from mapperd.mapping.sonar_map import Voxels
 
@@ -41,10 +40,6 @@ def test_any_map_is_a_picture(centres: np.ndarray, resolution_m: float) -> None:
     width, height = drawn(centres, resolution_m)
     assert width > 1000
     assert height > 700
-
-
-def test_missing_matplotlib_is_reported_with_the_extra() -> None:
-    assert "mapperd[topside]" in picture.MISSING
 
 
 def test_highest_voxel_colours_the_pixel() -> None:

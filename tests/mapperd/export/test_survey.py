@@ -134,7 +134,7 @@ def test_library_that_is_missing_is_reported_by_its_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, library: str, extra: str
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(ExportError, match=rf"pip install 'mapperd\[{extra}\]'"):
+    with pytest.raises(ExportError, match=rf"`{extra}`: .*pip install '{library}"):
         write_map(buoy_map()[0], tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
@@ -144,7 +144,7 @@ def test_packer_that_is_missing_is_reported_by_its_extra(
 ) -> None:
     monkeypatch.setattr(laspy.LazBackend, "is_available", lambda _: False)
     saved(sonar_map, "a.las").unlink()
-    with pytest.raises(ExportError, match=r"pip install 'mapperd\[las\]'"):
+    with pytest.raises(ExportError, match=r"`las`: .*pip install 'laspy\[lazrs\]"):
         saved(sonar_map, "a.laz")
 
 

@@ -127,8 +127,8 @@ def test_filter_without_its_library_is_refused_and_named(monkeypatch: pytest.Mon
     for name in ("crosstalk.enabled", "robot_detection.enabled"):
         result = store.apply({name: True}, "test")
         assert isinstance(result, Refused)
-        assert "pip install 'mapperd[filters]'" in result.reasons[name]
-    with pytest.raises(ConfigError, match="needs OpenCV"):
+        assert "pip install 'opencv-python-headless" in result.reasons[name]
+    with pytest.raises(ConfigError, match="OpenCV cannot be imported"):
         stepping_with(config_with(crosstalk={"enabled": True}))
     assert store.current == config_with()
 

@@ -19,7 +19,7 @@ def check(settings: dict[str, Any], environment: dict[str, str] | None = None) -
 def test_without_a_broker_nothing_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     check({"mqtt": {"password_file": "/nowhere"}})
-    with pytest.raises(ConfigError, match=r"pip install 'mapperd\[mqtt\]'"):
+    with pytest.raises(ConfigError, match=r"`mqtt`: \S+ -m pip install 'aiomqtt"):
         check({})
 
 

@@ -100,7 +100,7 @@ def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
     ((title, text),) = kept(tmp_path, press).notes
     assert title == "Not recorded"
-    assert "pip install 'mapperd[foxglove]'" in text
+    assert "pip install 'foxglove-sdk" in text
     assert list(tmp_path.iterdir()) == []
 
 

@@ -58,7 +58,7 @@ def test_a_missing_extra_is_named(
 ) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
     assert main(["view", "--socket", str(tmp_path / "map.sock")]) == CtlExit.USAGE
-    assert "pip install 'mapperd[topside]'" in capsys.readouterr().err
+    assert "`topside`" in capsys.readouterr().err
 
 
 def test_the_command_prints_the_address_and_opens_it(

@@ -355,4 +355,4 @@ def test_library_that_is_missing_is_reported_by_its_extra(
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
     code, _, output = call("bag", recording, tmp_path / "bag")
     assert code == 73
-    assert "pip install 'mapperd[ros]'" in output
+    assert "pip install 'rosbags" in output

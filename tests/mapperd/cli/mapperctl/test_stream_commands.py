@@ -155,9 +155,9 @@ def test_a_library_that_is_missing_is_named(
     monkeypatch.setitem(sys.modules, "foxglove", None)
     where = ["--socket", str(tmp_path / "none.sock")]
     assert main(["record", str(tmp_path / "a.mcap"), *where]) == 73
-    assert "pip install 'mapperd[foxglove]'" in capsys.readouterr().err
+    assert "pip install 'foxglove-sdk" in capsys.readouterr().err
     assert main(["foxglove", "--port", "0", *where]) == 2
-    assert "pip install 'mapperd[foxglove]'" in capsys.readouterr().err
+    assert "pip install 'foxglove-sdk" in capsys.readouterr().err
 
 
 def test_viewers_are_served_until_stopped(short: Path) -> None:
