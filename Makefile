@@ -8,6 +8,8 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 TOOLS := $(VENV)/.tools
 STAMP := $(VENV)/.installed
+# What builds the wheel, as in pyproject.toml and as the C++ tests need it.
+BUILD_TOOLS := 'scikit-build-core>=0.10,<2' 'pybind11>=3.0,<4' 'cmake>=3.25,<5' 'ninja>=1.11,<2'
 # Programs of the tools, which run from a checkout alone.
 TOOL := PYTHONPATH=tools $(BIN)/python -m
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
@@ -15,7 +17,7 @@ CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLi
 # Programs and tests start hundreds of Pythons, which must not compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check tidy cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install prerequisites test-prerequisites clean
+.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check tidy cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install lock prerequisites test-prerequisites clean
 
 demo: $(STAMP)
 	$(TOOL) demo --out out/demo
@@ -134,6 +136,17 @@ mutations: $(STAMP)
 
 install: $(STAMP)
 
+# Newest versions within the bounds of pyproject.toml, with hashes, for Python 3.11 and newer.
+LOCK := $(BIN)/uv pip compile --quiet --no-config --upgrade --universal --python-version 3.11 \
+	--generate-hashes --custom-compile-command 'make lock'
+
+# Renews requirements/*.lock.
+lock: $(TOOLS)
+	$(PIP) 'uv>=0.9,<1'
+	$(LOCK) pyproject.toml $(foreach extra,filters mavlink mqtt nmea serial,--extra $(extra)) \
+		--output-file requirements/vehicle.lock
+	printf '%s\n' $(BUILD_TOOLS) | $(LOCK) - --output-file requirements/build.lock
+
 # The site of docs/, into out/site; warnings and broken links are errors.
 docs: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
@@ -172,7 +185,7 @@ test-prerequisites:
 # What compiles: all that the sanitizers' builds need.
 $(TOOLS): pyproject.toml | prerequisites
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(PIP) 'scikit-build-core>=0.10' 'pybind11>=3.0' 'cmake>=3.25' 'ninja>=1.11' 'cmeel-octomap>=1.9'
+	$(PIP) $(BUILD_TOOLS) 'cmeel-octomap>=1.9,<2'
 	touch $@
 
 # Installed again when the build's inputs change; Python sources are used from the tree. The build's
