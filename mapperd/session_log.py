@@ -210,7 +210,7 @@ def decision_of(chunk: Chunk) -> Decision | None:
         return None
     try:
         return _DECODER.decode(chunk.data)
-    except msgspec.DecodeError:
+    except ValueError:  # malformed, or text that is not UTF-8
         return None
 
 

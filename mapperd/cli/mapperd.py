@@ -37,7 +37,9 @@ from mapperd.errors import (
 from mapperd.export.picture import can_draw
 from mapperd.imaging.filter_chain import check_filters
 from mapperd.io import make_folder
+from mapperd.odometry.formats import check_libraries
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
+from mapperd.telemetry.broker import check_telemetry
 from oculus_driver.errors import OculusError, RecordingError, SettingsError
 
 __all__ = ["DaemonExit", "main"]
@@ -106,6 +108,8 @@ def _check_picture() -> None:
 def _live(arguments: Arguments) -> DaemonExit:
     """Map until stopped, then write the results."""
     store = ConfigStore(_settings(arguments))
+    check_libraries(store.current.odometry, decoding=arguments.pose is None)
+    check_telemetry(store.current, os.environ)
     make_folder(arguments.out)
     _check_picture()
     again = partial(_settings, arguments)

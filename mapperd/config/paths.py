@@ -1,5 +1,7 @@
 """The daemon's folders, and files that hold secrets."""
 
+import os
+import stat
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -65,7 +67,7 @@ def read_secret(
         None where neither is there.
 
     Raises:
-        ConfigError: the file cannot be read, or holds no secret.
+        ConfigError: the file cannot be read, everybody may write to it, or it holds no secret.
     """
     folder = environment.get("CREDENTIALS_DIRECTORY", "")
     place = Path(path) if path else Path(folder, credential)
@@ -73,12 +75,16 @@ def read_secret(
         return None
     try:
         with place.open("rb") as file:
+            mode = os.fstat(file.fileno()).st_mode
             data = file.read(MAX_BYTES + 1)
         line = data.decode().split("\n", 1)[0].strip("\r")
     except OSError as error:
         raise ConfigError(f"{setting}: {place}: {error.strerror}", f"$.{setting}") from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{setting}: {place}: is no text", f"$.{setting}") from error
+    if mode & stat.S_IWOTH:
+        what = "everybody may write to it; chmod 600 it"
+        raise ConfigError(f"{setting}: {place}: {what}", f"$.{setting}")
     if not line or len(data) > MAX_BYTES:
         what = "is empty" if not line else f"is longer than {MAX_BYTES} bytes"
         raise ConfigError(f"{setting}: {place}: {what}", f"$.{setting}")

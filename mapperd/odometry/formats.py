@@ -1,6 +1,9 @@
 """Settings become a decoder. Libraries of a format are imported only where it is wanted."""
 
-from mapperd.config.odometry import FormatSettings
+from importlib.util import find_spec
+
+from mapperd.config.link_address import parse_address
+from mapperd.config.odometry import FormatSettings, OdometryFusionConfig
 from mapperd.errors import ConfigError, missing_extra
 from mapperd.odometry.decoder import Decoder, LineDecoder, ReadLine
 from mapperd.odometry.native import MAX_LINE_BYTES as JSON_BYTES
@@ -9,7 +12,7 @@ from mapperd.odometry.water_linked import MAX_JSON_LINE_BYTES as DVL_JSON_BYTES
 from mapperd.odometry.water_linked import MAX_SERIAL_LINE_BYTES as DVL_SERIAL_BYTES
 from mapperd.odometry.water_linked import read_water_linked_json, read_water_linked_serial
 
-__all__ = ["make_decoder"]
+__all__ = ["check_libraries", "make_decoder"]
 
 _LINES: dict[str, tuple[ReadLine, int]] = {
     "native_json": (read_native_json, JSON_BYTES),
@@ -38,6 +41,24 @@ def make_decoder(settings: FormatSettings, *, datagrams: bool = False) -> Decode
         return _mavlink(settings, datagrams=datagrams)
     read, max_line_bytes = _LINES[settings.format]
     return LineDecoder(read, max_line_bytes, datagrams=datagrams)
+
+
+def check_libraries(settings: OdometryFusionConfig, *, decoding: bool) -> None:
+    """Check at start that the libraries of all sources are installed.
+
+    Args:
+        settings: the sources.
+        decoding: their bytes are decoded, not only recorded.
+
+    Raises:
+        ConfigError: one is missing.
+    """
+    for source in settings.sources:
+        if decoding:
+            make_decoder(source)
+        if parse_address(source.link).kind == "serial" and find_spec("serial") is None:
+            text = f"serial links: {missing_extra('pyserial', 'serial')}"
+            raise ConfigError(text, "$.odometry.sources")
 
 
 def _nmea(*, datagrams: bool) -> Decoder:

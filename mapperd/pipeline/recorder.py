@@ -8,7 +8,7 @@ from typing import Self
 
 from mapperd.config.paths import recordings_folder
 from mapperd.config.tree import Config
-from mapperd.errors import ConfigError
+from mapperd.errors import ConfigError, ExportError
 from mapperd.odometry.bridge import encoding_of
 from mapperd.pipeline.watchdog import Worker
 from mapperd.session_log import DECISIONS, LINK, SESSION
@@ -31,7 +31,8 @@ class Recorder:
         clock: of the arrivals, nanoseconds.
 
     Raises:
-        ConfigError: the folder cannot be created, or the limits contradict each other.
+        ConfigError: the limits contradict each other.
+        ExportError: the folder cannot be created, or not be written to.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class Recorder:
         if not settings.enabled:
             return
         try:
+            folder = recordings_folder(config, os.environ)
             policy = LogPolicy(
                 max_file_bytes=settings.max_file * MIB,
                 budget_bytes=settings.budget * MIB or None,
@@ -49,7 +51,7 @@ class Recorder:
             )
             sources = {source.name: encoding_of(source) for source in config.odometry.sources}
             self._files = SonarLog(
-                recordings_folder(config, os.environ),
+                folder,
                 policy,
                 prefix="dive",
                 metadata={SESSION: session},
@@ -57,7 +59,11 @@ class Recorder:
                 hold=True,
             )
         except RecordingError as error:
+            if isinstance(error.__cause__, OSError):
+                raise ExportError(f"recording.folder: {error}") from error
             raise ConfigError(f"recording: {error}", "$.recording") from error
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise ExportError(f"recording.folder: {folder}: no files can be created in it")
         self._log = BackgroundLog(self._files, clock=clock)
 
     async def __aenter__(self) -> Self:

@@ -99,7 +99,7 @@ def _decoded(text: str) -> Identity | None:
     """None if it is damaged: clients then receive the whole map again."""
     try:
         return msgspec.json.decode(text, type=Identity)
-    except msgspec.DecodeError:
+    except ValueError:  # malformed, or text that is not UTF-8
         return None
 
 

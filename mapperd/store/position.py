@@ -78,5 +78,5 @@ def position_in(data: bytes) -> Position | None:
     """Read the position in a map file; None if it is absent or of another program."""
     try:
         return _DECODER.decode(data)
-    except msgspec.DecodeError:
+    except ValueError:  # malformed, or text that is not UTF-8
         return None

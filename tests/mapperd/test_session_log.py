@@ -6,6 +6,7 @@ import pytest
 
 from mapperd.session_log import (
     DECISIONS,
+    LINK,
     Decision,
     Drop,
     Gap,
@@ -46,6 +47,15 @@ ALL: list[Decision] = [
     Drop(7),
     RemovedRemark(),
 ]
+
+
+@pytest.mark.parametrize("decision", ALL, ids=str)
+def test_damaged_decision_is_none(decision: Decision) -> None:
+    data = chunk_of(decision, 5).data
+    for place in range(len(data)):
+        damaged = data[:place] + b"\xff" + data[place + 1 :]
+        decision_of(Chunk(LINK, DECISIONS, 0, damaged))  # no error, whatever it reads
+    assert decision_of(Chunk(LINK, DECISIONS, 0, data[:-1])) is None
 
 
 def bytes_of(data: bytes, link: str = "sonar") -> Chunk:

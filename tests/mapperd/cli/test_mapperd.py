@@ -1,3 +1,4 @@
+import importlib.util
 import json
 import os
 import random
@@ -296,3 +297,60 @@ def test_the_journal_knows_an_error_from_a_remark(tmp_path: Path) -> None:
         )
     assert code == DaemonExit.BAD_CONFIG
     assert output.read_text(encoding="utf-8").startswith(f"<3>{config}: $.nope: ")
+
+
+def live(folder: Path, settings: str) -> int:
+    """Run the daemon for a moment, without a sonar."""
+    path = folder / "live.yaml"
+    path.write_text(f"device: {{address: 127.0.0.1, port: 1}}\n{settings}", encoding="utf-8")
+    words = ["--config", path, "--out", folder / "out", "--duration", "0.1"]
+    return main([str(word) for word in words])
+
+
+def test_recordings_folder_that_cannot_be_used_is_no_wrong_setting(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    settings = f"recording: {{folder: {tmp_path}/file/inside, free_floor: 0}}\n"
+    assert live(tmp_path, settings) == DaemonExit.CANNOT_WRITE
+    assert "recording.folder: " in capsys.readouterr().err
+    settings = f"recording: {{folder: {tmp_path}/read-only, free_floor: 0}}\n"
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert live(tmp_path, settings) == DaemonExit.CANNOT_WRITE
+    assert "no files can be created" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("settings", "library"),
+    [
+        ("odometry: {sources: [{format: mavlink, link: 'udp://127.0.0.1:1'}]}\n", "pymavlink"),
+        ("odometry: {sources: [{format: nmea, link: 'udp://127.0.0.1:1'}]}\n", "pynmea2"),
+        (
+            "odometry: {sources: [{format: native_serial, link: 'serial:///dev/ttyUSB0:115200'}]}\n",
+            "serial",
+        ),
+        ("mqtt: {host: shore}\n", "aiomqtt"),
+    ],
+)
+def test_extra_that_the_settings_need_is_missed_at_the_start(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    settings: str,
+    library: str,
+) -> None:
+    real = importlib.util.find_spec
+    ours = ("mapperd.odometry.mavlink", "mapperd.odometry.mavlink_frames", "mapperd.odometry.nmea")
+    for module in list(sys.modules):
+        if module.partition(".")[0] == library or module in ours:
+            monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, library, None)
+
+    def found(name: str, *more: Any) -> Any:
+        return None if name == library else real(name, *more)
+
+    monkeypatch.setattr("importlib.util.find_spec", found)
+    monkeypatch.setattr("mapperd.odometry.formats.find_spec", found)
+    assert live(tmp_path, settings) == DaemonExit.BAD_CONFIG
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "pip install" in line

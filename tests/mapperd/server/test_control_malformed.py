@@ -7,6 +7,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from mapperd.wire.requests import Fault, decode_request
 from tests.support.control_server import FREE, MALFORMED, Served, go
 
 pytestmark = pytest.mark.net
@@ -23,6 +24,16 @@ def test_malformed_request_is_an_answer(short: Path, request_: object) -> None:
         assert one.daemon.done == []
 
     go(work, short, limits=FREE)
+
+
+@pytest.mark.parametrize("text", [b"\xff\xfe", b"\xc0\x80", b"\xed\xa0\x80"])
+def test_request_that_is_not_utf8_is_refused(text: bytes) -> None:
+    packed = bytes([0xA0 + len(text)]) + text
+    for raw in (packed, b"\x81\xa2do" + packed, b"\x81" + packed + b"\x01"):
+        fault, number = decode_request(raw)
+        assert isinstance(fault, Fault)
+        assert (fault.reason, number) == ("bad_request", None)
+        assert "utf-8" in fault.message
 
 
 INTEGERS = st.integers(-(2**63), 2**64 - 1)  # of MessagePack

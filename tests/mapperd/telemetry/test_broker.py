@@ -63,6 +63,17 @@ def test_secret_is_the_first_line_of_the_file_or_of_the_credential(tmp_path: Pat
     assert read_secret("a.b", "", "token", {}) is None
 
 
+def test_secret_that_everybody_may_write_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "password"
+    file.write_text("right", encoding="utf-8")
+    for mode in (0o600, 0o640, 0o644, 0o660):
+        file.chmod(mode)
+        assert read_secret("mqtt.password_file", str(file), "token", {}) == "right"
+    file.chmod(0o602)
+    with pytest.raises(ConfigError, match="everybody may write to it"):
+        read_secret("mqtt.password_file", str(file), "token", {})
+
+
 @pytest.mark.parametrize(
     ("content", "words"), [(b"", "is empty"), (b"\xff", "is no text"), (b"x" * 5000, "longer than")]
 )
