@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from oculus_driver.discovery.listener import Search
-from oculus_driver.errors import LinkError, SettingsError
+from oculus_driver.errors import DiscoveryError, LinkError, SettingsError
 from oculus_driver.link.confirmation import (
     CONFIRM_TIMEOUT_NS,
     Confirmation,
@@ -68,6 +68,8 @@ class OculusSonar:
         on_bytes: called with all received bytes before they are parsed, and their arrival time.
         on_chunk: called with the same bytes and time after they are parsed, and with the message
             boundaries in them, as `oculus_driver.recording.SonarLog.write` needs them.
+        on_status: called with each status datagram of the sonar and its arrival time. With `host`
+            it is listened for only if this is given; a port that cannot be opened is logged.
         on_state: called with each change of the link's state or reason.
         discovery: source of statuses; None: `oculus_driver.discovery.listener.Discovery`.
         clock: host monotonic time, nanoseconds.
@@ -89,6 +91,7 @@ class OculusSonar:
         keep_pinging: bool = False,
         on_bytes: Callable[[bytes, int], None] | None = None,
         on_chunk: Callable[[bytes, int, MessageBounds], object] | None = None,
+        on_status: Callable[[bytes, int], object] | None = None,
         on_state: Callable[[LinkStatus], None] | None = None,
         discovery: DiscoveryFactory | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
@@ -99,8 +102,12 @@ class OculusSonar:
         self._clock = clock
         self._keep_pinging = keep_pinging
         self._on_state = on_state
+        self._on_status = on_status
         self._queue = PingQueue(max_pings)
         self._search = Search(serial, discovery) if host is None else None
+        self._statuses: Search | None = None
+        if host is not None and on_status is not None:
+            self._statuses = Search(serial, discovery, host)
         self._thermal = ThermalGuard(max_temperature_c)
         self._holds: dict[str, str] = {}
         self._last_ping: PingHeader | None = None
@@ -163,8 +170,7 @@ class OculusSonar:
         """Return an iterator over pings that ends when the sonar is closed.
 
         A ping is decoded when a reader takes it; several readers share the pings. Exceptions of
-        `on_bytes`, `on_chunk`, `on_state` and the discovery are raised here, and at the end of the
-        `async with` block.
+        the callbacks and the discovery are raised here, and at the end of the `async with` block.
         """
         return self._queue
 
@@ -258,6 +264,8 @@ class OculusSonar:
         self._driver.start()
         if self._search is not None:
             self._search.start(self._sonar_found, self._failed)
+        if self._statuses is not None:
+            self._statuses.start(self._pass_status, self._statuses_failed)
         return self
 
     async def __aexit__(
@@ -267,8 +275,9 @@ class OculusSonar:
         trace: TracebackType | None,
     ) -> None:
         try:
-            if self._search is not None:
-                await self._search.stop()
+            for search in (self._search, self._statuses):
+                if search is not None:
+                    await search.stop()
             await self._enter_standby()
         finally:
             self._fail_waiters(LinkError("the sonar was closed"))
@@ -306,7 +315,18 @@ class OculusSonar:
             if confirmation is not None and not future.done():
                 future.set_result(confirmation)
 
+    def _pass_status(self, found: Announcement) -> None:
+        if self._on_status is not None:
+            self._on_status(found.status.datagram, self._clock())
+
+    def _statuses_failed(self, error: BaseException) -> None:
+        if isinstance(error, DiscoveryError):
+            _LOG.warning("statuses of the sonar are not received: %s", error)
+        else:
+            self._failed(error)
+
     def _sonar_found(self, found: Announcement) -> None:
+        self._pass_status(found)
         status = found.status
         if self._model is None:
             self._set_model(status.model)

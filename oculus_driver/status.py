@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from ipaddress import IPv4Address
 from typing import Final
 
@@ -45,6 +45,7 @@ class Status:
         firmware: versions of ARM 0, ARM 1 and FPGA, raw.
         temperatures_c: eight internal temperatures; None = not available.
         pressure_bar: None = not available.
+        datagram: the bytes as received.
     """
 
     device_id: int
@@ -57,6 +58,7 @@ class Status:
     firmware: tuple[int, int, int]
     temperatures_c: tuple[float | None, ...]
     pressure_bar: float | None
+    datagram: bytes = field(default=b"", repr=False, compare=False)
 
     @property
     def source_id(self) -> int:
@@ -113,6 +115,7 @@ def decode_status(datagram: bytes) -> Status | Reject:
             _available(t, _TEMPERATURE_LIMITS_C) for t in fields["temperatures_c"]
         ),
         pressure_bar=_available(fields["pressure_bar"], _PRESSURE_LIMITS_BAR),
+        datagram=datagram,
     )
 
 

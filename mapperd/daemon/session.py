@@ -27,7 +27,7 @@ from mapperd.odometry.links import LinkStatus as OdometryStatus
 from mapperd.pipeline.backlog import Backlog
 from mapperd.pipeline.build import build_pipeline
 from mapperd.pipeline.counters import PipelineCounters
-from mapperd.pipeline.ingest import SONAR, ChunkQueue, Ingest
+from mapperd.pipeline.ingest import SONAR, STATUS, ChunkQueue, Ingest
 from mapperd.pipeline.persistence import MapPersistence, MemoryPersistence
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.pipeline.recorder import Recorder
@@ -125,6 +125,7 @@ class Live:
             serial=config.device.serial or None,
             port=config.device.port,
             on_chunk=self._receive_sonar,
+            on_status=partial(self.ingest.receive, STATUS, gap=False),
             on_state=self._log_sonar_state,
             clock=self._clock,
             max_pings=1,  # nobody reads them: the mapping thread decodes the bytes, as in a replay
@@ -302,7 +303,7 @@ def _require_own_links(config: Config) -> None:
     """Refuse two sources at one address, and a source with the name of another link."""
     used: dict[str, str] = {}
     for source in config.odometry.sources:
-        if source.name in (SONAR, "status", LINK):
+        if source.name in (SONAR, STATUS, LINK):
             raise ConfigError(
                 f"a source cannot have the name {source.name!r}: it is reserved",
                 "$.odometry.sources",

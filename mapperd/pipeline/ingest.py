@@ -7,10 +7,10 @@ from threading import Condition
 
 from mapperd.pipeline.recorder import Recorder
 from mapperd.session_log import Decision, Gap, Skip, chunk_of
-from oculus_driver.recording import OCULUS, Chunk
+from oculus_driver.recording import OCULUS, OCULUS_STATUS, Chunk
 from oculus_driver.stream import MessageBounds
 
-__all__ = ["MAX_BYTES", "SONAR", "ChunkQueue", "Ingest"]
+__all__ = ["MAX_BYTES", "SONAR", "STATUS", "ChunkQueue", "Ingest"]
 
 MAX_BYTES = 64 * 1024 * 1024
 """Room of the sonar in the queue."""
@@ -24,6 +24,9 @@ MIN_SIZE = 512
 
 SONAR = "sonar"
 """Name of the sonar's link."""
+
+STATUS = "status"
+"""Name of the link of its status datagrams, which are recorded and not mapped."""
 
 
 class ChunkQueue:
@@ -126,7 +129,7 @@ class Ingest:
     ) -> None:
         self._recorder = recorder
         self._queue = queue
-        self._encodings = {SONAR: OCULUS, **encodings}
+        self._encodings = {SONAR: OCULUS, STATUS: OCULUS_STATUS, **encodings}
         self._clock = clock
         self._skipped: dict[str, int] = {}
         self._lock = threading.Lock()

@@ -193,6 +193,7 @@ def open_sonar(
     *,
     keep_pinging: bool = False,
     on_chunk: Callable[[bytes, int, MessageBounds], object] | None = None,
+    on_status: Callable[[bytes, int], object] | None = None,
     on_state: Callable[[LinkStatus], None] | None = None,
 ) -> OculusSonar:
     """Return the sonar selected by the arguments, for `async with`."""
@@ -206,6 +207,7 @@ def open_sonar(
         version=args.version,
         keep_pinging=keep_pinging,
         on_chunk=on_chunk,
+        on_status=on_status,
         on_state=on_state,
         discovery=lambda: Discovery(args.status_port, args.listen),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -46,6 +47,8 @@ def _lines(name: str, info: RecordingInfo, *, listed: bool) -> Iterator[str]:
         seconds = (info.end_ns - info.start_ns) / 1e9
         start, end = format_time(info.start_ns), format_time(info.end_ns)
         yield f"recorded {start} to {end}, {seconds:.3f} s"
+    if re.fullmatch(r"-?\d{1,19}", change_ns := info.metadata.get("clock_change_ns", "")):
+        yield f"the host's clock was set by {int(change_ns) / 1e9:+.3f} s before this file"
     if info.damage is not None:
         yield f"damage: {info.damage} ({info.faults} in total)"
     if info.damaged_bytes:

@@ -34,6 +34,8 @@ HELP = "let a sonar ping and record it: only under water"
 
 _MEGABYTE = 1_000_000
 _SECOND_NS = 1_000_000_000
+_CHECK_INTERVAL_S = 0.5
+_NO_PING_S = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -96,19 +98,21 @@ def run(args: argparse.Namespace, output: Output) -> Exit:
         args.out,
         _policy(args),
         prefix=args.prefix,
-        monotonic_to_unix_ns=time.time_ns() - time.monotonic_ns(),
+        monotonic_to_unix_ns=lambda: time.time_ns() - time.monotonic_ns(),
     )
-    run_until_stopped(_log(args, output, settings, log))
-    if not log.counters.bytes_written:
-        return output.failure("nothing was recorded; run `oculus doctor`", Exit.FAULT)
-    return Exit.OK
+    watch = _Watch(args, output, settings, log)
+    watch.check_space()
+    run_until_stopped(_log(args, output, settings, watch))
+    problem = watch.problem()
+    return Exit.OK if problem is None else output.failure(problem, Exit.FAULT)
 
 
 async def _log(
-    args: argparse.Namespace, output: Output, settings: FireSettings, log: SonarLog
+    args: argparse.Namespace, output: Output, settings: FireSettings, watch: _Watch
 ) -> None:
     from oculus_driver.recording import BackgroundLog  # noqa: PLC0415 - slow to import
 
+    log = watch.log
     async with BackgroundLog(log) as writer:
         tap = _Tap(writer, output)
         sonar = open_sonar(
@@ -116,10 +120,13 @@ async def _log(
             settings,
             keep_pinging=args.keep_pinging,
             on_chunk=tap.take,
+            on_status=writer.write_status,
             on_state=tap.link_changed,
         )
+        watch.sonar, watch.writer = sonar, writer
         try:
             async with asyncio.timeout(args.duration), sonar, asyncio.TaskGroup() as tasks:
+                tasks.create_task(watch.run())
                 tasks.create_task(_report_periodically(args.every, output, sonar, log))
                 async for _ in sonar.pings():
                     pass  # `tap` has recorded the bytes
@@ -127,6 +134,81 @@ async def _log(
             pass
         finally:
             _report(output, sonar, log, "end")
+
+
+class _Watch:
+    """Reports at once that nothing is recorded, and at the end what is missing.
+
+    Attributes:
+        log: the log.
+        sonar, writer: the sonar and the thread that writes, None before they are opened.
+    """
+
+    def __init__(
+        self, args: argparse.Namespace, output: Output, settings: FireSettings, log: SonarLog
+    ) -> None:
+        self.log = log
+        self.sonar: OculusSonar | None = None
+        self.writer: BackgroundLog | None = None
+        self._expects_pings = not settings.standby
+        self._free_mb = args.free_mb
+        self._output = output
+        self._reported: str | None = None
+
+    def check_space(self) -> None:
+        """Report that there is no space before the sonar is opened."""
+        shortage = self.log.shortage
+        if shortage is not None:
+            self._report(self._in_words(shortage))
+
+    async def run(self) -> None:
+        """Report each change until cancelled."""
+        loop = asyncio.get_running_loop()
+        pings, since_s = 0, loop.time()
+        while True:
+            await asyncio.sleep(_CHECK_INTERVAL_S)
+            count = self._pings
+            if count != pings:
+                pings, since_s = count, loop.time()
+            if self.log.state == "paused":
+                self._report(self._in_words(self.log.reason or "disk"))
+            elif self._expects_pings and loop.time() - since_s > _NO_PING_S:
+                self._report(f"no ping for {_NO_PING_S:g} s")
+            elif count or not self._expects_pings:
+                self._report(None)
+
+    def problem(self) -> str | None:
+        """Return what was not recorded, None if everything was."""
+        counters = self.log.counters
+        if not counters.bytes_written:
+            why = f" ({self._reported})" if self._reported else ""
+            return f"nothing was recorded{why}; run `oculus doctor`"
+        if self._expects_pings and not self._pings:
+            return "no ping was recorded; run `oculus doctor`"
+        drops = dict(counters.drops)
+        if self.writer is not None and self.writer.bytes_dropped:
+            drops["disk too slow"] = 1
+        dropped = counters.bytes_dropped + (self.writer.bytes_dropped if self.writer else 0)
+        return f"{dropped} bytes were not recorded ({', '.join(drops)})" if dropped else None
+
+    @property
+    def _pings(self) -> int:
+        return 0 if self.sonar is None else self.sonar.counters.pings
+
+    def _report(self, problem: str | None) -> None:
+        """Report a problem when it begins, and its end."""
+        if problem == self._reported:
+            return
+        self._reported = problem
+        text = "recording" if problem is None else f"NOT RECORDING: {problem}"
+        self._output.report({"event": "recording", "problem": problem}, text)
+
+    def _in_words(self, reason: str) -> str:
+        words = {
+            "free_space": f"less than {self._free_mb:g} MB would stay free on the disk (--free-mb)",
+            "budget": "the files of this log fill the budget (--budget-mb)",
+        }
+        return words.get(reason, reason)
 
 
 class _Tap:

@@ -256,14 +256,21 @@ class Search:
     Args:
         serial: its device id; None: the first sonar discovered.
         discovery: makes the source of announcements; None: `Discovery`.
+        address: of the sonar; None: any.
 
     Attributes:
         status: last status of the sonar, None before the first one.
     """
 
-    def __init__(self, serial: int | None, discovery: DiscoveryFactory | None) -> None:
+    def __init__(
+        self,
+        serial: int | None,
+        discovery: DiscoveryFactory | None,
+        address: str | None = None,
+    ) -> None:
         self.status: Status | None = None
         self._serial = serial
+        self._address = address
         self._discovery = discovery or Discovery
         self._ignored: set[int] = set()
         self._task: asyncio.Task[None] | None = None
@@ -297,6 +304,8 @@ class Search:
 
     def _is_selected(self, found: Announcement) -> bool:
         serial = found.status.device_id
+        if self._address not in (None, found.address):
+            return False
         if self._serial is None:
             self._serial = serial
         if serial == self._serial:

@@ -26,7 +26,13 @@ _STATUS: Final = "status"
 _MARGIN: Final = MIB
 """Growth of a file beyond the data: record heads and index, bytes."""
 
-_FREE_CHECK_NS: Final = 1_000_000_000
+_CHECK_INTERVAL_NS: Final = 1_000_000_000
+
+MAX_CLOCK_ERROR_NS: Final = 500_000_000
+"""A larger difference to the host's clock starts a new file."""
+
+CLOCK_CHANGE: Final = "clock_change_ns"
+"""Metadata key: by how much the host's clock was set since the previous file."""
 
 
 @dataclass(slots=True)
@@ -38,7 +44,7 @@ class LogCounters:
         drops: dropped pieces by reason: budget, free_space, disk (error, see `SonarLog.reason`),
             resuming (the rest of a message whose beginning was dropped).
         files_opened: created files.
-        rotations: closed files by reason: size, time, failure.
+        rotations: closed files by reason: size, time, clock (the host's clock was set), failure.
         files_deleted, bytes_deleted: old files deleted for room.
         deletes_failed: old files that could not be deleted.
         syncs: how often data were flushed to the disk.
@@ -74,6 +80,40 @@ class _Piece(NamedTuple):
     gap_before: bool
 
 
+class _Offset:
+    """From the clock of the arrivals to Unix time, as the host's clock is set.
+
+    Attributes:
+        ns: that of the present file.
+    """
+
+    def __init__(self, source: int | Callable[[], int]) -> None:
+        self.ns: int = source if isinstance(source, int) else source()
+        self._source = source
+        self._files = 0
+        self._changed = False
+        self._checked_ns: int | None = None
+
+    def has_changed(self, now_ns: int) -> bool:
+        """Return whether the clock was set since the file began; looks once per second."""
+        if isinstance(self._source, int):
+            return False
+        last_ns = self._checked_ns
+        if last_ns is None or not 0 <= now_ns - last_ns < _CHECK_INTERVAL_NS:
+            self._checked_ns = now_ns
+            self._changed = abs(self._source() - self.ns) > MAX_CLOCK_ERROR_NS
+        return self._changed
+
+    def follow(self) -> int:
+        """Begin a file: use the present offset; return by how much the clock was set."""
+        before, self._changed = self.ns, False
+        if not isinstance(self._source, int):
+            self.ns = self._source()
+        self._files += 1
+        change_ns = self.ns - before
+        return change_ns if self._files > 1 and abs(change_ns) > MAX_CLOCK_ERROR_NS else 0
+
+
 class SonarLog:
     """A series of MCAP files with one sonar's received bytes. Blocking, not thread-safe.
 
@@ -86,7 +126,9 @@ class SonarLog:
         folder: for the files; created if needed.
         policy: the limits.
         prefix: of the file names.
-        monotonic_to_unix_ns: added to every stamp; 0 if stamps are nanoseconds since 1970.
+        monotonic_to_unix_ns: added to every stamp; 0 if stamps are nanoseconds since 1970. A
+            function is called once per second: if the host's clock was set by more than half a
+            second, a new file starts, and its metadata have the change (`clock_change_ns`).
         metadata: free text for each file.
         others: encodings of links recorded beside the sonar, such as odometry, by name.
         free_bytes: returns the free space of the folder's disk.
@@ -103,7 +145,7 @@ class SonarLog:
         policy: LogPolicy | None = None,
         *,
         prefix: str = "sonar",
-        monotonic_to_unix_ns: int = 0,
+        monotonic_to_unix_ns: int | Callable[[], int] = 0,
         metadata: Mapping[str, str] | None = None,
         others: Mapping[str, str] | None = None,
         free_bytes: Callable[[Path], int] = free_bytes_of,
@@ -113,7 +155,7 @@ class SonarLog:
         self.counters = LogCounters()
         self.reason: str | None = None
         self._folder = LogFolder(folder, prefix)
-        self._offset_ns = monotonic_to_unix_ns
+        self._offset = _Offset(monotonic_to_unix_ns)
         self._metadata = dict(metadata or {})
         self._links = {_SONAR: OCULUS, _STATUS: OCULUS_STATUS, **(others or {})}
         self._numbers: dict[str, int] = {}
@@ -159,6 +201,13 @@ class SonarLog:
     def holding(self) -> bool:
         """Whether a piece waits to be written."""
         return self._held is not None
+
+    @property
+    def shortage(self) -> str | None:
+        """Why nothing could be written now: budget, free_space, or None. Deletes nothing."""
+        open_bytes = 0 if self._writer is None else self._writer.size_bytes
+        free = self._free_bytes(self._folder.path)
+        return make_room(self.policy, self._folder.closed, open_bytes, _MARGIN, free).shortage
 
     @property
     def path(self) -> Path | None:
@@ -255,7 +304,8 @@ class SonarLog:
     def _full(self, now_ns: int) -> str | None:
         if self._writer is None:
             return None
-        return self.policy.full(self._writer.size_bytes, now_ns - self._began_ns)
+        full = self.policy.full(self._writer.size_bytes, now_ns - self._began_ns)
+        return full or ("clock" if self._offset.has_changed(now_ns) else None)
 
     def _put(
         self,
@@ -338,7 +388,7 @@ class SonarLog:
     def _free_now(self, size: int, now_ns: int) -> int:
         """Return the free space; queries the disk once per second and counts in between."""
         age_ns = now_ns - self._free_checked_ns
-        if self._free is None or not 0 <= age_ns < _FREE_CHECK_NS:
+        if self._free is None or not 0 <= age_ns < _CHECK_INTERVAL_NS:
             self._free = self._free_bytes(self._folder.path)
             self._free_checked_ns = now_ns
         free = self._free
@@ -346,9 +396,12 @@ class SonarLog:
         return free
 
     def _open(self, now_ns: int) -> RecordingWriter:
-        path = self._folder.next_path(now_ns + self._offset_ns)
+        change_ns = self._offset.follow()
+        note = {CLOCK_CHANGE: str(change_ns)} if change_ns else {}
+        offset_ns = self._offset.ns
+        path = self._folder.next_path(now_ns + offset_ns)
         writer = RecordingWriter(
-            path, monotonic_to_unix_ns=self._offset_ns, metadata=self._metadata
+            path, monotonic_to_unix_ns=offset_ns, metadata=self._metadata | note
         )
         self._writer = writer
         self._messages = 0

@@ -22,7 +22,7 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import PosedPing
 from mapperd.pipeline.executor import PingExecutor
-from mapperd.pipeline.ingest import SONAR
+from mapperd.pipeline.ingest import SONAR, STATUS
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.pipeline.step import PingResult
 from mapperd.session.recordings import files_in, sessions_of
@@ -36,7 +36,8 @@ from mapperd.session_log import (
     Skip,
     decision_of,
 )
-from oculus_driver.recording import RecordingWriter
+from oculus_driver.encode import encode_status
+from oculus_driver.recording import OCULUS_STATUS, RecordingWriter
 
 MakeBytes = Callable[..., bytes]
 START_NS = 1_700_000_000_000_000_000
@@ -100,6 +101,8 @@ def dive(
             changes = {"filtering.intensity_threshold": chance.randrange(20, 120)}
             changes |= {"processing.frame_skip": chance.choice([1, 1, 2, 3])}
             yield Event(t_ns + 30 * MS, "settings", changes=changes)
+        if k % 10 == 0:
+            yield Event(t_ns + 25 * MS, STATUS, encode_status(device_id=k))
         if k in resets:
             yield Event(t_ns + 40 * MS, "reset")
 
@@ -191,6 +194,25 @@ def test_recording_gives_the_map_again(
     kinds = kinds_in(folder)
     assert kinds >= {Gap, Settings, Reset, Drop}
     assert (Skip in kinds) == (room < 64 << 20)
+
+
+def test_statuses_of_the_sonar_are_recorded(tmp_path: Path) -> None:
+    config = config_from_text(settings_text(tmp_path / "recordings"))
+    live = Live(SonarMap(config), OdometryPoses(config), session="abc", clock=lambda: START_NS)
+    status = encode_status(device_id=7)
+
+    async def work() -> None:
+        async with live.recorder:
+            live.ingest.order(live._beginning())
+            assert live.sonar._on_status is not None
+            live.sonar._on_status(status, START_NS)
+
+    asyncio.run(work())
+    (session,) = sessions_of(files_in([tmp_path / "recordings"]))
+    recorded = [chunk for chunk in session if chunk.encoding == OCULUS_STATUS]
+    assert [(chunk.link, chunk.arrival_ns, chunk.data) for chunk in recorded] == [
+        (STATUS, START_NS, status)
+    ]
 
 
 def short_session(sonar_map: SonarMap, session: str, pings: list[bytes], pose: Pose) -> None:

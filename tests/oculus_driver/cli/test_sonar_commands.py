@@ -105,6 +105,49 @@ def test_a_log_of_nothing_is_a_fault(oculus: Oculus, tmp_path: Path) -> None:
     assert "nothing was recorded" in result.err
 
 
+def test_a_log_without_space_is_reported_at_once_and_is_a_fault(
+    oculus: Oculus, capture_path: Path, tmp_path: Path
+) -> None:
+    with played(capture_path, speed=50.0) as (sonar, status_port):
+        words = ("--out", tmp_path, "--duration", "1.5", "--free-mb", "1e12", "--json")
+        result = oculus("log", *where(sonar, status_port), *words)
+    first = result.facts[0]
+    assert first["event"] == "recording"
+    assert "--free-mb" in first["problem"]
+    assert result.code == 1
+    assert "nothing was recorded (less than" in result.err
+
+
+def test_a_log_of_a_sonar_that_never_pings_is_reported_and_is_a_fault(
+    oculus: Oculus, capture_path: Path, tmp_path: Path
+) -> None:
+    silent = {"standby": True, "faults": Faults(silent_after_s=0.0)}
+    with played(capture_path, **silent) as (sonar, status_port):
+        words = ("--out", tmp_path, "--duration", "7", "--free-mb", "0", "--json")
+        result = oculus("log", *where(sonar, status_port), *words)
+    problems = [facts["problem"] for facts in result.facts if facts.get("event") == "recording"]
+    assert problems == ["no ping for 5 s"]
+    assert result.code == 1
+    assert "no ping was recorded" in result.err
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_a_log_records_the_statuses_of_the_sonar(
+    given: bool,  # noqa: FBT001 a parameter of the test
+    oculus: Oculus,
+    capture_path: Path,
+    tmp_path: Path,
+) -> None:
+    with played(capture_path, speed=50.0) as (sonar, status_port):
+        words = ["--out", tmp_path, "--duration", "1.5", "--free-mb", "0"]
+        words += ["127.0.0.1"] if given else []
+        assert oculus("log", *where(sonar, status_port), *words).code == 0
+    (info,) = oculus("info", *tmp_path.iterdir(), "--json").facts
+    assert info["links"]["status"]["encoding"] == "oculus-status"
+    assert info["statuses"] > 3
+    assert info["pings"] > 3
+
+
 def test_watch_reports_statuses_without_connecting(oculus: Oculus, capture_path: Path) -> None:
     with played(capture_path) as (sonar, status_port):
         words = ("--duration", "0.5", "--json")

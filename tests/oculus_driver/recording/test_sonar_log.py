@@ -109,6 +109,29 @@ def test_a_log_is_rotated_by_time_also_while_nothing_comes(
     assert [info.messages for info in everything(tmp_path)] == [2, 1]
 
 
+def test_a_clock_that_is_set_later_starts_a_file_that_records_the_change(
+    tmp_path: Path, make_ping: MakePing
+) -> None:
+    offset_ns = [UNIX_NS]
+    ping = make_ping()
+    with SonarLog(tmp_path, SMALL, monotonic_to_unix_ns=lambda: offset_ns[0]) as log:
+        write = writer_of(log)
+        for second in range(10):
+            if second == 3:
+                offset_ns[0] += 3600 * SECOND
+            if second == 6:
+                offset_ns[0] += SECOND // 10  # a clock that drifts
+            write(ping[:500], second * SECOND)
+            write(ping[500:], second * SECOND + 1)
+    first, second_file = everything(tmp_path)
+    assert log.counters.rotations == {"clock": 1}
+    assert (first.pings, second_file.pings) == (4, 6)  # a file ends with a message
+    assert (first.start_ns, first.end_ns) == (UNIX_NS, UNIX_NS + 3 * SECOND + 1)
+    assert second_file.start_ns == UNIX_NS + 3604 * SECOND
+    assert second_file.metadata["clock_change_ns"] == str(3600 * SECOND)
+    assert "clock_change_ns" not in first.metadata
+
+
 def test_statuses_are_recorded_beside_the_stream(tmp_path: Path, make_ping: MakePing) -> None:
     with SonarLog(tmp_path, SMALL, prefix="m750d", metadata={"site": "quay"}) as log:
         write = writer_of(log)
