@@ -15,6 +15,7 @@ from mapperd.foxglove.channels import CHANNELS, Channels
 from mapperd.foxglove.map_publisher import LIVE
 from mapperd.foxglove.messages import Follows
 from mapperd.foxglove.parameters import LiveParameters, Steers
+from mapperd.foxglove.proxy import ViewerAccess, ViewerProxy
 from mapperd.wire.messages import WANTS, SettingsMessage, Want
 
 __all__ = ["FIRST_WANTS", "FoxgloveClient", "serve"]
@@ -42,6 +43,7 @@ async def serve(
     port: int,
     ready: Callable[[int], None] = lambda _: None,
     *,
+    access: ViewerAccess | None = None,
     may_change: bool = True,
 ) -> None:
     """Serve viewers until cancelled, or until the client ends.
@@ -51,6 +53,7 @@ async def serve(
         host: address to listen on.
         port: 0 chooses a free one.
         ready: called with the port.
+        access: who may watch; None admits known viewers without a token.
         may_change: viewers may change settings.
 
     Raises:
@@ -60,24 +63,37 @@ async def serve(
     context = foxglove.Context()
     service = _Service(client, Channels(context), may_change=may_change)
     try:
-        server = foxglove.start_server(
+        async with ViewerProxy(host, port, access or ViewerAccess()) as proxy:
+            server = _start(service, context, proxy.target[0])
+            proxy.target = (proxy.target[0], server.port)
+            try:
+                ready(proxy.port)
+                await service.run(server)
+            finally:
+                # In a thread, because a pending request of a viewer waits for this loop.
+                await asyncio.to_thread(server.stop)
+    finally:
+        service.channels.close()
+
+
+def _start(service: "_Service", context: foxglove.Context, host: str) -> WebSocketServer:
+    """Start the SDK's server at a free port.
+
+    Raises:
+        LiveError: cannot listen there.
+    """
+    try:
+        return foxglove.start_server(
             name="mapperd",
             host=host,
-            port=port,
+            port=0,
             capabilities=[Capability.Parameters, Capability.Time],
             server_listener=service.parameters,
             context=context,
             message_backlog_size=BACKLOG,
         )
     except (RuntimeError, OSError, ValueError) as error:
-        raise LiveError(f"{host}:{port}: cannot listen: {error}") from error
-    try:
-        ready(server.port)
-        await service.run(server)
-    finally:
-        # In a thread, because a pending request of a viewer waits for this loop.
-        await asyncio.to_thread(server.stop)
-        service.channels.close()
+        raise LiveError(f"{host}: cannot listen: {error}") from error
 
 
 class _Service:

@@ -15,6 +15,7 @@ __all__ = [
     "FailureLimiter",
     "Limits",
     "TokenBucket",
+    "is_loopback",
     "is_proof",
     "proof_of",
     "read_token",
@@ -124,6 +125,14 @@ def read_token(path: Path, place: str = "$.server.token_file") -> bytes:
             place,
         )
     return token
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether only this computer reaches what listens at an address or name."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def proof_of(token: bytes, challenge: str) -> str:

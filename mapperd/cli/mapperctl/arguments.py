@@ -220,10 +220,20 @@ def add_foxglove(command: argparse.ArgumentParser) -> None:
         help="address to listen on; default: 127.0.0.1, only this computer",
     )
     add(
-        "--allow-changes",
-        action="store_true",
-        help="viewers may change settings; so may any web page whose browser reaches the port",
+        "--viewer-token-file",
+        metavar="FILE",
+        type=Path,
+        help="token of viewers, as ?token=TOKEN in the address; other computers need one",
     )
+    add(
+        "--allow-origin",
+        metavar="ORIGIN",
+        type=_page_origin,
+        action="append",
+        default=[],
+        help="also admit pages of this origin, such as http://localhost:8080",
+    )
+    add("--allow-changes", action="store_true", help="viewers may change settings")
     _add_interest(command)
 
 
@@ -278,6 +288,13 @@ def _port(text: str) -> int:
     if not (text.isascii() and text.isdigit() and int(text) < 1 << 16):
         raise argparse.ArgumentTypeError(f"{text!r}: a port was expected")
     return int(text)
+
+
+def _page_origin(text: str) -> str:
+    scheme, mark, host = text.lower().rstrip("/").partition("://")
+    if not (scheme and mark and host) or "/" in host:
+        raise argparse.ArgumentTypeError(f"{text!r}: an origin was expected: http://HOST:PORT")
+    return f"{scheme}://{host}"
 
 
 def _duration(text: str) -> float:

@@ -17,21 +17,14 @@ from mapperd.client import Interest, MapClient, StreamError
 from mapperd.errors import missing_extra
 from mapperd.foxglove.recording import FoxgloveRecording
 from mapperd.viewer.app import VIEW_WANTS, ViewerPage
+from mapperd.wire.auth import is_loopback
 
 if TYPE_CHECKING:
     import ssl
 
     from viser import ViserServer
 
-__all__ = ["is_local", "open_page", "run_view", "same_origin"]
-
-
-def is_local(host: str) -> bool:
-    """Only this computer reaches what listens there."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
+__all__ = ["open_page", "run_view", "same_origin"]
 
 
 def open_page(host: str, port: int) -> "ViserServer":
@@ -144,7 +137,9 @@ def run_view(
             interest=Interest(level=args.level, radius_m=args.radius),
             name="mapperctl view",
         )
-        asyncio.run(_follow(server, client, may_change=is_local(args.host) or args.allow_changes))
+        asyncio.run(
+            _follow(server, client, may_change=is_loopback(args.host) or args.allow_changes)
+        )
     except StreamError as error:
         code = CtlExit.NO_PERMISSION if error.reason in REFUSED else CtlExit.PROTOCOL
         raise CtlError(str(error), code) from error

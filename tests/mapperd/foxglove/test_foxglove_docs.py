@@ -18,6 +18,6 @@ def test_every_channel_is_in_the_table() -> None:
 
 def test_commands_of_the_page_are_understood() -> None:
     commands = re.findall(r"^mapperctl (.*?)(?:#.*)?$", PAGE, re.MULTILINE)
-    assert len(commands) == 6
+    assert len(commands) == 7
     for command in commands:
         parser().parse_args(command.split())

@@ -16,6 +16,7 @@ from websockets.asyncio.client import connect
 
 from mapperd.cli.mapperctl.command import main
 from mapperd.foxglove import server as foxglove_server
+from mapperd.foxglove.proxy import ORIGINS, ViewerAccess
 from mapperd.wire.messages import ByeMessage
 from tests.mapperd.foxglove.foxglove_fakes import message_class, points_of_cloud, until
 from tests.support.stream_server import Served, Server, a_block
@@ -180,20 +181,57 @@ def test_viewers_are_served_until_stopped(short: Path) -> None:
     beside_a_daemon(short, act)
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1", "10.0.0.1"])
-def test_settings_are_changed_only_where_that_is_allowed(
-    host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The server cannot distinguish viewers: on this computer any page may connect."""
-    allowed: list[bool] = []
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[ViewerAccess, bool]]:
+    """What the command serves with: who may watch, and whether viewers may change settings."""
+    found: list[tuple[ViewerAccess, bool]] = []
 
-    async def serve(*_: object, may_change: bool) -> None:
-        allowed.append(may_change)
+    async def serve(*_: object, access: ViewerAccess, may_change: bool) -> None:
+        found.append((access, may_change))
 
     monkeypatch.setattr(foxglove_server, "serve", serve)
+    return found
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1", "10.0.0.1"])
+def test_settings_are_changed_only_where_that_is_allowed(
+    host: str, tmp_path: Path, calls: list[tuple[ViewerAccess, bool]]
+) -> None:
+    """The server cannot distinguish viewers."""
+    token = tmp_path / "token"
+    token.write_text("a-token-of-letters")
+    token.chmod(0o600)
     given = ["foxglove", "--host", host, "--socket", str(tmp_path / "none.sock")]
+    given += ["--viewer-token-file", str(token)]
     assert main(given) == main([*given, "--allow-changes"]) == 0
-    assert allowed == [False, True]
+    assert [may_change for _, may_change in calls] == [False, True]
+
+
+def test_other_computers_need_a_token(
+    tmp_path: Path, calls: list[tuple[ViewerAccess, bool]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["foxglove", "--socket", str(tmp_path / "none.sock")]
+    for host in ("0.0.0.0", "::", "10.0.0.1", "topside"):  # noqa: S104 refused
+        assert main([*given, "--host", host]) == 2
+        assert "--viewer-token-file" in capsys.readouterr().err
+    token = tmp_path / "token"
+    token.write_text("short")
+    token.chmod(0o600)
+    assert main([*given, "--viewer-token-file", str(token)]) == 2
+    assert "16 or more" in capsys.readouterr().err
+    assert calls == []
+    token.write_text("a-token-of-letters\n")
+    assert main([*given, "--host", "0.0.0.0", "--viewer-token-file", str(token)]) == 0  # noqa: S104
+    assert calls[0][0].token == b"a-token-of-letters"
+
+
+def test_further_origins_are_admitted(
+    tmp_path: Path, calls: list[tuple[ViewerAccess, bool]]
+) -> None:
+    given = ["foxglove", "--socket", str(tmp_path / "none.sock")]
+    assert main([*given, "--allow-origin", "http://LocalHost:8080/"]) == 0
+    assert calls[0][0].origins == (*ORIGINS, "http://localhost:8080")
+    assert calls[0][0].token is None
 
 
 def test_wrong_arguments_are_reported(capsys: pytest.CaptureFixture[str]) -> None:
@@ -203,6 +241,7 @@ def test_wrong_arguments_are_reported(capsys: pytest.CaptureFixture[str]) -> Non
         (["record", "a.mcap", "--radius", "far"], "metres were expected"),
         (["foxglove", "--port", "70000"], "a port was expected"),
         (["foxglove", "--level", "9"], "invalid choice"),
+        (["foxglove", "--allow-origin", "*"], "an origin was expected"),
     ):
         with pytest.raises(SystemExit, match="2"):
             main(given)
