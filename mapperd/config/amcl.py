@@ -41,7 +41,10 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
         str, rule("Name of the vehicle's frame, which is estimated.", "a name", pattern=FRAME)
     ] = "base_footprint"
     odom_frame_id: Annotated[
-        str, rule("Name of the odometry's frame: continuous, it drifts.", "a name", pattern=FRAME)
+        str,
+        rule(
+            "Name of the odometry's frame, which is continuous and drifts.", "a name", pattern=FRAME
+        ),
     ] = "odom"
     global_frame_id: Annotated[
         str,
@@ -51,22 +54,20 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
             pattern=FRAME,
         ),
     ] = "map"
-    map_topic: Annotated[
-        str, rule("Name under which maps come while running.", "a topic", pattern=TOPIC)
-    ] = "map"
+    map_topic: Annotated[str, rule("Topic of new maps.", "a topic", pattern=TOPIC)] = "map"
     use_map_topic: Annotated[
         bool,
         rule("Accept new maps on map_topic; otherwise the map of localization.map_path stays."),
     ] = True
     initial_pose_topic: Annotated[
-        str, rule("Name under which initial poses come.", "a topic", pattern=TOPIC)
+        str, rule("Topic of initial poses.", "a topic", pattern=TOPIC)
     ] = "initialpose"
 
     set_initial_pose: Annotated[
         bool,
         rule(
-            "Begin at the initial pose below when a map comes and no estimate is there; "
-            "otherwise anywhere on the map.",
+            "On a new map without an estimate, start at the initial pose below; if false, "
+            "anywhere on the map.",
             live=True,
         ),
     ] = False
@@ -96,15 +97,16 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
     always_reset_initial_pose: Annotated[
         bool,
         rule(
-            "A new map begins at the initial pose again, if set_initial_pose is true; "
-            "otherwise at the last estimate.",
+            "With set_initial_pose, each new map starts at the initial pose again; if false, "
+            "at the last estimate.",
             live=True,
         ),
     ] = False
     save_pose_rate: Annotated[
         float,
         rule(
-            "How often the estimate is saved, to go on there after a restart; 0 or less never.",
+            "Rate at which the estimate is saved, to resume there after a restart; 0 or less "
+            "never.",
             "Hz",
             live=True,
             ge=-1,
@@ -115,8 +117,8 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
     tf_broadcast: Annotated[
         bool,
         rule(
-            "Publish the odometry's frame in the map's, once a pose was given or global "
-            "localization was asked for.",
+            "Publish the odometry frame in the map frame once a pose was set or global "
+            "localization requested.",
             live=True,
         ),
     ] = True
@@ -125,10 +127,12 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 1.0
 
     max_particles: Annotated[
-        int, rule("Particles at the start, and at most.", live=True, ge=1, le=10_000_000)
+        int,
+        rule("Number of particles at the start, and the maximum.", live=True, ge=1, le=10_000_000),
     ] = 5000
     min_particles: Annotated[
-        int, rule("Particles at least; at most max_particles.", live=True, ge=1, le=10_000_000)
+        int,
+        rule("Minimum number of particles; at most max_particles.", live=True, ge=1, le=10_000_000),
     ] = 100
     pf_z: Annotated[
         float,
@@ -144,20 +148,20 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
         float, rule("Error of the cloud (Kullback-Leibler).", live=True, gt=0, le=1)
     ] = 0.05
     spatial_resolution_x: Annotated[
-        float, rule("Edge of the buckets that are counted.", "m", live=True, gt=0, le=1e4)
+        float, rule("Edge of the buckets of the KLD sampling.", "m", live=True, gt=0, le=1e4)
     ] = 0.5
     spatial_resolution_y: Annotated[
-        float, rule("Edge of the buckets that are counted.", "m", live=True, gt=0, le=1e4)
+        float, rule("Edge of the buckets of the KLD sampling.", "m", live=True, gt=0, le=1e4)
     ] = 0.5
     spatial_resolution_theta: Annotated[
         float,
-        rule("Angle of the buckets that are counted.", "rad", live=True, gt=0, le=2 * math.pi),
+        rule("Angle of the buckets of the KLD sampling.", "rad", live=True, gt=0, le=2 * math.pi),
     ] = math.radians(10.0)
     recovery_alpha_fast: Annotated[
         float,
         rule(
-            "Gain of the fast average of how well scans fit; random particles come where it "
-            "falls below the slow one.",
+            "Gain of the fast average of the scan's fit; random particles are added while it "
+            "is below the slow one.",
             live=True,
             ge=0,
             le=1,
@@ -166,7 +170,7 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
     recovery_alpha_slow: Annotated[
         float,
         rule(
-            "Gain of the slow average; at most the fast one's, 0 has no recovery.",
+            "Gain of the slow average; at most that of the fast one; 0 disables recovery.",
             live=True,
             ge=0,
             le=1,
@@ -176,43 +180,41 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
         int, rule("Resample at every Nth update.", "updates", live=True, ge=1, le=1000)
     ] = 2
     selective_resampling: Annotated[
-        bool, rule("And only while the effective number of particles is below half of them.")
+        bool, rule("Resample only while the effective number of particles is below half of them.")
     ] = False
     update_min_a: Annotated[
         float,
-        rule(
-            "Turn since the last update that calls for one.", "rad", live=True, ge=0, le=2 * math.pi
-        ),
+        rule("Minimum turn between updates.", "rad", live=True, ge=0, le=2 * math.pi),
     ] = math.pi / 6
     update_min_d: Annotated[
         float,
-        rule("Way since the last update that calls for one.", "m", live=True, ge=0, le=1e4),
+        rule("Minimum distance between updates.", "m", live=True, ge=0, le=1e4),
     ] = 0.2
     execution_policy: Annotated[
         Literal["seq", "par"],
-        rule("Particles one after the other or on all cores; the result is the same.", live=True),
+        rule("Compute particles on one core or on all; the result is the same.", live=True),
     ] = "seq"
 
     robot_model_type: Annotated[
         Literal["differential_drive", "omnidirectional_drive", "stationary"],
-        rule("How odometry errs; vehicles that sway are omnidirectional.", live=True),
+        rule("Error model of the odometry; vehicles that sway are omnidirectional.", live=True),
     ] = "differential_drive"
     odom_alpha1: Annotated[
         float, rule("Variance of turn per turn squared.", "1", live=True, ge=0, le=1e4)
     ] = 0.2
     odom_alpha2: Annotated[
-        float, rule("Variance of turn per way squared.", "rad2/m2", live=True, ge=0, le=1e4)
+        float, rule("Variance of turn per distance squared.", "rad2/m2", live=True, ge=0, le=1e4)
     ] = 0.2
     odom_alpha3: Annotated[
-        float, rule("Variance of way per way squared.", "1", live=True, ge=0, le=1e4)
+        float, rule("Variance of distance per distance squared.", "1", live=True, ge=0, le=1e4)
     ] = 0.2
     odom_alpha4: Annotated[
-        float, rule("Variance of way per turn squared.", "m2/rad2", live=True, ge=0, le=1e4)
+        float, rule("Variance of distance per turn squared.", "m2/rad2", live=True, ge=0, le=1e4)
     ] = 0.2
     odom_alpha5: Annotated[
         float,
         rule(
-            "Variance of sideways way per way squared; omnidirectional only.",
+            "Variance of sideways distance per distance squared; omnidirectional only.",
             "1",
             live=True,
             ge=0,
@@ -223,18 +225,19 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
     laser_model_type: Annotated[
         Literal["likelihood_field", "likelihood_field_prob", "beam"],
         rule(
-            "How scans are weighed: sum of cubes over a distance field, product over it, or rays.",
+            "Weight of a scan: sum of cubes over a distance field, product over it, or ray "
+            "casting.",
             live=True,
         ),
     ] = "likelihood_field"
     laser_max_range: Annotated[
         float,
-        rule("Farther returns, as beyond the image, are dropped.", "m", live=True, gt=0, le=1e4),
+        rule("Returns farther than this are dropped.", "m", live=True, gt=0, le=1e4),
     ] = 100.0
     laser_min_range: Annotated[
         float,
         rule(
-            "Nearer returns, as nearer than filtering.min_range, are dropped.",
+            "Returns nearer than this are dropped, as those below filtering.min_range.",
             "m",
             live=True,
             ge=0,
@@ -242,7 +245,8 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 0.0
     max_beams: Annotated[
-        int, rule("Beams of a scan that are weighed, evenly spaced.", live=True, ge=2, le=4096)
+        int,
+        rule("Number of beams of a scan that are used, evenly spaced.", live=True, ge=2, le=4096),
     ] = 60
     laser_sigma_hit: Annotated[
         float, rule("Standard deviation of a hit.", "m", live=True, gt=0, le=1000)
@@ -256,10 +260,10 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
         float, rule("Weight of returns before the map's; beam only.", live=True, ge=0, le=1)
     ] = 0.05
     laser_lambda_short: Annotated[
-        float, rule("Rate of those over range; beam only.", "1/m", live=True, gt=0, le=1e4)
+        float, rule("Rate of these returns over range; beam only.", "1/m", live=True, gt=0, le=1e4)
     ] = 0.1
     laser_likelihood_max_dist: Annotated[
-        float, rule("Distances in the field end here.", "m", live=True, ge=0, le=1e4)
+        float, rule("Maximum distance in the field.", "m", live=True, ge=0, le=1e4)
     ] = 2.0
 
     std_warn_level_x: Annotated[
@@ -273,7 +277,7 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.2
     restore_defaults: Annotated[
         bool,
-        rule("Asks for all of these as they were at the start; goes back to false.", live=True),
+        rule("Restore all `amcl` settings to those of the start; then false again.", live=True),
     ] = False
 
     def __post_init__(self) -> None:

@@ -34,7 +34,7 @@ class ServiceConfig(Struct, frozen=True, forbid_unknown_fields=True):
     state_folder: Annotated[
         str,
         rule(
-            "For maps and the store; without one systemd's, or the user's.",
+            "Folder of the maps and the store; default: systemd's or the user's.",
             "a path or nothing",
         ),
     ] = ""
@@ -44,24 +44,27 @@ class RecordingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Everything that comes in while mapping live, on disk as it came."""
 
     enabled: Annotated[
-        bool, rule("Record; without it, a kill costs what is not in the map's file.")
+        bool, rule("Record all input. Without it, a crash loses what is not in the map's file.")
     ] = True
     folder: Annotated[
         str,
         rule(
-            "For the recordings; without one systemd's for logs, or `recordings` in the state "
-            "folder.",
+            "Folder of the recordings; default: systemd's log folder, or `recordings` in the "
+            "state folder.",
             "a path or nothing",
         ),
     ] = ""
-    max_file: Annotated[
-        int, rule("Of one file, then the next begins.", "MiB", ge=1, le=1 << 20)
-    ] = 512
+    max_file: Annotated[int, rule("Maximum size of one file.", "MiB", ge=1, le=1 << 20)] = 512
     budget: Annotated[
         int,
-        rule("Of all files together, the oldest go; 0 has no limit.", "MiB", ge=0, le=1 << 30),
+        rule(
+            "Maximum size of all files; the oldest are deleted. 0: no limit.",
+            "MiB",
+            ge=0,
+            le=1 << 30,
+        ),
     ] = 32768
-    free_floor: Annotated[int, rule("What stays free on the disk.", "MiB", ge=0, le=1 << 30)] = 1024
+    free_floor: Annotated[int, rule("Minimum free disk space.", "MiB", ge=0, le=1 << 30)] = 1024
     use_damaged: Annotated[
         bool,
         rule("Map recorded data that fail their checksum when a session is recovered or rebuilt."),
@@ -74,8 +77,8 @@ class BacklogConfig(Struct, frozen=True, forbid_unknown_fields=True):
     max_wait: Annotated[
         float,
         rule(
-            "A ping is dropped if newer ones wait and this long ago its last byte, or the odometry "
-            "for its pose, arrived.",
+            "A ping is dropped if newer ones wait and its last byte, or the odometry for its "
+            "pose, arrived longer ago than this.",
             "s",
             gt=0,
             le=60,
@@ -89,7 +92,8 @@ class ServerConfig(Struct, frozen=True, forbid_unknown_fields=True):
     socket: Annotated[
         str,
         rule(
-            "Unix socket; without one `mapperd.sock` in systemd's runtime folder, or the user's.",
+            "Path of the Unix socket; default: `mapperd.sock` in systemd's or the user's "
+            "runtime folder.",
             "an absolute path or nothing",
             pattern="^(/[^\\x00]*)?$",
         ),
@@ -100,24 +104,25 @@ class ServerConfig(Struct, frozen=True, forbid_unknown_fields=True):
     address: Annotated[
         str,
         rule(
-            "TCP address to listen on, `127.0.0.1:7471`; others than the loopback's need a token.",
+            "TCP address to listen on, such as `127.0.0.1:7471`; addresses other than "
+            "loopback need a token.",
             "host:port or nothing",
         ),
     ] = ""
     token_file: Annotated[
         str,
         rule(
-            "Holds the token of TCP; without one systemd's credential `server-token`. Without "
-            "either, clients of TCP may read everything and change nothing.",
+            "File with the token for TCP; default: systemd's credential `server-token`. "
+            "Without a token, TCP clients may read everything and change nothing.",
             "a path or nothing",
         ),
     ] = ""
     tls_certificate: Annotated[
-        str, rule("Chain in PEM; with it TCP is TLS.", "a path or nothing")
+        str, rule("Certificate chain in PEM; enables TLS.", "a path or nothing")
     ] = ""
-    tls_key: Annotated[str, rule("Its private key in PEM.", "a path or nothing")] = ""
+    tls_key: Annotated[str, rule("Private key in PEM.", "a path or nothing")] = ""
     max_clients: Annotated[
-        int, rule("Clients that follow the map at once.", "clients", ge=1, le=1000)
+        int, rule("Maximum number of clients that follow the map.", "clients", ge=1, le=1000)
     ] = 100
 
 
@@ -125,13 +130,14 @@ class StreamConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """How the live map is sent: docs/reference/map-stream.md."""
 
     rate: Annotated[
-        float, rule("Looks for changes of the map a second.", "Hz", live=True, gt=0, le=20)
+        float,
+        rule("Rate at which changes of the map are sent.", "Hz", live=True, gt=0, le=20),
     ] = 5.0
     log_odds_step: Annotated[
         float, rule("Log-odds are sent in multiples of this value.", "log-odds", ge=0.01, le=5)
     ] = 0.25
     bytes_per_s: Annotated[
-        int, rule("To one client at most; 0 has no limit.", "bytes/s", ge=0, le=1 << 40)
+        int, rule("Maximum rate to one client; 0: no limit.", "bytes/s", ge=0, le=1 << 40)
     ] = 0
     path_points: Annotated[
         int,
@@ -148,18 +154,18 @@ class MqttConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Telemetry to a broker."""
 
     host: Annotated[
-        str, rule("Of the broker; without one there is no telemetry.", "a name or nothing")
+        str, rule("Host of the broker; empty disables telemetry.", "a name or nothing")
     ] = ""
-    port: Annotated[int, rule("Of the broker.", ge=1, le=65535)] = 1883
+    port: Annotated[int, rule("Port of the broker.", ge=1, le=65535)] = 1883
     tls: Annotated[bool, rule("Encrypt, and check the broker's certificate.")] = False
     ca_file: Annotated[
-        str, rule("Authorities to trust instead of the system's.", "a path or nothing")
+        str, rule("Certificate authorities to trust instead of the system's.", "a path or nothing")
     ] = ""
-    username: Annotated[str, rule("For the broker.", "a name or nothing")] = ""
+    username: Annotated[str, rule("User name at the broker.", "a name or nothing")] = ""
     password_file: Annotated[
         str,
         rule(
-            "Holds the password; without one systemd's credential `mqtt-password`.",
+            "File with the password; default: systemd's credential `mqtt-password`.",
             "a path or nothing",
         ),
     ] = ""
@@ -169,16 +175,13 @@ class MqttConfig(Struct, frozen=True, forbid_unknown_fields=True):
     vehicle: Annotated[
         str, rule("Second part of every topic.", "a name", pattern=f"^{NAME_PATTERN}$")
     ] = "vehicle"
-    keepalive: Annotated[int, rule("Of the connection.", "s", ge=5, le=3600)] = 15
+    keepalive: Annotated[int, rule("Keep-alive period of the connection.", "s", ge=5, le=3600)] = 15
     queue: Annotated[
-        int, rule("Messages that may wait for the broker.", "messages", ge=10, le=100000)
+        int,
+        rule("Maximum number of messages that wait for the broker.", "messages", ge=10, le=100000),
     ] = 1000
-    pose_rate: Annotated[float, rule("Poses a second, at most.", "Hz", live=True, gt=0, le=50)] = (
-        5.0
-    )
-    commands: Annotated[
-        bool, rule("Obey `cmd/...` and `config/.../set`; without it the broker only listens.")
-    ] = False
+    pose_rate: Annotated[float, rule("Maximum rate of poses.", "Hz", live=True, gt=0, le=50)] = 5.0
+    commands: Annotated[bool, rule("Accept commands from `cmd/...` and `config/.../set`.")] = False
 
 
 class OutOfCoreConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -187,12 +190,14 @@ class OutOfCoreConfig(Struct, frozen=True, forbid_unknown_fields=True):
     use: Annotated[bool, rule("Keep the map on disk.")] = False
     map_path: Annotated[
         str,
-        rule("Of the map's file; without one it lies in the state directory.", "a path or nothing"),
+        rule("Path of the map's file; default: in the state folder.", "a path or nothing"),
     ] = ""
     tile_size: Annotated[
         float, rule("Edge of a tile; at least eight voxels.", "m", ge=0.01, le=10000)
     ] = 10.0
-    cache_size: Annotated[int, rule("Tiles in memory at most.", "tiles", ge=1, le=1000000)] = 16
+    cache_size: Annotated[
+        int, rule("Maximum number of tiles in memory.", "tiles", ge=1, le=1000000)
+    ] = 16
 
 
 class ExportConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -265,12 +270,11 @@ class VisualizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     show_opencv_visualization: Annotated[
         bool,
         rule(
-            "Draw what the filters make of the pings, once a second, into `debug` in the state "
-            "folder; a daemon has no windows.",
+            "Once a second, draw the filtered pings into `debug` in the state folder.",
             live=True,
         ),
     ] = False
     tile_save_interval: Annotated[
         float,
-        rule("Between saves of the map on disk.", "s", live=True, gt=0, le=3600),
+        rule("Interval between saves of the map on disk.", "s", live=True, gt=0, le=3600),
     ] = 5.0

@@ -12,9 +12,7 @@ __all__ = ["CrosstalkConfig", "RobotDetectionConfig", "TerrainDetectionConfig"]
 class CrosstalkConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Removal of stripes: rings at one range over all beams, from another sound source."""
 
-    enabled: Annotated[
-        bool, rule("Remove stripes before anything else sees the image.", live=True)
-    ] = False
+    enabled: Annotated[bool, rule("Remove stripes, before all other filters.", live=True)] = False
     morpho_enabled: Annotated[
         bool,
         rule(
@@ -71,7 +69,7 @@ class CrosstalkConfig(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 0.02
     filter_strength: Annotated[
-        float, rule("How much of the notched part goes.", "0-1", live=True, ge=0, le=1)
+        float, rule("Share of the notched part that is removed.", "0-1", live=True, ge=0, le=1)
     ] = 0.8
     dc_preserve_ratio: Annotated[
         float,
@@ -89,10 +87,10 @@ class TerrainDetectionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Intensities of terrain, while `robot_detection.enabled`; others are not terrain."""
 
     min_threshold: Annotated[
-        float, rule("Samples from here on are terrain.", "0-255", live=True, ge=0, le=255)
+        float, rule("Minimum intensity of terrain.", "0-255", live=True, ge=0, le=255)
     ] = 80.0
     max_threshold: Annotated[
-        float, rule("Samples below this are terrain.", "0-255", live=True, ge=0, le=255)
+        float, rule("Terrain is darker than this.", "0-255", live=True, ge=0, le=255)
     ] = 180.0
 
     def __post_init__(self) -> None:
@@ -111,7 +109,7 @@ class RobotDetectionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     min_threshold: Annotated[
         float,
         rule(
-            "Samples from here on are a robot; at least terrain_detection.max_threshold.",
+            "Minimum intensity of a robot; at least terrain_detection.max_threshold.",
             "0-255",
             live=True,
             ge=0,
@@ -119,7 +117,10 @@ class RobotDetectionConfig(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 180.0
     min_samples: Annotated[
-        int, rule("Touching samples that make a robot.", "samples", live=True, ge=1, le=100000)
+        int,
+        rule(
+            "Minimum number of adjacent samples of a robot.", "samples", live=True, ge=1, le=100000
+        ),
     ] = 4
     keep_out: Annotated[
         bool, rule("Robots stay out of the map; otherwise they are occupied in it.", live=True)

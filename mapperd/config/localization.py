@@ -13,12 +13,12 @@ class ScanExtractionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """From a ping to one range a beam: the first surface."""
 
     equalise: Annotated[
-        bool, rule("Take noise that varies over range and over beams off first.", live=True)
+        bool, rule("First subtract noise that varies over range and beams.", live=True)
     ] = True
     guard: Annotated[
         float,
         rule(
-            "Around a sample, left out of its background: a pulse's length.",
+            "Distance around a sample that its background excludes: the pulse length.",
             "m",
             live=True,
             ge=0,
@@ -27,23 +27,27 @@ class ScanExtractionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.05
     window: Annotated[
         float,
-        rule("Before and behind a sample: its background.", "m", live=True, gt=0, le=100),
+        rule("Length of the background before and after a sample.", "m", live=True, gt=0, le=100),
     ] = 0.5
     threshold: Annotated[
         float,
-        rule("A return stands this far above its background.", "dB", live=True, ge=0, le=100),
+        rule("Minimum level of a return above its background.", "dB", live=True, ge=0, le=100),
     ] = 12.0
     min_intensity: Annotated[
         float,
-        rule("And is at least this bright, as displayed.", "0-255", live=True, ge=0, le=255),
+        rule("Minimum intensity of a return, as displayed.", "0-255", live=True, ge=0, le=255),
     ] = 12.0
     min_run: Annotated[
-        int, rule("Samples in a row that make a return.", "samples", live=True, ge=1, le=100)
+        int,
+        rule(
+            "Minimum number of consecutive samples of a return.", "samples", live=True, ge=1, le=100
+        ),
     ] = 3
     beam_width: Annotated[
         float,
         rule(
-            "Of the sonar, -3 dB: over it an echo's top is searched behind its beginning.",
+            "Beam width of the sonar at -3 dB; over it the peak of an echo is searched after "
+            "its start.",
             "deg",
             live=True,
             gt=0,
@@ -52,12 +56,12 @@ class ScanExtractionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 1.0
     place: Annotated[
         Literal["leading_edge", "peak"],
-        rule("Where on a return its range is: at half its height, or its top.", live=True),
+        rule("Point of a return that gives its range: half its height, or its peak.", live=True),
     ] = "leading_edge"
     side_lobe_ratio: Annotated[
         float,
         rule(
-            "What lies at the range of an echo that is this much stronger is its side lobe.",
+            "An echo this much weaker than another one at its range is a side lobe.",
             "dB",
             live=True,
             gt=0,
@@ -77,12 +81,14 @@ class ScanExtractionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     floor_gate: Annotated[
         Literal["weigh", "drop", "off"],
         rule(
-            "Returns from where floor or surface may be, where height or depth is known: weigh "
-            "less, drop, or take as any other.",
+            "Treatment of returns that may come from the floor or the surface, if height or "
+            "depth is known: reduce their weight, drop them, or none.",
             live=True,
         ),
     ] = "weigh"
-    floor_quality: Annotated[float, rule("Factor of their quality.", live=True, ge=0, le=1)] = 0.3
+    floor_quality: Annotated[
+        float, rule("Factor on the weight of these returns.", live=True, ge=0, le=1)
+    ] = 0.3
 
 
 class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -90,7 +96,7 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     mode: Annotated[
         Literal["off", "track", "global"],
-        rule("Off; follow a pose that is roughly known; or find it anywhere on the map."),
+        rule("`track` follows an approximately known pose; `global` finds it anywhere on the map."),
     ] = "off"
     map_path: Annotated[
         str,
@@ -101,7 +107,7 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ] = ""
     pose_path: Annotated[
         str,
-        rule("Of the saved pose; without one it lies in the state directory.", "a path or nothing"),
+        rule("Path of the saved pose; default: in the state folder.", "a path or nothing"),
     ] = ""
     geometry: Annotated[
         Literal["2d", "3d"],
@@ -113,8 +119,8 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     elevations: Annotated[
         int,
         rule(
-            "Of 3d: elevations that a return may come from, in the beam's one-way width; the best "
-            "counts.",
+            "With 3d: number of elevations at which a return is compared, within the beam's "
+            "one-way width; the best counts.",
             live=True,
             ge=1,
             le=32,
@@ -123,14 +129,14 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     mapping: Annotated[
         Literal["odometry", "corrected", "off"],
         rule(
-            "Pose of mapped pings: from odometry; from localization, and only "
-            "while it is sure; or not at all."
+            "Pose of mapped pings: from odometry; from localization while it is certain; or "
+            "map none."
         ),
     ] = "odometry"
     mapping_max_std: Annotated[
         float,
         rule(
-            "Of corrected: the estimate is sure up to this standard deviation of the place.",
+            "With `corrected`: maximum standard deviation of a certain position.",
             "m",
             live=True,
             gt=0,
@@ -139,27 +145,36 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.5
     mapping_max_std_yaw: Annotated[
         float,
-        rule("And of the heading.", "deg", live=True, gt=0, le=360),
+        rule(
+            "With `corrected`: maximum standard deviation of a certain heading.",
+            "deg",
+            live=True,
+            gt=0,
+            le=360,
+        ),
     ] = 5.0
     band_low: Annotated[
         float,
         rule(
-            "The vehicle drives from this height of a map with heights on, map frame; equal to "
-            "band_high: where the map has most free space.",
+            "Lowest height of the vehicle on a 3D map, map frame; if equal to band_high, the "
+            "height with the most free space.",
             "m",
             ge=-12000,
             le=12000,
         ),
     ] = 0.0
-    band_high: Annotated[float, rule("And up to this height.", "m", ge=-12000, le=12000)] = 0.0
+    band_high: Annotated[
+        float, rule("Highest height of the vehicle.", "m", ge=-12000, le=12000)
+    ] = 0.0
     random_seed: Annotated[
-        int, rule("Of all random numbers: equal input, equal run.", ge=0, le=2**63 - 1)
+        int,
+        rule("Seed of all random numbers; equal input gives equal results.", ge=0, le=2**63 - 1),
     ] = 0
     tempering: Annotated[
         float,
         rule(
-            "Exponent of likelihood_field_prob's product: beams that overlap are not as many "
-            "votes; 0.1 to 0.3 for a sonar, 1 is as published.",
+            "Exponent of likelihood_field_prob's product, because overlapping beams are not "
+            "independent; 0.1 to 0.3 for a sonar, 1 as in AMCL.",
             live=True,
             gt=0,
             le=1,
@@ -168,19 +183,19 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     boundaries_only: Annotated[
         bool,
         rule(
-            "Only cells or voxels beside free ones count as obstacles: thick walls have no inside. "
-            "For maps that a sonar made, whose walls are as deep as echoes are long."
+            "Only cells or voxels beside free ones are obstacles. For sonar maps, whose "
+            "walls are as thick as echoes are long."
         ),
     ] = False
     update_max_interval: Annotated[
         float,
-        rule(
-            "An update is due after this long in any case; 0 never.", "s", live=True, ge=0, le=3600
-        ),
+        rule("Maximum time between updates; 0: no limit.", "s", live=True, ge=0, le=3600),
     ] = 0.0
     sigma_floor_xy: Annotated[
         float,
-        rule("Drift at rest, in a current.", "m/sqrt(s)", live=True, ge=0, le=100),
+        rule(
+            "Drift of the position at rest, as in a current.", "m/sqrt(s)", live=True, ge=0, le=100
+        ),
     ] = 0.0
     sigma_floor_yaw: Annotated[
         float, rule("Drift of the heading at rest.", "rad/sqrt(s)", live=True, ge=0, le=10)
@@ -188,7 +203,7 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     max_step: Annotated[
         float,
         rule(
-            "An odometry's step beyond this between scans is a fault, not a motion.",
+            "A larger step of the odometry between scans counts as a fault.",
             "m",
             live=True,
             gt=0,
@@ -198,8 +213,8 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     search_poses: Annotated[
         int,
         rule(
-            "Where nothing is known, the first scan is compared at so many poses anywhere, and "
-            "particles are drawn from those; 0 spreads them blindly, as published.",
+            "Without a known pose, the first scan is compared at this many random poses, "
+            "from which particles are drawn; 0 draws them uniformly, as AMCL does.",
             live=True,
             ge=0,
             le=10**7,
@@ -208,7 +223,7 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     search_sigma: Annotated[
         float,
         rule(
-            "The hit sigma of that search: poses lie farther apart than the beams are sharp.",
+            "Standard deviation of a hit in that search, whose poses are far apart.",
             "m",
             gt=0,
             le=100,
@@ -217,8 +232,8 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     tempering_spread: Annotated[
         float,
         rule(
-            "Factor of the tempering while particles are spread over half a metre: scans in a row "
-            "err alike, and no mode is to win by that.",
+            "Factor on the tempering while particles are spread over half a metre, because "
+            "errors of consecutive scans are correlated.",
             live=True,
             gt=0,
             le=1,
@@ -227,8 +242,8 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     least_effective_share: Annotated[
         float,
         rule(
-            "A scan counts less where else less than this share of the effective size was left; "
-            "0 never.",
+            "The weight of a scan is reduced so that at least this share of the effective "
+            "sample size remains; 0 never.",
             live=True,
             ge=0,
             lt=1,
@@ -237,8 +252,8 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     draw_exponent: Annotated[
         float,
         rule(
-            "Particles are drawn by weights to this power and keep the rest: below 1 light modes "
-            "stay alive; 1 is as published.",
+            "Particles are drawn by weights to this power and keep the rest; below 1 weak "
+            "modes survive; 1 as in AMCL.",
             live=True,
             gt=0,
             le=1,
@@ -247,8 +262,8 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     rival_interval: Annotated[
         float,
         rule(
-            "Way after which a second cloud, drawn anywhere by the scan, is tried against the "
-            "first; needs search_poses and likelihood_field_prob; 0 never.",
+            "Distance after which particles drawn anywhere by the scan are compared with the "
+            "estimate; needs search_poses and likelihood_field_prob; 0 never.",
             "m",
             live=True,
             ge=0,
@@ -258,7 +273,7 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     rival_tempering: Annotated[
         float,
         rule(
-            "Factor of the tempering in that trial.",
+            "Factor on the tempering in that comparison.",
             live=True,
             gt=0,
             le=1,
@@ -267,8 +282,8 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     min_hit_share: Annotated[
         float,
         rule(
-            "Where fewer returns than this share lie on the map for some time the estimate calls "
-            "itself ambiguous, and rivals are tried at once; of likelihood_field_prob.",
+            "If a smaller share of returns lies on the map for some time, the estimate is "
+            "ambiguous and alternatives are tried at once; likelihood_field_prob only.",
             live=True,
             ge=0,
             le=1,

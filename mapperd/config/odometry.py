@@ -35,14 +35,12 @@ FormatName = Literal[
 class FormatSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """One source's format."""
 
-    format: Annotated[FormatName, rule("What the bytes are, see docs/guides/odometry.md.")] = (
-        "native"
-    )
+    format: Annotated[FormatName, rule("Format of the bytes: docs/guides/odometry.md.")] = "native"
     mavlink_system_id: Annotated[
-        int, rule("Only this MAVLink system is heard; 0 hears all.", ge=0, le=255)
+        int, rule("Accept only this MAVLink system; 0 accepts all.", ge=0, le=255)
     ] = 1
     mavlink_component_id: Annotated[
-        int, rule("Only this component of it is heard; 0 hears all.", ge=0, le=255)
+        int, rule("Accept only this component of it; 0 accepts all.", ge=0, le=255)
     ] = 1
     water_density: Annotated[
         float,
@@ -109,15 +107,15 @@ class TimeSyncConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class SlamQualityConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Pings are mapped only while the source is confident, if it reports its confidence."""
 
-    threshold: Annotated[float, rule("Least confidence.", "0-1", live=True, ge=0, le=1)] = 0.4
+    threshold: Annotated[float, rule("Minimum confidence.", "0-1", live=True, ge=0, le=1)] = 0.4
     fail_mode: Annotated[
         Literal["open", "closed"],
-        rule("Without a fresh confidence: open maps all the same, closed drops.", live=True),
+        rule("Without a fresh confidence, `open` maps the ping and `closed` drops it.", live=True),
     ] = "open"
     grace_period_sec: Annotated[
         float,
         rule(
-            "After the first odometry, before a confidence is missed.",
+            "Time after the first odometry during which no confidence is required.",
             "s",
             live=True,
             ge=0,
@@ -125,7 +123,8 @@ class SlamQualityConfig(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 1.0
     stale_timeout_sec: Annotated[
-        float, rule("A confidence older than this is missed.", "s", live=True, gt=0, le=3600)
+        float,
+        rule("A confidence older than this counts as missing.", "s", live=True, gt=0, le=3600),
     ] = 5.0
 
 
@@ -150,18 +149,30 @@ class OwnersConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class LimitsConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """What is too much for this vehicle: such a record is a fault, not a motion."""
 
-    max_speed: Annotated[float, rule("Of the vehicle.", "m/s", live=True, gt=0, le=1000)] = 5.0
-    max_turn_rate: Annotated[float, rule("About any axis.", "deg/s", live=True, gt=0, le=36000)] = (
-        180.0
-    )
+    max_speed: Annotated[
+        float, rule("Maximum speed of the vehicle.", "m/s", live=True, gt=0, le=1000)
+    ] = 5.0
+    max_turn_rate: Annotated[
+        float, rule("Maximum turn rate about any axis.", "deg/s", live=True, gt=0, le=36000)
+    ] = 180.0
     max_jump: Annotated[
         float,
-        rule("Beyond what speed explains, of the position.", "m", live=True, gt=0, le=1e6),
+        rule(
+            "Maximum jump of the position beyond what the speed explains.",
+            "m",
+            live=True,
+            gt=0,
+            le=1e6,
+        ),
     ] = 0.5
     max_jump_angle: Annotated[
         float,
         rule(
-            "Beyond what the turn rate explains, of the attitude.", "deg", live=True, gt=0, le=180
+            "Maximum jump of the attitude beyond what the turn rate explains.",
+            "deg",
+            live=True,
+            gt=0,
+            le=180,
         ),
     ] = 10.0
 
@@ -172,8 +183,8 @@ class DeadReckoningConfig(Struct, frozen=True, forbid_unknown_fields=True):
     max_sec: Annotated[
         float,
         rule(
-            "How long after the last position; 0 never. Without any source of positions it is "
-            "the only one, and this does not apply.",
+            "Maximum time of dead reckoning after the last position; 0 disables it. No limit "
+            "applies without a source of positions.",
             "s",
             live=True,
             ge=0,
@@ -183,7 +194,7 @@ class DeadReckoningConfig(Struct, frozen=True, forbid_unknown_fields=True):
     noise: Annotated[
         float,
         rule(
-            "Growth of the position's standard deviation, where the source gives none of its own.",
+            "Growth of the position's standard deviation if the source reports none.",
             "m/sqrt(s)",
             live=True,
             ge=0,
@@ -204,12 +215,16 @@ class OdometrySourceConfig(FormatSettings, frozen=True, forbid_unknown_fields=Tr
 
     name: Annotated[
         str,
-        rule("How owners, recordings and reports name it.", "a name", pattern=f"^{NAME_PATTERN}$"),
+        rule(
+            "Name of the source in owners, recordings and reports.",
+            "a name",
+            pattern=f"^{NAME_PATTERN}$",
+        ),
     ] = "odometry"
     link: Annotated[
         str,
         rule(
-            "Where its bytes come from: udp://ADDRESS:PORT to listen, tcp://HOST:PORT to connect, "
+            "Link of the source: udp://ADDRESS:PORT to listen, tcp://HOST:PORT to connect, "
             "socket://HOST:PORT, serial:/dev/NAME?baud=115200, serial:UDEV_NAME.",
             "a link",
             pattern="^(udp|tcp|socket|serial):.{1,300}$",
@@ -217,7 +232,12 @@ class OdometrySourceConfig(FormatSettings, frozen=True, forbid_unknown_fields=Tr
     ] = "udp://127.0.0.1:52200"
     latency_sec: Annotated[
         float,
-        rule("Least delay from being true to arriving, which no clock fit sees.", "s", ge=0, le=10),
+        rule(
+            "Minimum latency from measurement to arrival, which no clock fit can see.",
+            "s",
+            ge=0,
+            le=10,
+        ),
     ] = 0.0
 
     def __post_init__(self) -> None:
@@ -239,7 +259,7 @@ class OdometryFusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     sources: Annotated[
         tuple[OdometrySourceConfig, ...],
-        rule("Who sends odometry.", min_length=1, max_length=16),
+        rule("Sources of odometry.", min_length=1, max_length=16),
     ] = (OdometrySourceConfig(),)
     owners: OwnersConfig = OwnersConfig()
     limits: LimitsConfig = LimitsConfig()
@@ -247,20 +267,34 @@ class OdometryFusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     at_jump: Annotated[
         Literal["continue", "follow"],
         rule(
-            "When an estimate jumps: continue maps on where the vehicle was, as it did not jump; "
-            "follow uses the source's new position. Either way a new segment begins.",
+            "After a jump of an estimate, `continue` keeps the vehicle's previous position "
+            "and `follow` uses the source's new one. Either begins a new segment.",
             live=True,
         ),
     ] = "continue"
     origin: Annotated[
         GeoOriginConfig | None,
-        rule("Where geographic positions have their zero; none is the map's first fix."),
+        rule("Origin of geographic positions; default: the map's first fix."),
     ] = None
     position_std: Annotated[
-        float, rule("Of positions whose source gives none.", "m", live=True, gt=0, le=1e4)
+        float,
+        rule(
+            "Standard deviation of positions whose source reports none.",
+            "m",
+            live=True,
+            gt=0,
+            le=1e4,
+        ),
     ] = 0.1
     attitude_std: Annotated[
-        float, rule("Of attitudes whose source gives none.", "deg", live=True, gt=0, le=180)
+        float,
+        rule(
+            "Standard deviation of attitudes whose source reports none.",
+            "deg",
+            live=True,
+            gt=0,
+            le=180,
+        ),
     ] = 1.0
 
     def __post_init__(self) -> None:
@@ -288,18 +322,21 @@ class WorldInitConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     enabled: Annotated[bool, rule("Level the odometry before anything is mapped.")] = False
     init_samples: Annotated[
-        int, rule("Accelerations that are averaged.", "records", ge=1, le=100000)
+        int, rule("Number of accelerations that are averaged.", "records", ge=1, le=100000)
     ] = 50
     max_rate: Annotated[
-        float, rule("Turning faster than this is not standing still.", "deg/s", gt=0, le=360)
+        float, rule("Maximum turn rate of a vehicle that stands still.", "deg/s", gt=0, le=360)
     ] = 2.0
     max_speed: Annotated[
-        float, rule("Driving faster than this is not standing still.", "m/s", gt=0, le=10)
+        float, rule("Maximum speed of a vehicle that stands still.", "m/s", gt=0, le=10)
     ] = 0.05
     max_spread: Annotated[
         float,
         rule(
-            "Accelerations that differ more than this are not standing still.", "m/s2", gt=0, le=10
+            "Maximum spread of the accelerations of a vehicle that stands still.",
+            "m/s2",
+            gt=0,
+            le=10,
         ),
     ] = 0.3
     parent_frame: Annotated[

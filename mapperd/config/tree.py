@@ -103,7 +103,7 @@ class FilteringConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Which samples count."""
 
     min_range: Annotated[
-        float, rule("Nothing is learnt nearer than this.", "m", live=True, ge=0, le=100)
+        float, rule("Samples nearer than this are ignored.", "m", live=True, ge=0, le=100)
     ] = 0.5
     intensity_threshold: Annotated[
         float,
@@ -321,16 +321,16 @@ class DeviceConfig(Struct, frozen=True, forbid_unknown_fields=True):
     address: Annotated[
         str,
         rule(
-            "Of the sonar; without one it is found by its status broadcasts.",
+            "Address of the sonar; empty discovers it by its status broadcasts.",
             "an IPv4 address or nothing",
             pattern=f"^({IPV4})?$",
         ),
     ] = ""
-    port: Annotated[int, rule("Of the sonar's data connection.", ge=1, le=65535)] = 52100
+    port: Annotated[int, rule("TCP port of the sonar.", ge=1, le=65535)] = 52100
     serial: Annotated[
         int,
         rule(
-            "Of the sonar to choose among several that are found; 0 takes the first one heard.",
+            "Serial number of the sonar to use; 0 selects the first one discovered.",
             ge=0,
             le=2**32 - 1,
         ),
@@ -342,14 +342,14 @@ class DeviceConfig(Struct, frozen=True, forbid_unknown_fields=True):
         Literal["normal", "high", "highest", "low", "lowest"],
         rule("At most 10, 15, 40, 5 or 2 pings a second; long ranges allow fewer."),
     ] = "normal"
-    range: Annotated[float, rule("How far to look.", "m", ge=0.1, le=200)] = 10.0
-    gain: Annotated[float, rule("Of the receiver.", "%", ge=0, le=100)] = 50.0
-    beams: Annotated[Literal[256, 512], rule("Columns of the image.")] = 512
+    range: Annotated[float, rule("Range of the pings.", "m", ge=0.1, le=200)] = 10.0
+    gain: Annotated[float, rule("Gain of the receiver.", "%", ge=0, le=100)] = 50.0
+    beams: Annotated[Literal[256, 512], rule("Number of beams.")] = 512
     latency_sec: Annotated[
         float,
         rule(
-            "Least time from the last echo to the first byte's arrival, which nothing in the "
-            "stream contains; ping times are corrected by this latency.",
+            "Minimum latency from the last echo to the first byte's arrival. The stream does "
+            "not contain it; ping times are corrected by it.",
             "s",
             ge=0,
             le=1,
