@@ -16,24 +16,23 @@ MAX_POSITION_M = 1e7
 EPILOG = """\
 `mapperd doctor` checks every link and names a remedy for the first failure.
 
-exit codes: 0 the map is written; 2 the command cannot be done as given; 65 the file is no
-recording, nothing in it or from the sonar could be mapped, or damage cost a part of it; 66 the file
-cannot be opened; 69 a link cannot be opened; 73 results cannot be written; 78 the settings are
-wrong; 130 interrupted"""
+exit codes: 0 the map is written; 2 usage error; 65 not a recording, nothing was mapped, or a part
+is damaged; 66 cannot open the recording; 69 cannot open a link; 73 cannot write; 78 invalid
+settings; 130 interrupted"""
 
 
 @dataclass(frozen=True, slots=True)
 class Arguments:
-    """What was asked.
+    """The parsed command line.
 
     Attributes:
         replay: the recordings, in order, or folders of them; none maps live.
-        as_recorded: map them as they were mapped, with all that was decided then.
+        as_recorded: repeat the live session with all recorded decisions.
         config: the settings file on top of the machine's and the user's, None for those alone.
         out: folder of the results.
-        store: file that the recording's map is kept in, to go on there; None keeps it in memory.
-        pose: of the base in the map for every ping, None to take it from the odometry.
-        integrator: instead of the one in the settings.
+        store: file of the map, to resume from; None keeps the map in memory.
+        pose: pose of the base in the map for every ping; None uses the odometry.
+        integrator: overrides the setting; None keeps it.
         start_s, duration_s: the part of the recording to map.
         use_damaged: map data that fail their checksum, too.
     """
@@ -67,11 +66,11 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
     parser = _parser()
     args = parser.parse_args(_with_joined_pose(argv))
     if not args.replay and args.start:
-        parser.error("--start is of a recording: it needs --replay")
+        parser.error("--start needs --replay")
     if args.store is not None and (not args.replay or args.start or args.duration):
-        parser.error("--store is of whole recordings: it needs --replay, without a part of it")
+        parser.error("--store needs --replay, without --start and --duration")
     if args.use_damaged and not args.replay:
-        parser.error("--use-damaged is of recordings: it needs --replay")
+        parser.error("--use-damaged needs --replay")
     if args.as_recorded and (problem := _contradiction(args)) is not None:
         parser.error(problem)
     return Arguments(
@@ -91,16 +90,16 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
 def _contradiction(args: argparse.Namespace) -> str | None:
     """Return which option contradicts --as-recorded, which takes all from the recording."""
     if not args.replay:
-        return "--as-recorded is of recordings: it needs --replay"
+        return "--as-recorded needs --replay"
     others = ("config", "store", "pose", "integrator", "start", "duration")
     found = [f"--{name}" for name in others if getattr(args, name)]
-    return f"--as-recorded leaves no room for {', '.join(found)}" if found else None
+    return f"--as-recorded cannot be combined with {', '.join(found)}" if found else None
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="mapperd",
-        description="Turn what an Oculus sonar hears, live or recorded, into a 3D map.",
+        description="Map the pings of an Oculus sonar in 3D, live or from recordings.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
@@ -112,18 +111,18 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         nargs="+",
         default=[],
-        help="recordings in order, or folders of them; without it, live",
+        help="recordings in order, or folders of them; default: map live",
     )
     add(
         "--as-recorded",
         action="store_true",
-        help="map them as they were mapped live: settings, drops, resets and all that was decided",
+        help="repeat the live session, with its settings, drops, resets and requests",
     )
     add(
         "--config",
         metavar="YAML",
         type=Path,
-        help="settings, above all other files (docs/reference/configuration.md)",
+        help="settings file; overrides all others (docs/reference/configuration.md)",
     )
     add(
         "--out",
@@ -136,20 +135,26 @@ def _parser() -> argparse.ArgumentParser:
         "--store",
         metavar="MAP",
         type=Path,
-        help="keep the recording's map in this file, and go on where it was interrupted",
+        help="keep the map in this file; resumes after an interruption",
     )
     add(
         "--pose",
         metavar="X,Y,Z,ROLL,PITCH,YAW",
         type=_pose,
-        help="the vehicle stands still here (metres, degrees); odometry is ignored",
+        help="pose of a vehicle that stands still (metres, degrees); ignores odometry",
     )
     add(
         "--integrator",
         choices=("evidence_grid", "rays"),
-        help="how a ping becomes voxels (default: mapping.integrator of the settings)",
+        help="method of integration (default: the setting mapping.integrator)",
     )
-    add("--start", metavar="S", type=_seconds, default=0.0, help="skip the first S seconds of it")
+    add(
+        "--start",
+        metavar="S",
+        type=_seconds,
+        default=0.0,
+        help="skip the first S seconds",
+    )
     add("--duration", metavar="S", type=_positive, help="map S seconds and stop")
     add(
         "--use-damaged",

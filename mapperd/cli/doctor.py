@@ -62,19 +62,18 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         "mapperd doctor",
         description="Watch every link for a while; name the first layer that fails and what to do.",
-        epilog="exit codes: 0 all is well; 1 a link is not; 78 the settings are wrong; "
-        "130 interrupted",
+        epilog="exit codes: 0 all links work; 1 a link fails; 78 invalid settings; 130 interrupted",
     )
     add = parser.add_argument
     add(
         "--config",
         metavar="YAML",
         type=Path,
-        help="settings, above all other files (docs/reference/configuration.md)",
+        help="settings file; overrides all others (docs/reference/configuration.md)",
     )
-    add("--seconds", metavar="S", type=_seconds, default=5.0, help="to watch (default: 5)")
+    add("--seconds", metavar="S", type=_seconds, default=5.0, help="time to watch (default: 5)")
     add("--ping", action="store_true", help="ask the sonar for pings: only under water")
-    add("--json", action="store_true", help="one object instead of lines")
+    add("--json", action="store_true", help="print one JSON object")
     return parser
 
 

@@ -92,7 +92,7 @@ class SurveyArguments:
 def add_survey_arguments(parser: argparse.ArgumentParser, part: str) -> None:
     """Add the survey's folder, `--out`, `--origin` and `--config`; `part` of the folder is out."""
     parser.add_argument(
-        "survey", metavar="FOLDER", help="that the survey was run into: a path, or an fsspec URL"
+        "survey", metavar="FOLDER", help="folder of the survey: a path or an fsspec URL"
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help=f"what is written; default: {part}/ in FOLDER"

@@ -57,19 +57,19 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="mapper-survey", description="many recordings become one tiled map"
+        prog="mapper-survey", description="Make one tiled map of many recordings."
     )
     parser.add_argument("--version", action="version", version=f"mapper-survey {__version__}")
     does = parser.add_subparsers(required=True, metavar="COMMAND")
-    plan = does.add_parser("plan", help="read the recordings alone: where was which ping")
+    plan = does.add_parser("plan", help="read the recordings and list where each ping was")
     _add_survey(plan)
     plan.set_defaults(does=_plan)
-    run = does.add_parser("run", help="plan, map the tiles, merge; goes on where it was stopped")
+    run = does.add_parser("run", help="plan, map the tiles and merge them; resumes after a stop")
     _add_survey(run)
     run.add_argument(
         "--dives",
         action="store_true",
-        help="make a map of each dive alone, too: the report compares them",
+        help="also make a map of each dive, for the report",
     )
     run.set_defaults(does=_run)
     for name, what, add_arguments, run_command in FURTHER:
@@ -82,7 +82,10 @@ def _parser() -> argparse.ArgumentParser:
 def _add_survey(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("survey", type=Path, metavar="SURVEY", help="survey.yaml")
     parser.add_argument(
-        "--out", required=True, metavar="FOLDER", help="of the survey: a path, or an fsspec URL"
+        "--out",
+        required=True,
+        metavar="FOLDER",
+        help="folder of the survey: a path or an fsspec URL",
     )
     parser.add_argument(
         "--workers",
@@ -98,7 +101,7 @@ def _add_survey(parser: argparse.ArgumentParser) -> None:
         "--memory-per-worker",
         default="2GiB",
         metavar="SIZE",
-        help="a worker's bound, by which tiles are chosen (default: 2GiB)",
+        help="memory limit of a worker; determines the tiles (default: 2GiB)",
     )
 
 
@@ -166,9 +169,9 @@ def _add_export_arguments(parser: argparse.ArgumentParser) -> None:
         "--products",
         nargs="+",
         choices=PRODUCTS,
-        help="what to write; default: `outputs` of the survey, or all that can be",
+        help="products to write; default: `outputs` of the survey, or all possible ones",
     )
-    add("--rule", choices=RULES, default="shoalest", help="what stands for a cell of the grid")
+    add("--rule", choices=RULES, default="shoalest", help="depth of a cell of the grid")
     add(
         "--cell-voxels",
         type=int,
@@ -187,10 +190,10 @@ def _add_export_arguments(parser: argparse.ArgumentParser) -> None:
         "--altitude",
         type=float,
         metavar="M",
-        help="height of the map's zero above what depths are below; default: the survey's, or 0",
+        help="height of the map's zero above the datum of depths; default: the survey's, or 0",
     )
-    add("--min-z", type=float, default=-math.inf, metavar="M", help="leave out what lies lower")
-    add("--max-z", type=float, default=math.inf, metavar="M", help="leave out what lies higher")
+    add("--min-z", type=float, default=-math.inf, metavar="M", help="leave out everything below")
+    add("--max-z", type=float, default=math.inf, metavar="M", help="leave out everything above")
 
 
 def _export(args: argparse.Namespace) -> int:
@@ -238,7 +241,7 @@ def _add_report_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=TOLERANCE_M,
         metavar="M",
-        help=f"within which voxels of two dives are the same; default: {TOLERANCE_M:g}",
+        help=f"distance up to which voxels of two dives agree; default: {TOLERANCE_M:g}",
     )
 
 
@@ -273,7 +276,7 @@ def _report(args: argparse.Namespace) -> int:
 
 
 def _report_lines(report: Report) -> list[str]:
-    """For a person: the ground, and each pair that looked at the same asked."""
+    """Lines for people: the coverage, and each pair of dives that overlap."""
     ground = report.coverage
     lines = [f"{ground.merged_m2:.0f} m2 mapped, {ground.overlap_m2:.0f} m2 by two dives or more"]
     return lines + [
@@ -300,21 +303,34 @@ MEGA, MILLI = 1e6, 1e-3
 
 
 def _add_scaling_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what may be args."""
+    """Add the arguments of the sub-command."""
     add = parser.add_argument
     add(
         "runs",
         nargs="+",
         type=_run_argument,
         metavar="WORKERS=SURVEY.JSON",
-        help="records of runs that began with nothing; the one of the fewest workers is simulated",
+        help="records of complete runs; the one with the fewest workers is simulated",
     )
-    add("--out", type=Path, required=True, metavar="DIR", help="of scaling.json, .png and .md")
-    add("--workers", nargs="+", type=_count, default=list(WORKERS), metavar="N", help="to simulate")
-    add("--scheduler-ms", type=float, default=SCHEDULER_MS, metavar="MS", help="of each task")
-    storage = "of the shared storage, all workers together; 0 is without a bound"
+    add(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder for scaling.json, .png and .md",
+    )
+    add(
+        "--workers",
+        nargs="+",
+        type=_count,
+        default=list(WORKERS),
+        metavar="N",
+        help="simulated numbers",
+    )
+    add("--scheduler-ms", type=float, default=SCHEDULER_MS, metavar="MS", help="CPU time per task")
+    storage = "rate of the shared storage for all workers; 0: no limit"
     add("--storage-mb-per-s", type=float, default=STORAGE_MB_PER_S, metavar="MB", help=storage)
-    link = "between the storage and one worker; 0 is without a bound"
+    link = "rate between the storage and one worker; 0: no limit"
     add("--link-mb-per-s", type=float, default=LINK_MB_PER_S, metavar="MB", help=link)
 
 

@@ -481,9 +481,11 @@ def parser() -> _Parser:
     top = _Parser("mapperctl", description="Observe and control a running mapperd.", epilog=EPILOG)
     top.add_argument("--version", action="version", version=f"mapperctl {__version__}")
     commands = top.add_subparsers(metavar="COMMAND", required=True, dest="command")
-    status = _command(commands, "status", "state of the daemon")
+    status = _command(commands, "status", "print the state of the daemon")
     status.add_argument("--once", action="store_true", help="print once and exit")
-    status.add_argument("--every", metavar="S", type=_period, default=1.0, help="default: 1 s")
+    status.add_argument(
+        "--every", metavar="S", type=_period, default=1.0, help="period; default: 1 s"
+    )
     _params(commands)
     get = _command(commands, "get", "print settings in force")
     get.add_argument("names", metavar="NAME", nargs="+", type=_name, help="a setting or a section")
@@ -497,15 +499,11 @@ def parser() -> _Parser:
     reset.add_argument("--yes", action="store_true", help="do not ask")
     _command(commands, "reload", "reload the settings files")
     _command(commands, "snapshot", "flush the map and the recording to disk")
-    stream = "--socket and --address are those of the map stream."
-    about = "the live map as a page in the browser"
-    add_view(_command(commands, "view", about, f"{about.capitalize()}. {stream}"))
+    add_view(_command(commands, "view", "serve the live map as a page in the browser"))
     about = "serve Foxglove and Lichtblick"
-    add_foxglove(_command(commands, "foxglove", about, f"{about}. {stream}"))
-    about = "record the map stream"
-    add_record(_command(commands, "record", about, f"{about.capitalize()}. {stream}"))
-    about = "save the live map as a file on this computer"
-    add_export(_command(commands, "export", about, f"{about.capitalize()}. {stream}"))
+    add_foxglove(_command(commands, "foxglove", about, "Serve Foxglove and Lichtblick."))
+    add_record(_command(commands, "record", "record the map stream"))
+    add_export(_command(commands, "export", "save the live map as a file on this computer"))
     add_convert(_offline(commands, "convert", "convert a map file to another format"))
     add_bag(_offline(commands, "bag", "convert a recording or a map to a ROS 2 bag, without ROS"))
     add_localization(lambda *args: _command(commands, *args))

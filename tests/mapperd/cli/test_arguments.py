@@ -25,7 +25,7 @@ def test_a_start_is_of_a_recording(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         parse_arguments(["--start", "5"])
     assert caught.value.code == 2
-    assert "--start is of a recording" in capsys.readouterr().err
+    assert "--start needs --replay" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("words", [["--pose", "-1,2,-3,0,90,0"], ["--pose=-1,2,-3,0,90,0"]])

@@ -37,7 +37,7 @@ _FAULT_HELP = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what may be args."""
+    """Add the arguments of the sub-command."""
     add = parser.add_argument
     add("scene", metavar="SCENE", help="name of a shipped scene, or a YAML file")
     add(
