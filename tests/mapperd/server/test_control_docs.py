@@ -21,6 +21,7 @@ pytestmark = pytest.mark.net
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = (ROOT / "docs" / "reference" / "control.md").read_text(encoding="utf-8")
+COMMANDS = (ROOT / "docs" / "reference" / "cli.md").read_text(encoding="utf-8")
 STREAM = (ROOT / "docs" / "reference" / "map-stream.md").read_text(encoding="utf-8")
 MODULES = ("api", "server/requests", "wire/requests")
 CODE = "\n".join((ROOT / "mapperd" / f"{one}.py").read_text(encoding="utf-8") for one in MODULES)
@@ -66,9 +67,15 @@ def test_every_exit_code_is_explained() -> None:
         assert re.search(rf"\b{code:d}\s", EPILOG)
 
 
-def test_every_command_of_the_page_is_one() -> None:
-    for line in re.findall(r"^mapperctl (.*?)(?: +#.*)?$", PAGE, re.MULTILINE):
-        parser().parse_args(line.split())
+def test_every_command_of_the_command_line_page_is_one() -> None:
+    lines = re.findall(r"^\| `mapperctl (.*?)` \|", COMMANDS, re.MULTILINE)
+    shown = {parser().parse_args(line.split()).command for line in lines}
+    assert shown == _commands()
+
+
+def _commands() -> set[str]:
+    (action,) = parser()._subparsers._group_actions  # type: ignore[union-attr]
+    return set(action.choices or {})
 
 
 def test_requests_of_the_page_are_the_protocol() -> None:
