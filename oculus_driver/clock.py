@@ -93,14 +93,14 @@ class SonarClock:
         self.restarts = 0
         self._latency_ns = latency_ns
         self._ticks = None if tick_ns is None else _Ticks(tick_ns)
-        self._envelope = ClockFit()
+        self._fit = ClockFit()
         self._periods_ns: deque[float] = deque(maxlen=_PERIODS)
         self._last: tuple[int, int | None, int] | None = None  # id, device time, arrival
 
     @property
     def drift(self) -> float:
         """Seconds that the host's clock gains per second on the sonar's; 0 until it is known."""
-        return self._envelope.drift
+        return self._fit.drift
 
     @property
     def period_s(self) -> float | None:
@@ -113,7 +113,7 @@ class SonarClock:
             dict(self.placed),
             self.restarts,
             None if self._ticks is None else self._ticks.state(),
-            self._envelope.state(),
+            self._fit.state(),
             list(self._periods_ns),
             self._last,
         )
@@ -123,7 +123,7 @@ class SonarClock:
         self.placed, self.restarts = Counter(state.placed), state.restarts
         if self._ticks is not None and state.ticks is not None:
             self._ticks.restore(*state.ticks)
-        self._envelope.restore(state.fit)
+        self._fit.restore(state.fit)
         self._periods_ns = deque(state.periods_ns, maxlen=_PERIODS)
         self._last = state.last
 
@@ -175,7 +175,7 @@ class SonarClock:
 
     def _restart(self) -> None:
         self.restarts += 1
-        self._envelope.restart()
+        self._fit.restart()
         self._periods_ns.clear()
 
     def _prompt_arrival_ns(
@@ -187,8 +187,8 @@ class SonarClock:
         """
         if device_ns is None:
             return None
-        prompt_ns = self._envelope.to_host_ns(device_ns + flight_ns, arrival_ns)
-        return prompt_ns if self._envelope.is_valid else None
+        prompt_ns = self._fit.to_host_ns(device_ns + flight_ns, arrival_ns)
+        return prompt_ns if self._fit.is_valid else None
 
 
 def row_times_ns(ping: Ping, transmit_ns: int) -> NDArray[np.int64]:

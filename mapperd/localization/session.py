@@ -17,7 +17,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import CheckpointError, ConfigError, MapError
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.known_map import KnownMap, load_known_map
-from mapperd.localization.stage import LocalizationStage, OnboardState
+from mapperd.localization.stage import LocalizationStage, LocalizationStageState
 from mapperd.session_log import Numbers12, Session
 from mapperd.store.checkpoint import decode_state, encode_state
 
@@ -158,7 +158,7 @@ def poses_depend_on(localizing: LocalizationSession | None) -> LocalizationSessi
 class _SavedState(NamedTuple):
     """State of the stage, and the settings that maps are loaded by, as plain values."""
 
-    onboard: OnboardState
+    onboard: LocalizationStageState
     loaded_by: dict[str, Any]
 
 

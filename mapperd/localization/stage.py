@@ -36,7 +36,7 @@ from mapperd.session_log import (
 )
 from oculus_driver.ping import Ping
 
-__all__ = ["LocalizationStage", "OnboardState", "gaussian_of"]
+__all__ = ["LocalizationStage", "LocalizationStageState", "gaussian_of"]
 
 Floats = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class _Updated:
     base_height_m: float
 
 
-class OnboardState(NamedTuple):
+class LocalizationStageState(NamedTuple):
     """What localization knows.
 
     Attributes:
@@ -159,10 +159,10 @@ class LocalizationStage:
             self._localizer.counts["bad_request"] += 1
             return Reject("bad_request", str(error))
 
-    def state(self) -> OnboardState:
+    def state(self) -> LocalizationStageState:
         """All that a map at corrected poses depends on, but for the settings in force."""
         known, last = self._known, self._updated
-        return OnboardState(
+        return LocalizationStageState(
             self._filter.state(),
             self._localizer.state(),
             self._watch.state(),
@@ -172,7 +172,7 @@ class LocalizationStage:
             "" if known is None else known.sha256,
         )
 
-    def restore(self, state: OnboardState, known: KnownMap | None) -> None:
+    def restore(self, state: LocalizationStageState, known: KnownMap | None) -> None:
         """Go on as the one that `state` was called of, with the same settings.
 
         Args:

@@ -47,7 +47,7 @@ class StreamServer:
 
     Args:
         operations: the daemon.
-        doors: that it listens at; closed with the server.
+        listeners: open sockets; closed with the server.
         feed: messages about the daemon's state.
         source: the map.
         limits: what clients may take; `clients` are those that follow the map.
@@ -58,7 +58,7 @@ class StreamServer:
     def __init__(
         self,
         operations: DaemonApi,
-        doors: Sequence[Listener],
+        listeners: Sequence[Listener],
         feed: StateFeed,
         source: Source,
         *,
@@ -68,7 +68,7 @@ class StreamServer:
     ) -> None:
         config = operations.settings.current
         self._operations = operations
-        self._doors = tuple(doors)
+        self._listeners = tuple(listeners)
         self._feed = feed
         self._limits = limits or Limits(clients=config.server.max_clients, newcomers=NEWCOMERS)
         self._clock = clock
@@ -98,14 +98,14 @@ class StreamServer:
 
     async def __aenter__(self) -> Self:
         self._loop = asyncio.get_running_loop()
-        self._open.callback(self._close_doors)
+        self._open.callback(self._close_listeners)
         self._open.push_async_callback(self._end)
         for work in (self._ticking(), self._map_worker.run()):
             task = asyncio.create_task(work)
             self._open.push_async_callback(_end_tasks, [task])
-        for door in self._doors:
-            self._newcomers[door] = {}
-            accepting = asyncio.create_task(self._accept(door))
+        for listener in self._listeners:
+            self._newcomers[listener] = {}
+            accepting = asyncio.create_task(self._accept(listener))
             self._open.push_async_callback(_end_tasks, [accepting])
         return self
 
@@ -121,7 +121,7 @@ class StreamServer:
         """Return listeners, clients and counters as plain values; any thread may call it."""
         clients = [*self._clients]
         return {
-            "listening": [door.name for door in self._doors],
+            "listening": [listener.name for listener in self._listeners],
             "clients": len(clients),
             "newcomers": sum(map(len, self._newcomers.values())),
             "blocks_left": max((one.session.left for one in clients), default=0),
@@ -157,52 +157,52 @@ class StreamServer:
         """Return the counters of the server, of the feed and of the resume cache."""
         return {**self._counters, **self._feed.left_out, **self._map_worker.resume_cache.counters}
 
-    async def _accept(self, door: Listener) -> None:
+    async def _accept(self, listener: Listener) -> None:
         connects = TokenBucket(self._limits.connects_per_s, self._limits.connects_at_once)
         while True:
             try:
-                connection, address = await self._loop.sock_accept(door.socket)
+                connection, address = await self._loop.sock_accept(listener.socket)
             except OSError:  # no descriptors left, or the client has left already
                 self._counters["accepts_failed"] += 1
                 await asyncio.sleep(BREATH_S)
                 continue
             self._counters["accepted"] += 1
             try:
-                self._take_in(door, connection, address)
+                self._take_in(listener, connection, address)
             except Exception as error:  # noqa: BLE001 later clients are accepted
                 connection.close()
                 self._failed(error)
             # Always yields to the event loop: `sock_accept` may not have.
             await asyncio.sleep(connects.take(self._clock()))
 
-    def _take_in(self, door: Listener, connection: socket.socket, address: object) -> None:
+    def _take_in(self, listener: Listener, connection: socket.socket, address: object) -> None:
         peer, who = peer_of(connection, address)
         tune(connection)
-        challenge = "" if door.token is None else secrets.token_hex(16)
-        may_change = door.token is not None or connection.family == socket.AF_UNIX
-        newcomer = Newcomer(peer, challenge, door.token)
+        challenge = "" if listener.token is None else secrets.token_hex(16)
+        may_change = listener.token is not None or connection.family == socket.AF_UNIX
+        newcomer = Newcomer(peer, challenge, listener.token)
         session = ClientSession(self._common, newcomer, may_change=may_change)
         client = ClientConnection(session, f"control, {who}", self._context)
-        newcomers = self._newcomers[door]
+        newcomers = self._newcomers[listener]
         while len(newcomers) >= self._limits.newcomers:
             oldest = next(iter(newcomers))
             newcomers.pop(oldest).cancel()
             oldest.abort()
             self._counters["cut_crowded_out"] += 1
-        newcomers[client] = asyncio.create_task(self._open_up(door, client, connection))
+        newcomers[client] = asyncio.create_task(self._open_up(listener, client, connection))
 
     async def _open_up(
-        self, door: Listener, client: ClientConnection, connection: socket.socket
+        self, listener: Listener, client: ClientConnection, connection: socket.socket
     ) -> None:
         """Create the transport of a socket, with TLS if the listener has it."""
-        limit_s = self._limits.hello_s if door.tls else None
+        limit_s = self._limits.hello_s if listener.tls else None
         try:
             await self._loop.connect_accepted_socket(
                 lambda: client,
                 connection,
-                ssl=door.tls,
+                ssl=listener.tls,
                 ssl_handshake_timeout=limit_s,
-                ssl_shutdown_timeout=LEAVE_S if door.tls else None,
+                ssl_shutdown_timeout=LEAVE_S if listener.tls else None,
             )
         except OSError:  # of TLS as well
             self._counters["connections_lost"] += 1
@@ -280,9 +280,9 @@ class StreamServer:
         for client in everybody:
             client.abort()
 
-    def _close_doors(self) -> None:
-        for door in self._doors:
-            door.close()
+    def _close_listeners(self) -> None:
+        for listener in self._listeners:
+            listener.close()
 
 
 async def _end_tasks(tasks: Sequence["asyncio.Task[None]"]) -> None:

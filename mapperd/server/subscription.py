@@ -22,7 +22,7 @@ from mapperd.wire.messages import (
 
 __all__ = ["BlockSource", "InFlight", "Subscription"]
 
-MOST_BLOCKS, MAX_MESSAGES = 1 << 17, 4096
+MAX_BLOCKS_IN_FLIGHT, MAX_MESSAGES = 1 << 17, 4096
 """Limits of what is remembered: half a MiB a client. A client with more in flight cannot resume."""
 
 Numbers = NDArray[np.int64]
@@ -51,7 +51,7 @@ class InFlight:
         self.number += 1
         self._messages.append((self.number, numbers.astype(np.uint32)))
         self._blocks += len(numbers)
-        while self._blocks > MOST_BLOCKS or len(self._messages) > MAX_MESSAGES:
+        while self._blocks > MAX_BLOCKS_IN_FLIGHT or len(self._messages) > MAX_MESSAGES:
             self._forget()
 
     def note_reset(self) -> None:

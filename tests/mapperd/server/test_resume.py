@@ -12,7 +12,7 @@ from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.map_source import MapSource
 from mapperd.server.session import PARKED_S, MessageEnds, ResumeCache, ResumeState
-from mapperd.server.subscription import MAX_MESSAGES, MOST_BLOCKS, InFlight
+from mapperd.server.subscription import MAX_BLOCKS_IN_FLIGHT, MAX_MESSAGES, InFlight
 from mapperd.wire.messages import AckMessage, Interest, Resume
 from tests.mapperd.server.sent_state import (
     SECOND_NS,
@@ -257,7 +257,7 @@ def test_what_is_remembered_is_bounded() -> None:
         way = InFlight()
         for _ in range(2 * MAX_MESSAGES):
             way.note(np.arange(blocks))
-        assert way.memory_bytes <= 4 * MOST_BLOCKS
+        assert way.memory_bytes <= 4 * MAX_BLOCKS_IN_FLIGHT
         assert len(way._messages) <= MAX_MESSAGES
         assert way.beyond(0) is None
         found = way.beyond(way.number - 10)

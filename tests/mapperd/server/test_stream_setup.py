@@ -1,4 +1,4 @@
-"""The doors that the settings ask for, and a whole daemon behind them."""
+"""The listeners that the settings ask for, and a whole daemon that serves them."""
 
 import asyncio
 import contextlib
