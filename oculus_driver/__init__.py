@@ -36,6 +36,7 @@ from oculus_driver.errors import (
     Reject,
     SettingsError,
 )
+from oculus_driver.full_ping import FullPing, decode_full_ping
 from oculus_driver.link.confirmation import Confirmation, Difference
 from oculus_driver.link.state import LinkState, LinkStatus, LinkTimeouts, SonarCounters
 from oculus_driver.models import Model, model_of
@@ -71,6 +72,7 @@ __all__ = [
     "Faults",
     "Finding",
     "FireSettings",
+    "FullPing",
     "Identity",
     "LinkError",
     "LinkState",
@@ -103,6 +105,7 @@ __all__ = [
     "bearing_table_cdeg",
     "bind_finding",
     "connection_finding",
+    "decode_full_ping",
     "decode_ping",
     "decode_status",
     "discovery_findings",

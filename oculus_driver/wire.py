@@ -255,6 +255,25 @@ PING_RESULT_V2: Final = Layout(
     ),
 )
 
+FULL_PING_RESULT: Final = Layout(
+    "full ping result",
+    588,
+    (
+        *HEADER.fields,
+        Field("unnamed_16", 16, "9s", default=b""),
+        Field("range_m", 25, F64, default=0.0),
+        Field("unnamed_33", 33, "40s", default=b""),
+        Field("beams", 73, U16),
+        Field("unnamed_75", 75, "480s", default=b""),
+        Field("rows", 555, U32),
+        Field("unnamed_559", 559, "17s", default=b""),
+        Field("image_offset", 576, U32),
+        Field("image_size", 580, U32),
+        Field("message_size", 584, U32),
+    ),
+)
+"""The fields that the vendor's public header names; int16 bearings follow."""
+
 STATUS: Final = Layout(
     "status",
     142,

@@ -80,6 +80,9 @@ class PingStreamState(NamedTuple):
     damaged: dict[str, Parts] | None = None
 
 
+FULL_PING = Reject("full_ping", "full ping results (message 0x22) do not name what a map needs")
+
+
 class PingStream:
     """Frames the bytes of each link and decodes the pings; each ping message counts once.
 
@@ -160,7 +163,9 @@ class PingStream:
 
     def _arrivals(self, link: str, messages: Iterable[Message]) -> Iterator[Arrival]:
         for message in messages:
-            if message.message_id == MessageId.PING_RESULT:
+            if message.message_id == MessageId.FULL_PING_RESULT:
+                yield Arrival(message.arrival_ns, FULL_PING)
+            elif message.message_id == MessageId.PING_RESULT:
                 damaged = self._is_damaged(link, message)
                 ping = self._ping_of(link, message, damaged=damaged)
                 yield Arrival(message.arrival_ns, ping, damaged)

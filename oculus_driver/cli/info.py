@@ -56,6 +56,8 @@ def _lines(name: str, info: RecordingInfo, *, listed: bool) -> Iterator[str]:
     if info.link_losses:
         yield f"gaps marked while recording: {info.link_losses} (link lost, or no room)"
     yield f"messages: {info.messages}, valid pings: {info.pings}"
+    if info.full_pings:
+        yield f"full ping results: {info.full_pings} (not mapped)"
     if info.statuses:
         yield f"statuses: {info.statuses}"
     for kind, count in _kinds(info.ping_list).most_common(_MAX_KINDS):

@@ -185,7 +185,7 @@ def _pings(result: ProbeResult) -> tuple[Verdict, str]:
     if rejects:
         text = f"pings arrive, but all are unusable ({rejects}): record them with `oculus log`"
         return "failed", f"{text} and send us the file"
-    reason = _finding(result, _NO_PINGS)
+    reason = _full_pings(result) or _finding(result, _NO_PINGS)
     if reason is not None:
         return "failed", reason
     if not result.asked_for_pings:
@@ -193,6 +193,14 @@ def _pings(result: ProbeResult) -> tuple[Verdict, str]:
         state = "the sonar is in standby" if standby else "no ping without a request"
         return "not tested", f"{state}: put it under water and use --ping"
     return "failed", "no ping after a request: try --version 1, then check the power supply"
+
+
+def _full_pings(result: ProbeResult) -> str | None:
+    count = result.messages[MessageId.FULL_PING_RESULT]
+    if not count:
+        return None
+    text = f"{count} full ping results, which are not mapped: another program requested them"
+    return f"{text}; switch the sonar off and on"
 
 
 _CONNECT_S: Final = 3.0

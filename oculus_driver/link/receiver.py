@@ -31,7 +31,8 @@ class PingReceiver:
         bounds: message boundaries in the last fed bytes.
         sequence: lost, duplicate and restarted ids.
         pings: valid pings, each counted once.
-        rejects: unusable ping messages by reason; bytes outside messages count in `stream`.
+        rejects: unusable ping messages by reason, full_ping among them; bytes outside messages
+            count in `stream`.
     """
 
     def __init__(self) -> None:
@@ -98,6 +99,8 @@ class PingReceiver:
             self._resync_since_ns += pause_ns
 
     def _received(self, message: Message) -> ReceivedMessage:
+        if message.message_id == MessageId.FULL_PING_RESULT:
+            self.rejects["full_ping"] += 1
         if message.message_id != MessageId.PING_RESULT:
             return ReceivedMessage(message.message_id, None)
         ping = decode_header(message)

@@ -7,6 +7,7 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Final
 
+from oculus_driver.full_ping import FullPing, decode_full_ping
 from oculus_driver.ping import Ping, PingSequence, decode_ping
 from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, Chunk
 from oculus_driver.status import Status, decode_status
@@ -69,6 +70,7 @@ class RecordingInfo:
         messages: complete messages of all sonars.
         messages_by_id: the same by message id.
         pings: valid pings.
+        full_pings: valid full ping results, which nothing maps.
         bytes_total: of the sonars' streams.
         bytes_rejected: bytes among these outside messages.
         rejects: rejected messages and pings by reason: reasons of
@@ -95,6 +97,7 @@ class RecordingInfo:
     messages: int = 0
     messages_by_id: Counter[int] = field(default_factory=Counter)
     pings: int = 0
+    full_pings: int = 0
     bytes_total: int = 0
     bytes_rejected: int = 0
     rejects: Counter[str] = field(default_factory=Counter)
@@ -181,6 +184,12 @@ def _count(info: RecordingInfo, chunk: Chunk) -> None:
 
 
 def _take(info: RecordingInfo, link: str, stream: _Stream, message: Message) -> None:
+    if message.message_id == MessageId.FULL_PING_RESULT:
+        full = decode_full_ping(message)
+        if isinstance(full, FullPing):
+            info.full_pings += 1
+        else:
+            info.rejects[full.reason] += 1
     if message.message_id != MessageId.PING_RESULT:
         return
     ping = decode_ping(message)

@@ -5,6 +5,7 @@ from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import Arrival, PingStream
 from oculus_driver.encode import encode_dummy
 from oculus_driver.ping import Ping
+from oculus_driver.wire import HEADER, MessageId
 
 PingBytes = Callable[..., bytes]
 
@@ -114,3 +115,11 @@ def test_known_gap_in_a_recording_starts_the_parser_again(ping_bytes: PingBytes)
         *stream.finish(),
     ]
     assert [outcome(each) for each in came] == [3]
+
+
+def test_full_ping_results_are_counted_and_not_mapped(ping_bytes: PingBytes) -> None:
+    header = {"message_id": MessageId.FULL_PING_RESULT, "source_id": 7, "payload_size": 584}
+    full = HEADER.pack(header) + bytes(584)
+    stream = PingStream()
+    data = ping_bytes(1) + full + ping_bytes(2)
+    assert [outcome(each) for each in stream.feed("sonar", data, 0)] == [1, "full_ping", 2]

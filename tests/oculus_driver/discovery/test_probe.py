@@ -138,3 +138,9 @@ def test_what_is_doubtful_fails_nothing(values: dict[str, Any], layer: str, word
 def test_standby_is_no_failure_as_long_as_nobody_asked_for_pings() -> None:  # quirk 16
     last = evaluate(evidence(pings=0, messages=Counter({0xFF: 3})))[-1]
     assert (last.verdict, "in standby" in last.text) == ("not tested", True)
+
+
+def test_full_ping_results_are_named_as_the_cause() -> None:
+    failure = first_failure(evaluate(evidence(pings=0, messages=Counter({0x22: 3}))))
+    assert failure is not None
+    assert failure.text.startswith("3 full ping results")
