@@ -94,6 +94,7 @@ class PingExecutor:
         """Pass over work that is in the map already; only localization repeats it."""
         match work:
             case PosedPing(number=number):
+                self.counters.pings_total -= 1  # the run before counted it
                 if number not in self._remarks.drops:
                     self.stages.correct(work)
             case NewSettings(config):

@@ -94,6 +94,7 @@ def restore_decoder(decoder: SessionDecoder, position: Position) -> None:
         decoder.restore(state)
     except (ValueError, TypeError, KeyError) as error:
         raise CheckpointError(f"the checkpoint cannot be read: {error}") from error
+    decoder.counters.pings_total += decoder.waiting  # what becomes of them is counted from here
 
 
 def _fresh_poses(position: Position, config: Config) -> FixedPose | OdometryPoses:
