@@ -98,7 +98,7 @@ class Accept:
 
 
 @dataclass(frozen=True, slots=True)
-class Skip:
+class SkipBytes:
     """No recognisable message starts here; continue `skip` bytes later."""
 
     reason: str
@@ -112,7 +112,7 @@ class NeedMore:
     size: int
 
 
-FrameResult = Accept | Skip | NeedMore
+FrameResult = Accept | SkipBytes | NeedMore
 
 
 def read_header(buffer: bytes | bytearray, position: int) -> Header:
@@ -173,7 +173,7 @@ class FrameChecker:
         header = read_header(buffer, position)
         fault = header_fault(header, strict=not self.synchronised)
         if fault is not None:
-            return Skip(fault)
+            return SkipBytes(fault)
         if header.message_id == MessageId.PING_RESULT:
             return self._check_ping(buffer, position, header)
         if self.synchronised and header.message_id in _PLAIN_IDS:
@@ -182,7 +182,7 @@ class FrameChecker:
         return self._check_follower(buffer, position, header, (header.size,), reason)
 
     def _need_more(self, size: int) -> FrameResult:
-        return Skip("truncated") if self.final else NeedMore(size)
+        return SkipBytes("truncated") if self.final else NeedMore(size)
 
     def _check_plain(self, buffer: bytes | bytearray, position: int, header: Header) -> FrameResult:
         if len(buffer) - position < header.size:
@@ -233,7 +233,7 @@ class FrameChecker:
             return NeedMore(size + PING_RESULT_V2.size)
         if last:
             return Accept(header, size, proven=True, confirmed=False)
-        return Skip("bytes_missing", inside - position)
+        return SkipBytes("bytes_missing", inside - position)
 
     def _find_inner_ping(self, buffer: bytes | bytearray, position: int, size: int) -> int | None:
         """Return where another ping of this sonar starts inside a ping, None if nowhere.
@@ -275,7 +275,7 @@ class FrameChecker:
                 return Accept(header, size, proven=False)
             elif left < size:
                 reason = "truncated"
-        return Skip(reason)
+        return SkipBytes(reason)
 
     def _is_good_header(self, follower: Header, source_id: int) -> bool:
         if self.synchronised:
@@ -283,7 +283,7 @@ class FrameChecker:
         return header_fault(follower, strict=True) is None and follower.source_id == source_id
 
 
-_BAD_MAGIC: Final = Skip("bad_magic")
+_BAD_MAGIC: Final = SkipBytes("bad_magic")
 
 
 def _magic_prefix(buffer: bytes | bytearray, position: int) -> bool:

@@ -13,7 +13,7 @@ from oculus_driver.framing import (
     Accept,
     FrameChecker,
     NeedMore,
-    Skip,
+    SkipBytes,
 )
 from oculus_driver.wire import PAYLOAD_LIMITS
 
@@ -275,7 +275,7 @@ class StreamParser:
             match checker.check(self._buffer, self._position):
                 case Accept() as accepted:
                     messages.append(self._emit(accepted))
-                case Skip(reason, skip):
+                case SkipBytes(reason, skip):
                     self._skip(reason, skip)
                 case NeedMore(size):
                     self._needed = self._position + size

@@ -19,7 +19,7 @@ from mapperd.daemon.doctor import LinkEvidence, judge_link
 from mapperd.errors import ConfigError, Reject
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.formats import make_decoder
-from mapperd.odometry.links import Link
+from mapperd.odometry.links import OdometryLink
 from oculus_driver.discovery.probe import Layer, ProbeOptions, evaluate, probe
 
 __all__ = ["doctor"]
@@ -109,7 +109,7 @@ async def _watched(config: Config, seconds: float) -> list[LinkEvidence]:
             if name not in missing:
                 bridge.feed(name, data, at_ns, gap_before=gap)
 
-        link = Link(source.name, address, take, time.time_ns)
+        link = OdometryLink(source.name, address, take, time.time_ns)
         links.append(link)
         tasks.append(asyncio.create_task(link.run()))
     await asyncio.wait(tasks, timeout=seconds)

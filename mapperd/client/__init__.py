@@ -3,7 +3,7 @@
 docs/reference/map-stream.md has an example and the protocol.
 """
 
-from mapperd.client.changes import ClientChange, LinkChanged, LinkStatus, MapChanged, MapReset
+from mapperd.client.changes import ClientChange, ConnectionStatus, LinkChanged, MapChanged, MapReset
 from mapperd.client.client import MapClient
 from mapperd.client.errors import AskError, EndedError
 from mapperd.client.follower import MapFollower
@@ -17,13 +17,13 @@ __all__ = [
     "Box",
     "Cells",
     "ClientChange",
+    "ConnectionStatus",
     "EndedError",
     "Event",
     "Fan",
     "Image",
     "Interest",
     "LinkChanged",
-    "LinkStatus",
     "Localization",
     "MapChanged",
     "MapClient",

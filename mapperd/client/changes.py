@@ -20,13 +20,13 @@ from mapperd.wire.messages import (
     StatusMessage,
 )
 
-__all__ = ["ClientChange", "LinkChanged", "LinkStatus", "MapChanged", "MapReset"]
+__all__ = ["ClientChange", "ConnectionStatus", "LinkChanged", "MapChanged", "MapReset"]
 
 LinkState = Literal["connecting", "connected", "waiting", "closed"]
 
 
 @dataclass(frozen=True, slots=True)
-class LinkStatus:
+class ConnectionStatus:
     """State of the connection.
 
     Attributes:
@@ -52,7 +52,7 @@ class LinkStatus:
 class LinkChanged:
     """The state of the connection changed."""
 
-    link: LinkStatus
+    link: ConnectionStatus
 
 
 @dataclass(frozen=True, slots=True)

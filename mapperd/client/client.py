@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from mapperd.client.change_queue import ChangeQueue
-from mapperd.client.changes import ClientChange, LinkChanged, LinkState, LinkStatus
+from mapperd.client.changes import ClientChange, ConnectionStatus, LinkChanged, LinkState
 from mapperd.client.connect import (
     RetryDelay,
     daemon_address,
@@ -128,11 +128,11 @@ class MapClient(StateReader):
         self._running: asyncio.Task[None] | None = None
         self._error: StreamError | None = None
         self._bytes = self._connects = self._faults = 0
-        self._link = LinkStatus("connecting", str(self._place), "", time.monotonic())
+        self._link = ConnectionStatus("connecting", str(self._place), "", time.monotonic())
         self._retry = RetryDelay()
 
     @property
-    def link(self) -> LinkStatus:
+    def link(self) -> ConnectionStatus:
         """State of the connection."""
         return dataclasses.replace(self._link, bytes=self._bytes, faults=self._faults)
 
@@ -326,7 +326,9 @@ class MapClient(StateReader):
         self._client_state.invalidate()
 
     def _set_link(self, state: LinkState, reason: str) -> None:
-        self._link = LinkStatus(state, str(self._place), reason, time.monotonic(), self._connects)
+        self._link = ConnectionStatus(
+            state, str(self._place), reason, time.monotonic(), self._connects
+        )
         self._publish(LinkChanged(self.link))
 
     def _publish(self, change: ClientChange) -> None:

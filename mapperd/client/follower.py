@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Any, Self, TypedDict, TypeVar, Unpack
 
 from mapperd.client.change_queue import ChangeQueue
-from mapperd.client.changes import ClientChange, LinkStatus
+from mapperd.client.changes import ClientChange, ConnectionStatus
 from mapperd.client.client import MapClient
 from mapperd.client.errors import AskError
 from mapperd.client.state import StateReader
@@ -54,7 +54,7 @@ class MapFollower(StateReader):
         self._noted = 0
 
     @property
-    def link(self) -> LinkStatus:
+    def link(self) -> ConnectionStatus:
         """State of the connection."""
         return self._client.link
 

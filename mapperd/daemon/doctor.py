@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from mapperd.config.link_address import LinkAddress
 from mapperd.odometry.decoder import DecoderCounters
-from mapperd.odometry.links import LinkPhase, LinkStatus
+from mapperd.odometry.links import LinkPhase, OdometryLinkStatus
 from oculus_driver.discovery.probe import Layer, Verdict
 
 __all__ = ["LAYERS", "LinkEvidence", "judge_link"]
@@ -40,7 +40,7 @@ class LinkEvidence:
     name: str
     address: LinkAddress
     format: str
-    status: LinkStatus
+    status: OdometryLinkStatus
     seconds: float
     decoder: DecoderCounters | None = None
     refused: Counter[str] = field(default_factory=Counter)

@@ -22,8 +22,7 @@ from mapperd.events import EventLog, Severity
 from mapperd.localization.session import LocalizationSession, numbers_of, poses_depend_on
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.bridge import encoding_of
-from mapperd.odometry.links import Link
-from mapperd.odometry.links import LinkStatus as OdometryStatus
+from mapperd.odometry.links import OdometryLink, OdometryLinkStatus
 from mapperd.pipeline.backlog import Backlog
 from mapperd.pipeline.build import build_pipeline
 from mapperd.pipeline.counters import PipelineCounters
@@ -229,9 +228,9 @@ class Live:
             read_snapshot=snapshot_reader(self._clock),
         )
 
-    def _odometry_links(self) -> list[Link]:
+    def _odometry_links(self) -> list[OdometryLink]:
         return [
-            Link(
+            OdometryLink(
                 source.name,
                 parse_address(source.link),
                 partial(self.ingest.receive, source.name),
@@ -278,7 +277,7 @@ class Live:
             facts = {"state": str(status.state), "address": status.address}
             self._events.add(Severity.NOTICE, "sonar_link", text, **facts)
 
-    def _log_link_state(self, name: str, status: OdometryStatus) -> None:
+    def _log_link_state(self, name: str, status: OdometryLinkStatus) -> None:
         if self._events is not None:
             text = f"{name}: {status.phase}: {status.reason}"
             facts = {"link": name, "state": str(status.phase)}

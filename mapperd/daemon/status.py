@@ -12,7 +12,7 @@ from mapperd.events import EventLog, Severity
 from mapperd.localization.report import localization_summary, map_name_of, state_of
 from mapperd.localization.status import LocalizationFacts
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.odometry.links import Link
+from mapperd.odometry.links import OdometryLink
 from mapperd.pipeline.worker import StatusSnapshot
 
 __all__ = ["LocalizationWatch", "Watch", "status_of"]
@@ -66,7 +66,7 @@ def _sonar(live: Live, facts: StatusSnapshot) -> dict[str, Any]:
     }
 
 
-def _link(link: Link) -> dict[str, Any]:
+def _link(link: OdometryLink) -> dict[str, Any]:
     status = link.status
     return {
         "link": str(link.address),

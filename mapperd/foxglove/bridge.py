@@ -8,8 +8,8 @@ from foxglove.messages import Log, LogLevel
 
 from mapperd.client.changes import (
     ClientChange,
+    ConnectionStatus,
     LinkChanged,
-    LinkStatus,
     MapChanged,
     MapReset,
 )
@@ -180,7 +180,7 @@ class FoxgloveRelay:
         else:
             self._waiting.add("/settings")
 
-    def _link(self, link: LinkStatus) -> None:
+    def _link(self, link: ConnectionStatus) -> None:
         """Log a new state of the connection; attempts and repeated failures are not logged."""
         text = f"{link.state}: {link.address} {link.reason}".strip()
         if link.state != "connecting" and text != self._link_text:

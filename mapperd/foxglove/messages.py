@@ -8,7 +8,7 @@ import numpy as np
 from foxglove.messages import RawImage
 from numpy.typing import NDArray
 
-from mapperd.client.changes import LinkStatus
+from mapperd.client.changes import ConnectionStatus
 from mapperd.client.mirror import MapMirror
 from mapperd.client.validation import image_of
 from mapperd.foxglove.geometry import (
@@ -103,7 +103,7 @@ class Follows(Protocol):
     @property
     def mirror(self) -> MapMirror | None: ...  # noqa: D102
     @property
-    def link(self) -> LinkStatus: ...  # noqa: D102
+    def link(self) -> ConnectionStatus: ...  # noqa: D102
     @property
     def welcome(self) -> WelcomeMessage | None: ...  # noqa: D102
     @property

@@ -8,7 +8,7 @@ import foxglove
 from foxglove.messages import LogLevel
 from foxglove.websocket import Capability, StatusLevel, WebSocketServer
 
-from mapperd.client.changes import ClientChange, LinkChanged, LinkStatus
+from mapperd.client.changes import ClientChange, ConnectionStatus, LinkChanged
 from mapperd.errors import LiveError
 from mapperd.foxglove.bridge import FoxgloveRelay
 from mapperd.foxglove.channels import CHANNELS, Channels
@@ -155,7 +155,7 @@ class _Service:
         if self._server is not None:
             self._server.clear_session()
 
-    def _publish_link(self, server: WebSocketServer, link: LinkStatus) -> None:
+    def _publish_link(self, server: WebSocketServer, link: ConnectionStatus) -> None:
         """Publish the connection's state as a status, which needs no time stamp."""
         if link.state == "connected":
             server.remove_status(["connection"])

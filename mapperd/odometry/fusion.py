@@ -33,7 +33,7 @@ from mapperd.odometry.states import (
     HEIGHT,
     POSITION,
     Attitude,
-    Position,
+    BasePosition,
     turn_between,
 )
 
@@ -71,7 +71,7 @@ class FusedPose:
 class _Placed:
     """A position, and how it came about."""
 
-    value: Position
+    value: BasePosition
     segment: int
     reckoned_s: float = 0.0
 
@@ -257,7 +257,7 @@ class Fusion:
             self._level.add(force, odometry.rate_radps, orientation, _speed_mps(odometry))
         return reject
 
-    def _waits_for_depth(self, position: "Sample[Position] | None") -> bool:
+    def _waits_for_depth(self, position: "Sample[BasePosition] | None") -> bool:
         """Whether heights are those of a source of depth."""
         if self._depth_is_named:
             return True
@@ -277,7 +277,7 @@ class Fusion:
         found = value_at(series, t_ns, self._reach, POSITION)
         return found if isinstance(found, Reject) else _Placed(found.value, found.segment)
 
-    def _reckoned(self, last: "Sample[Position] | None", t_ns: int) -> _Placed | None:
+    def _reckoned(self, last: "Sample[BasePosition] | None", t_ns: int) -> _Placed | None:
         """By velocity from the last position, or from nowhere where there is no source of any."""
         end = self._in.reckoning.at(t_ns)
         if end is None or (last is not None and last.t_ns == t_ns):
@@ -287,7 +287,9 @@ class Fusion:
             if awaited or self._in.position.owner is not None:
                 return None
             covariance = end.value.variance_m2 * np.eye(3)
-            value = Position(end.value.way_m, end.value.velocity_mps, covariance, has_height=False)
+            value = BasePosition(
+                end.value.way_m, end.value.velocity_mps, covariance, has_height=False
+            )
             return _Placed(value, end.segment)
         start = self._in.reckoning.at(last.t_ns)
         seconds = (t_ns - last.t_ns) / 1e9
@@ -298,7 +300,7 @@ class Fusion:
         ):
             return None
         grown = max(end.value.variance_m2 - start.value.variance_m2, 0.0) * np.eye(3)
-        value = Position(
+        value = BasePosition(
             last.value.position_m + end.value.way_m - start.value.way_m,
             end.value.velocity_mps,
             last.value.covariance_m2 + grown,

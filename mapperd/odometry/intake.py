@@ -15,7 +15,7 @@ from mapperd.odometry.reckoning import DeadReckoning, DeadReckoningState
 from mapperd.odometry.records import UNKNOWN_VARIANCE, Odometry
 from mapperd.odometry.states import (
     Attitude,
-    Position,
+    BasePosition,
     blend_attitude,
     carry_attitude,
     length,
@@ -71,7 +71,7 @@ class Intake:
         if (geo := settings.origin) is not None:
             self._origin = Origin(math.radians(geo.latitude), math.radians(geo.longitude))
         owners = settings.owners
-        self.position: Track[Position] = Track(owners.position, self._too_far)
+        self.position: Track[BasePosition] = Track(owners.position, self._too_far)
         self.attitude: Track[Attitude] = Track(owners.attitude, self._too_turned)
         self.depth: Track[Floats] = Track(owners.depth, self._too_far)
         self.velocity: Track[Floats] = Track(owners.velocity)
@@ -103,7 +103,7 @@ class Intake:
         self._anchor, self._rejoin = Anchor(*state.anchor), state.rejoin
         self._north_of = dict(state.north_of)
         self._origin = None if state.origin_rad is None else Origin(*state.origin_rad)
-        self.position.restore(state.position, Position)
+        self.position.restore(state.position, BasePosition)
         self.attitude.restore(state.attitude, Attitude)
         self.depth.restore(state.depth, np.asarray)
         self.velocity.restore(state.velocity, np.asarray)
@@ -203,7 +203,7 @@ class Intake:
         if not self.position.taken and way is not None and not self._settings.owners.position:
             # Until now the way was reckoned from a zero of its own.
             self.position.segment, jumped = way.segment + 1, True
-        value = Position(
+        value = BasePosition(
             self._anchor.place(source_m),
             self._map_velocity(odometry, t_ns),
             self._position_covariance(odometry),

@@ -20,7 +20,14 @@ from mapperd.errors import ConfigError, missing_extra
 if TYPE_CHECKING:
     from serial import Serial
 
-__all__ = ["Link", "LinkPhase", "LinkState", "LinkStatus", "OnBytes", "listen_to"]
+__all__ = [
+    "LinkPhase",
+    "OdometryLink",
+    "OdometryLinkState",
+    "OdometryLinkStatus",
+    "OnBytes",
+    "listen_to",
+]
 
 OnBytes = Callable[[bytes], bool]
 """Gets what arrived; returns whether more may come at once."""
@@ -176,7 +183,7 @@ class LinkPhase(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class LinkStatus:
+class OdometryLinkStatus:
     """The link at one moment.
 
     Attributes:
@@ -200,7 +207,7 @@ class LinkStatus:
         return (now_ns - self.since_ns) / SECOND_NS
 
 
-class LinkState:
+class OdometryLinkState:
     """Follows one link. Every method takes the host's time in nanoseconds.
 
     Args:
@@ -219,9 +226,9 @@ class LinkState:
         self._failures = 0
 
     @property
-    def status(self) -> LinkStatus:
+    def status(self) -> OdometryLinkStatus:
         """The link as it is now."""
-        return LinkStatus(
+        return OdometryLinkStatus(
             self._phase, self._since_ns, self._reason, self._bytes, self._opened, self._losses
         )
 
@@ -362,7 +369,7 @@ class TakeBytes(Protocol):
         """Take them."""
 
 
-class Link:
+class OdometryLink:
     """Keeps a link open until it is cancelled.
 
     Args:
@@ -384,7 +391,7 @@ class Link:
         address: LinkAddress,
         take: TakeBytes,
         clock: Callable[[], int],
-        on_status: Callable[[str, LinkStatus], None] | None = None,
+        on_status: Callable[[str, OdometryLinkStatus], None] | None = None,
         *,
         decoded: Callable[[], tuple[int, int]] = lambda: (0, 0),
     ) -> None:
@@ -395,11 +402,11 @@ class Link:
         self._take = take
         self._clock = clock
         self._on_status = on_status
-        self._state = LinkState(str(address), connects=address.kind == "tcp")
+        self._state = OdometryLinkState(str(address), connects=address.kind == "tcp")
         self._broken = False
 
     @property
-    def status(self) -> LinkStatus:
+    def status(self) -> OdometryLinkStatus:
         """What it does now."""
         return self._state.status
 

@@ -14,7 +14,7 @@ __all__ = [
     "HEIGHT",
     "POSITION",
     "Attitude",
-    "Position",
+    "BasePosition",
     "blend_attitude",
     "carry_attitude",
     "length",
@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Position:
+class BasePosition:
     """Where the base is.
 
     Attributes:
@@ -61,13 +61,13 @@ def _blend_numbers(a: Floats, b: Floats, fraction: float) -> Floats:
     return a + fraction * (b - a)
 
 
-def _blend_position(a: Position, b: Position, fraction: float) -> Position:
+def _blend_position(a: BasePosition, b: BasePosition, fraction: float) -> BasePosition:
     """On the straight line; the covariance is that of the worse end."""
     velocity = None
     if a.velocity_mps is not None and b.velocity_mps is not None:
         velocity = _blend_numbers(a.velocity_mps, b.velocity_mps, fraction)
     worse = a if np.trace(a.covariance_m2) >= np.trace(b.covariance_m2) else b
-    return Position(
+    return BasePosition(
         _blend_numbers(a.position_m, b.position_m, fraction),
         velocity,
         worse.covariance_m2,
@@ -75,12 +75,12 @@ def _blend_position(a: Position, b: Position, fraction: float) -> Position:
     )
 
 
-def _carry_position(position: Position, seconds: float) -> Position | None:
+def _carry_position(position: BasePosition, seconds: float) -> BasePosition | None:
     """On by its own velocity."""
     if position.velocity_mps is None:
         return None
     moved = position.position_m + seconds * position.velocity_mps
-    return Position(moved, position.velocity_mps, position.covariance_m2, position.has_height)
+    return BasePosition(moved, position.velocity_mps, position.covariance_m2, position.has_height)
 
 
 def blend_attitude(a: Attitude, b: Attitude, fraction: float) -> Attitude:

@@ -44,7 +44,7 @@ __all__ = [
     "MAX_SERIAL_LINE_BYTES",
     "NO_CONFIDENCE_FOM_MPS",
     "OVERHEATING",
-    "Position",
+    "DeadReckoningReport",
     "Velocity",
     "crc8",
     "read_water_linked_json",
@@ -133,7 +133,7 @@ class Velocity:
 
 
 @dataclass(frozen=True, slots=True)
-class Position:
+class DeadReckoningReport:
     """One dead reckoning report, as it stood on the wire.
 
     Attributes:
@@ -249,7 +249,7 @@ def _report(line: bytes, counters: DecoderCounters) -> Odometry | Reject | None:
     if head.type == "position_local":
         wire = _POSITION.decode(line)
         place, angles = (wire.x, wire.y, wire.z), (wire.roll, wire.pitch, wire.yaw)
-        return Position(wire.ts, place, wire.std, angles, wire.status).odometry()
+        return DeadReckoningReport(wire.ts, place, wire.std, angles, wire.status).odometry()
     counters.ignore(head.type)
     return None
 
@@ -338,7 +338,9 @@ def _position(fields: list[str], _counters: DecoderCounters) -> Odometry | Rejec
     if len(fields) != POSITION_FIELDS:
         raise ValueError(f"{POSITION_FIELDS} fields were expected")
     stamp_s, x, y, z, std, roll, pitch, yaw = (_number(text) for text in fields[:8])
-    return Position(stamp_s, (x, y, z), std, (roll, pitch, yaw), int(fields[8])).odometry()
+    return DeadReckoningReport(
+        stamp_s, (x, y, z), std, (roll, pitch, yaw), int(fields[8])
+    ).odometry()
 
 
 def _number(text: str) -> float:

@@ -20,7 +20,7 @@ from mapperd.server.encoder import BlockEncoder
 from mapperd.server.map_index import BlockIndex, ChangedRows, StoredBricks, vector_of
 from mapperd.server.priority_queue import Part
 from mapperd.server.subscription import Subscription
-from mapperd.store.metadata import Identity, fresh
+from mapperd.store.metadata import MapIdentity, fresh
 from mapperd.store.tile_store import TileStore
 from mapperd.wire.messages import Interest, MapFacts, Resume, Vector
 
@@ -32,7 +32,7 @@ def why_not(  # noqa: PLR0911 one reason each
     interest: Interest,
     *,
     map_id: str,
-    identity: Identity,
+    identity: MapIdentity,
     looked: int,
     newest: int,
     has_losses: bool,

@@ -23,7 +23,7 @@ from mapperd.errors import StoreError
 
 __all__ = [
     "NAME",
-    "Identity",
+    "MapIdentity",
     "begun",
     "check_kind",
     "fresh",
@@ -41,7 +41,7 @@ MAX_SESSIONS = 16
 
 
 @dataclass(frozen=True, slots=True)
-class Identity:
+class MapIdentity:
     """Of a map.
 
     Attributes:
@@ -60,12 +60,12 @@ class Identity:
         return dict(self.earlier).get(session)
 
 
-def fresh() -> Identity:
+def fresh() -> MapIdentity:
     """Of an empty map."""
-    return Identity(_random(), _random())
+    return MapIdentity(_random(), _random())
 
 
-def begun(connection: sqlite3.Connection, revision: int) -> Identity:
+def begun(connection: sqlite3.Connection, revision: int) -> MapIdentity:
     """A session begins with what the file holds; in a transaction of the caller.
 
     Args:
@@ -78,27 +78,27 @@ def begun(connection: sqlite3.Connection, revision: int) -> Identity:
         identity = fresh()
     else:
         earlier = (*before.earlier, (before.session, revision))
-        identity = Identity(before.map, _random(), earlier[-MAX_SESSIONS:])
+        identity = MapIdentity(before.map, _random(), earlier[-MAX_SESSIONS:])
     _put(connection, identity)
     return identity
 
 
-def renewed(connection: sqlite3.Connection, identity: Identity) -> Identity:
+def renewed(connection: sqlite3.Connection, identity: MapIdentity) -> MapIdentity:
     """The map was emptied; in a transaction of the caller."""
-    emptied = Identity(_random(), identity.session)
+    emptied = MapIdentity(_random(), identity.session)
     _put(connection, emptied)
     return emptied
 
 
-def _put(connection: sqlite3.Connection, identity: Identity) -> None:
+def _put(connection: sqlite3.Connection, identity: MapIdentity) -> None:
     text = msgspec.json.encode(identity).decode()
     connection.execute("INSERT OR REPLACE INTO fact VALUES (?, ?)", (NAME, text))
 
 
-def _decoded(text: str) -> Identity | None:
+def _decoded(text: str) -> MapIdentity | None:
     """None if it is damaged: clients then receive the whole map again."""
     try:
-        return msgspec.json.decode(text, type=Identity)
+        return msgspec.json.decode(text, type=MapIdentity)
     except ValueError:  # malformed, or text that is not UTF-8
         return None
 

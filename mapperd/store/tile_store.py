@@ -27,7 +27,7 @@ from mapperd.store.database import (
     transaction,
     translated,
 )
-from mapperd.store.metadata import Identity, begun, check_kind, progress_in, write_kind
+from mapperd.store.metadata import MapIdentity, begun, check_kind, progress_in, write_kind
 from mapperd.store.tiles import Key, ResidentTiles
 from mapperd.store.transfer import Loader, Position, Saver, Snapshot
 
@@ -101,7 +101,7 @@ class TileStore:
                 migrate(writer, path)
                 self._saved_revision, self.position, self._lost = self._begin(writer, sonar_map)
                 with transaction(writer):
-                    self.identity: Identity = begun(writer, self._saved_revision)
+                    self.identity: MapIdentity = begun(writer, self._saved_revision)
             reader = open_reader(path)
             opening.callback(reader.close)
             self._loader = Loader(reader, path, edge)

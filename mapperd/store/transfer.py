@@ -10,7 +10,7 @@ import zstandard
 from mapperd import _core
 from mapperd.errors import StoreError
 from mapperd.store.database import reading, transaction, translated
-from mapperd.store.metadata import Identity, renewed
+from mapperd.store.metadata import MapIdentity, renewed
 from mapperd.store.tiles import (
     COLUMNS,
     LEVEL,
@@ -112,7 +112,7 @@ class Saver:
         if busy:
             raise sqlite3.OperationalError("a reader holds the write-ahead log")
 
-    def forget(self, revision: int, position: bytes, identity: Identity) -> Identity:
+    def forget(self, revision: int, position: bytes, identity: MapIdentity) -> MapIdentity:
         """Empty the map; nothing is lost any more, for nothing should be there.
 
         Returns:

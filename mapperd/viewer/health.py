@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from mapperd.client.changes import LinkStatus
+from mapperd.client.changes import ConnectionStatus
 from mapperd.viewer.colours import Legend
 
 __all__ = ["Health", "banner_html", "health_html", "legend_html", "text_of"]
@@ -62,7 +62,7 @@ class Health:
         page_bytes, page_nodes, page_cells, page_waiting: the map in browsers.
     """
 
-    link: LinkStatus | None = None
+    link: ConnectionStatus | None = None
     lost_s: float | None = None
     pings: Rate = field(default_factory=Rate)
     blocks: Rate = field(default_factory=Rate)
@@ -85,7 +85,7 @@ class Health:
         """Whether the daemon is connected."""
         return self.link is not None and self.link.state == "connected"
 
-    def take_link(self, link: LinkStatus) -> None:
+    def take_link(self, link: ConnectionStatus) -> None:
         """Update the connection's state; each attempt to connect has a state of its own."""
         again = self.link is not None and link.connects != self.link.connects
         if link.state == "connected":

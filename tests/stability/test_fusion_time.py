@@ -16,7 +16,7 @@ from mapperd.odometry.reckoning import DeadReckoning
 from mapperd.odometry.records import Odometry
 from mapperd.odometry.series import Course, Reach, Sample, Series, value_at
 from mapperd.odometry.track import JumpWatch
-from mapperd.odometry.water_linked import Position
+from mapperd.odometry.water_linked import DeadReckoningReport
 from tests.mapperd.odometry.conftest import T0, S, record
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -60,7 +60,7 @@ def test_float_seconds_of_a_sender() -> None:
     Naively it is added to others as float seconds again and again, and jitters by a microsecond.
     """
     for text in ("1700000000.123456", "1789999999.999999", "1234567890.000001"):
-        record = Position(float(text), (0, 0, 0), 0.1, (0, 0, 0), 0).odometry()
+        record = DeadReckoningReport(float(text), (0, 0, 0), 0.1, (0, 0, 0), 0).odometry()
         assert isinstance(record, Odometry)
         with mp.workdps(40):
             assert abs(record.stamp_ns - mp.mpf(text) * S) < 300

@@ -14,13 +14,13 @@ from mapperd.cli.mapperd import main
 from mapperd.config.link_address import parse_address
 from mapperd.daemon.doctor import LAYERS, LinkEvidence, judge_link
 from mapperd.odometry.decoder import DecoderCounters
-from mapperd.odometry.links import LinkPhase, LinkStatus
+from mapperd.odometry.links import LinkPhase, OdometryLinkStatus
 
 
 def status(
     phase: LinkPhase = LinkPhase.RECEIVING, size: int = 1000, reason: str = ""
-) -> LinkStatus:
-    return LinkStatus(phase, 0, reason, size, 1, 0)
+) -> OdometryLinkStatus:
+    return OdometryLinkStatus(phase, 0, reason, size, 1, 0)
 
 
 def evidence(link: str = "udp://127.0.0.1:27000", **changes: Any) -> LinkEvidence:

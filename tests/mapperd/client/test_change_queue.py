@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.client import LinkChanged, LinkStatus, MapChanged, MapReset
+from mapperd.client import ConnectionStatus, LinkChanged, MapChanged, MapReset
 from mapperd.client import change_queue as module
 from mapperd.client.change_queue import ChangeQueue
 from mapperd.client.changes import ClientChange
@@ -24,7 +24,7 @@ from mapperd.wire.messages import (
 )
 from tests.support.stream_server import FACTS, Served, a_block
 
-LINK = LinkChanged(LinkStatus("connected", "here", "", 0.0))
+LINK = LinkChanged(ConnectionStatus("connected", "here", "", 0.0))
 WELCOME = WelcomeMessage(
     version=1, server="", vehicle="", session="s", map=FACTS, revision=0, resumed=False
 )

@@ -11,7 +11,7 @@ import zstandard
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from numpy.typing import NDArray
 
-from mapperd.client.changes import ClientChange, LinkChanged, LinkStatus, MapChanged, MapReset
+from mapperd.client.changes import ClientChange, ConnectionStatus, LinkChanged, MapChanged, MapReset
 from mapperd.client.errors import AskError
 from mapperd.client.mirror import MapMirror
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, path_message
@@ -42,7 +42,7 @@ FACTS = MapFacts(
     free_log_odds=-0.5,
     frame="map",
 )
-CONNECTED = LinkStatus("connected", "/run/map.sock", "", 0.0, connects=1, bytes=10)
+CONNECTED = ConnectionStatus("connected", "/run/map.sock", "", 0.0, connects=1, bytes=10)
 
 POSE = PoseMessage(
     stamp_ns=T0 + 5,

@@ -13,7 +13,7 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidStatus
 
-from mapperd.client.changes import LinkChanged, LinkStatus
+from mapperd.client.changes import ConnectionStatus, LinkChanged
 from mapperd.errors import LiveError
 from mapperd.foxglove import server
 from mapperd.foxglove.channels import CHANNELS
@@ -307,10 +307,10 @@ def test_a_lost_link_is_reported_and_taken_back() -> None:
     async def changing(client: FakeClient, port: int) -> None:
         async with viewer(port) as eye:
             await eye.of("serverInfo")
-            client.feed(LinkChanged(LinkStatus("waiting", "sub:1", "nobody answers", 0.0)))
+            client.feed(LinkChanged(ConnectionStatus("waiting", "sub:1", "nobody answers", 0.0)))
             status = await eye.of("status")
             assert status["message"] == "waiting: sub:1 nobody answers"
-            client.feed(LinkChanged(LinkStatus("connected", "sub:1", "", 0.0)))
+            client.feed(LinkChanged(ConnectionStatus("connected", "sub:1", "", 0.0)))
             removed = await eye.of("removeStatus")
             assert removed["statusIds"] == [status["id"]]
 

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
 
-from mapperd.client.changes import LinkChanged, LinkStatus, MapReset
+from mapperd.client.changes import ConnectionStatus, LinkChanged, MapReset
 from mapperd.errors import ExportError
 from mapperd.foxglove import mcap_recorder
 from mapperd.foxglove import mcap_recorder as mcap_file
@@ -303,7 +303,7 @@ def test_attempts_to_connect_are_logged_once(tmp_path: Path) -> None:
             ("waiting", "no route"),
             ("connected", ""),
         ):
-            client.feed(LinkChanged(LinkStatus(state, "sub:1", reason, 0.0)))  # type: ignore[arg-type]
+            client.feed(LinkChanged(ConnectionStatus(state, "sub:1", reason, 0.0)))  # type: ignore[arg-type]
         await until(lambda: not client.unread)
 
     recorded(tmp_path / "a.mcap", changing)

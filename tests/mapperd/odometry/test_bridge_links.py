@@ -21,7 +21,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import Reject
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.fusion import FusedPose
-from mapperd.odometry.links import Link
+from mapperd.odometry.links import OdometryLink
 from mapperd.odometry.native import NativeRecord, encode_native
 from tests.support.peers.autopilot import Autopilot
 from tests.support.peers.dvl import Dvl
@@ -51,7 +51,7 @@ class Bench:
         self.bridge = OdometryBridge(Config(odometry=OdometryFusionConfig(sources=(source, ahrs))))
         self.now_ns = T0
         self.bytes = 0
-        self.link = Link("peer", parse_address(link), self._take, lambda: self.now_ns)
+        self.link = OdometryLink("peer", parse_address(link), self._take, lambda: self.now_ns)
 
     def _take(self, data: bytes, arrival_ns: int, *, gap: bool) -> None:
         self.bytes += len(data)

@@ -6,7 +6,7 @@ import pytest
 from mapperd.geometry.frames import rotation_from_rpy
 from mapperd.odometry.clock import OdometryClock
 from mapperd.odometry.reckoning import DeadReckoning
-from mapperd.odometry.states import POSITION, Position, turn_between
+from mapperd.odometry.states import POSITION, BasePosition, turn_between
 from tests.mapperd.odometry.conftest import T0, S, record
 
 
@@ -33,6 +33,8 @@ def test_a_known_delay_of_a_link_is_taken_off() -> None:
 
 
 def test_between_a_good_place_and_a_bad_one_places_are_bad() -> None:
-    good, bad = (Position(np.zeros(3), None, s * np.eye(3), has_height=True) for s in (1.0, 9.0))
+    good, bad = (
+        BasePosition(np.zeros(3), None, s * np.eye(3), has_height=True) for s in (1.0, 9.0)
+    )
     for pair in ((good, bad), (bad, good)):
         assert POSITION.blend(*pair, 0.5).covariance_m2[0, 0] == 9.0

@@ -1,12 +1,12 @@
 import re
 
-from mapperd.odometry.links import BURST, GARBAGE, RATE, InputLimit, LinkPhase, LinkState
+from mapperd.odometry.links import BURST, GARBAGE, RATE, InputLimit, LinkPhase, OdometryLinkState
 
 S = 1_000_000_000
 
 
 def test_a_link_names_what_it_does_and_since_when() -> None:
-    link = LinkState("TCP dvl:16171", connects=True)
+    link = OdometryLinkState("TCP dvl:16171", connects=True)
     link.opening(1 * S)
     link.opened(2 * S)
     assert (link.status.phase, link.overdue_ns) == (LinkPhase.WAITING, 7 * S)
@@ -27,7 +27,7 @@ def test_a_link_names_what_it_does_and_since_when() -> None:
 
 
 def test_a_port_that_only_listens_is_silent_for_ever() -> None:
-    link = LinkState("UDP 127.0.0.1:1", connects=False)
+    link = OdometryLinkState("UDP 127.0.0.1:1", connects=False)
     link.opened(0)
     link.tick(5 * S)
     assert (link.status.phase, link.overdue_ns) == ("silent", None)
@@ -35,7 +35,7 @@ def test_a_port_that_only_listens_is_silent_for_ever() -> None:
 
 
 def test_pauses_grow_and_start_again_once_bytes_came() -> None:
-    link = LinkState("x", connects=True)
+    link = OdometryLinkState("x", connects=True)
     assert [link.lost("refused", 0) for _ in range(5)] == [
         S // 2,
         1 * S,

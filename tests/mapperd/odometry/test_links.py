@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from mapperd.config.link_address import parse_address
-from mapperd.odometry.links import Link, LinkStatus
+from mapperd.odometry.links import OdometryLink, OdometryLinkStatus
 
 pytestmark = pytest.mark.net
 
@@ -26,7 +26,7 @@ async def until(true: Callable[[], bool]) -> None:
             await asyncio.sleep(0.005)
 
 
-def run(text: str, work: Callable[[Link, Heard, States], Awaitable[None]]) -> States:
+def run(text: str, work: Callable[[OdometryLink, Heard, States], Awaitable[None]]) -> States:
     """Run a link while `work` plays its other end; returns every state it went through."""
     heard: Heard = []
     reported: States = []
@@ -35,12 +35,12 @@ def run(text: str, work: Callable[[Link, Heard, States], Awaitable[None]]) -> St
         assert abs(time.monotonic_ns() - arrival_ns) < 10**10
         heard.append((data, gap))
 
-    def report(name: str, status: LinkStatus) -> None:
+    def report(name: str, status: OdometryLinkStatus) -> None:
         assert name == "dvl"
         reported.append((str(status.phase), status.reason))
 
     async def both() -> None:
-        link = Link("dvl", parse_address(text), take, time.monotonic_ns, report)
+        link = OdometryLink("dvl", parse_address(text), take, time.monotonic_ns, report)
         task = asyncio.create_task(link.run())
         try:
             await work(link, heard, reported)
@@ -58,7 +58,7 @@ def test_datagrams_come_one_by_one() -> None:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
 
-    async def work(link: Link, heard: Heard, _: States) -> None:
+    async def work(link: OdometryLink, heard: Heard, _: States) -> None:
         await until(lambda: link.status.opened == 1)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             for data in (b"a", b"", b"bcd"):
@@ -75,7 +75,7 @@ def test_a_sender_that_goes_away_and_comes_back_is_heard_again() -> None:
     port = listener.getsockname()[1]
     listener.setblocking(False)  # noqa: FBT003 the socket's own argument
 
-    async def work(link: Link, heard: Heard, reported: States) -> None:
+    async def work(link: OdometryLink, heard: Heard, reported: States) -> None:
         loop = asyncio.get_running_loop()
         client, _ = await loop.sock_accept(listener)
         await loop.sock_sendall(client, b"one")
@@ -98,7 +98,7 @@ def test_nobody_there_is_reported_and_tried_again() -> None:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
 
-    async def work(link: Link, _: Heard, reported: States) -> None:
+    async def work(link: OdometryLink, _: Heard, reported: States) -> None:
         await until(lambda: link.status.losses == 2)
         assert "Connect call failed" in reported[1][1] or "refused" in reported[1][1]
 
@@ -118,7 +118,7 @@ def test_a_serial_line_is_unplugged_and_plugged_in_again(
         plug.symlink_to(os.ttyname(theirs))
         return ours, theirs
 
-    async def work(link: Link, heard: Heard, reported: States) -> None:
+    async def work(link: OdometryLink, heard: Heard, reported: States) -> None:
         ours, theirs = plug_in()
         await until(lambda: link.status.opened == 1)
         os.close(theirs)

@@ -12,7 +12,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import CheckpointError
 from mapperd.odometry.records import Odometry
 from mapperd.odometry.series import Sample, Series
-from mapperd.odometry.states import Position
+from mapperd.odometry.states import BasePosition
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import SessionDecoder, SessionDecoderState
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses, PoseLookupState
@@ -68,13 +68,13 @@ def test_arrays_keep_kind_order_and_rights(dtype: str, order: str) -> None:
 
 def test_long_series_come_back_as_short_ones_do() -> None:
     for count in (0, 1, 3, 100):
-        series: Series[Position] = Series()
+        series: Series[BasePosition] = Series()
         for k in range(count):
             covariance = np.eye(3, order="F") * k
-            series.add(k, Position(np.arange(3.0) + k, None, covariance, bool(k % 2)), k % 2)
-        again: Series[Position] = Series()
+            series.add(k, BasePosition(np.arange(3.0) + k, None, covariance, bool(k % 2)), k % 2)
+        again: Series[BasePosition] = Series()
         kind = type(series.state())
-        again.restore(decode_state(encode_state(series.state()), kind), Position)
+        again.restore(decode_state(encode_state(series.state()), kind), BasePosition)
         assert encode_state(again.state()) == encode_state(series.state())
         samples = [again.around(k)[0] for k in range(count)]
         for k, sample in enumerate(samples):

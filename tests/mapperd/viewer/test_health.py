@@ -2,7 +2,7 @@
 
 import pytest
 
-from mapperd.client import LinkStatus
+from mapperd.client import ConnectionStatus
 from mapperd.viewer.colours import Scale, legend_of
 from mapperd.viewer.health import Health, Rate, banner_html, health_html, legend_html
 
@@ -10,7 +10,7 @@ SECOND = 1_000_000_000
 
 
 def linked(state: str, reason: str = "", connects: int = 1) -> Health:
-    return Health(LinkStatus(state, "10.0.0.2:52300", reason, 100.0, connects))  # type: ignore[arg-type]
+    return Health(ConnectionStatus(state, "10.0.0.2:52300", reason, 100.0, connects))  # type: ignore[arg-type]
 
 
 def test_a_rate_is_of_the_last_seconds_and_starts_again_with_the_daemon() -> None:
@@ -107,7 +107,7 @@ def test_a_lost_link_is_lost_since_the_first_failure_not_the_last() -> None:
     health = Health()
 
     def take(state: str, since_s: float, connects: int = 1) -> None:
-        health.take_link(LinkStatus(state, "10.0.0.2:52300", "", since_s, connects))  # type: ignore[arg-type]
+        health.take_link(ConnectionStatus(state, "10.0.0.2:52300", "", since_s, connects))  # type: ignore[arg-type]
 
     take("connected", 90.0)
     for since_s in (100.0, 103.0, 108.0):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mapperd.client import LinkStatus
+from mapperd.client import ConnectionStatus
 from mapperd.viewer.colours import Scale, colours_of
 from mapperd.viewer.map_layer import POINT_RADIUS
 from tests.mapperd.viewer.view_browser import Serving, chromium, downloads
@@ -186,7 +186,7 @@ def test_a_lost_link_is_reported_and_found_again(serving: Serving, page: "Page")
     serving.do(serving.client.connect)
     banner.wait_for(state="detached")
     serving.until(lambda: serving.view.map.nodes and not serving.view.map.stale, page)
-    assert isinstance(serving.client.link, LinkStatus)
+    assert isinstance(serving.client.link, ConnectionStatus)
 
 
 def test_the_map_is_exported_and_kept(page: "Page", tmp_path: Path) -> None:

@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from plyfile import PlyData
 
-from mapperd.client import AskError, ClientChange, LinkChanged, LinkStatus, MapChanged, MapReset
+from mapperd.client import (
+    AskError,
+    ClientChange,
+    ConnectionStatus,
+    LinkChanged,
+    MapChanged,
+    MapReset,
+)
 from mapperd.client.mirror import MapMirror
 from mapperd.config.changes import facts_of
 from mapperd.config.tree import Config
@@ -62,7 +69,7 @@ class FakeClient:
     """What the page needs of a `MapClient`."""
 
     def __init__(self, blocks: BlockSet) -> None:
-        self.link = LinkStatus("connecting", "127.0.0.1:52300", "", time.monotonic())
+        self.link = ConnectionStatus("connecting", "127.0.0.1:52300", "", time.monotonic())
         self.mirror: MapMirror | None = None
         self.welcome: WelcomeMessage | None = None
         self.path: NDArray[np.float64] = np.zeros((0, 3))
@@ -101,7 +108,7 @@ class FakeClient:
 
     def _be(self, state: Any, reason: str) -> None:
         connects = self.link.connects + (state == "connected")
-        self.link = LinkStatus(state, self.link.address, reason, time.monotonic(), connects)
+        self.link = ConnectionStatus(state, self.link.address, reason, time.monotonic(), connects)
         self.feed(LinkChanged(self.link))
 
     async def set(self, changes: Mapping[str, Any]) -> dict[str, Any]:
