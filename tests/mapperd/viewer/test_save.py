@@ -80,7 +80,7 @@ def test_two_presses_make_a_recording(tmp_path: Path) -> None:
 
     notes = kept(tmp_path, press)
     (path,) = tmp_path.iterdir()
-    assert [title for title, _ in notes.notes] == ["FoxgloveRecording", "Recorded"]
+    assert [title for title, _ in notes.notes] == ["Recording", "Recorded"]
     assert str(path) in notes.notes[1][1]
     with path.open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()
@@ -118,7 +118,7 @@ def test_a_recording_that_ends_by_itself_is_reported(tmp_path: Path) -> None:
         raise ExportError("no space is left")
 
     notes = kept(tmp_path, press).notes
-    assert [title for title, _ in notes] == ["FoxgloveRecording", "Recording ended"]
+    assert [title for title, _ in notes] == ["Recording", "Recording ended"]
     assert "no space is left" in notes[1][1]
 
 
@@ -135,7 +135,7 @@ class NoView:
 
 
 def test_the_command_s_page_can_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(view, "View", NoView)
+    monkeypatch.setattr(view, "ViewerPage", NoView)
     message = argparse.Namespace(
         host="127.0.0.1", port=0, open=False, json=True, level=0, radius=0.0, allow_changes=False
     )
