@@ -18,6 +18,7 @@ __all__ = [
     "DECISIONS",
     "LINK",
     "SESSION",
+    "ClockSet",
     "Covariance9",
     "Decision",
     "Drop",
@@ -187,6 +188,16 @@ class Drop(Struct, frozen=True, tag_field="kind", tag="drop"):
     ping: int
 
 
+class ClockSet(Struct, frozen=True, tag_field="kind", tag="clock_set"):
+    """The host's clock was set; the stamps of this session keep the clock of its start.
+
+    Attributes:
+        offset_ns: host's clock minus the clock of the stamps, from here on.
+    """
+
+    offset_ns: int
+
+
 class RemovedRemark(Struct, frozen=True, tag_field="kind", tag="error_bound"):
     """A remark of earlier versions about a removed setting; ignored."""
 
@@ -194,7 +205,10 @@ class RemovedRemark(Struct, frozen=True, tag_field="kind", tag="error_bound"):
 Request = InitialPose | GlobalLocalization | NoMotionUpdate | NewMap | SetMap
 """Requests to localization."""
 
-Decision = Session | Settings | Reset | ResetFailed | Gap | Skip | Drop | RemovedRemark | Request
+Remark = Drop | ResetFailed | ClockSet | RemovedRemark
+"""Decisions that follow what they describe."""
+
+Decision = Session | Settings | Reset | Gap | Skip | Remark | Request
 
 _DECODER: msgspec.msgpack.Decoder[Decision] = msgspec.msgpack.Decoder(Decision)
 
@@ -216,7 +230,7 @@ def decision_of(chunk: Chunk) -> Decision | None:
 
 def is_remark(decision: Decision | None) -> bool:
     """Return whether a decision is a remark, whose position in the stream has no meaning."""
-    return isinstance(decision, Drop | RemovedRemark | ResetFailed)
+    return isinstance(decision, Remark)
 
 
 @dataclass(frozen=True, slots=True)

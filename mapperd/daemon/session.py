@@ -8,7 +8,7 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable
 from functools import partial
-from typing import Any
+from typing import Any, Never
 
 import msgspec
 
@@ -32,8 +32,9 @@ from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.pipeline.recorder import Recorder
 from mapperd.pipeline.snapshot import snapshot_reader
 from mapperd.pipeline.worker import MappingThread
-from mapperd.session_log import LINK, Remarks, Request, Session, Settings
+from mapperd.session_log import LINK, ClockSet, Remarks, Request, Session, Settings
 from oculus_driver.link.state import LinkState, LinkStatus
+from oculus_driver.recording.sonar_log import MAX_CLOCK_ERROR_NS
 from oculus_driver.settings import FireSettings, Mode, PingRate
 from oculus_driver.sonar import OculusSonar
 from oculus_driver.stream import MessageBounds
@@ -41,13 +42,22 @@ from oculus_driver.stream import MessageBounds
 __all__ = ["Live", "fire_settings", "host_clock"]
 
 
+CLOCK_INTERVAL_S = 1.0
+"""Interval between two looks at the host's clock."""
+
+
 def host_clock() -> Callable[[], int]:
     """Return a clock of Unix time in nanoseconds that never goes back.
 
     It is the monotonic clock with a constant offset, so that senders may stamp with Unix time.
     """
-    offset_ns = time.time_ns() - time.monotonic_ns()
+    offset_ns = unix_offset_ns()
     return lambda: time.monotonic_ns() + offset_ns
+
+
+def unix_offset_ns() -> int:
+    """Return the offset from the monotonic clock to Unix time; it changes if the clock is set."""
+    return time.time_ns() - time.monotonic_ns()
 
 
 def fire_settings(device: DeviceConfig) -> FireSettings:
@@ -111,6 +121,7 @@ class Live:
         self._events = events
         self._clock = clock or host_clock()
         self._is_new_connection = False
+        self._start_offset_ns = unix_offset_ns()
         self.queue = ChunkQueue()
         self.recorder = Recorder(config, session, self._clock)
         encodings = {source.name: encoding_of(source) for source in config.odometry.sources}
@@ -143,6 +154,7 @@ class Live:
         ended = self._when_mapping_ends()
         end = asyncio.ensure_future(until)
         links = [asyncio.create_task(link.run()) for link in self.links]
+        links.append(asyncio.create_task(self._watch_clock()))
         async with self.recorder:
             mapping = self.mapping
             self.persistence.begin(
@@ -260,6 +272,22 @@ class Live:
 
         self.mapping.on_end = notify
         return ended
+
+    async def _watch_clock(self) -> Never:
+        """Record and log each time the host's clock is set, as on a host without a clock chip."""
+        known_ns = 0
+        while True:
+            offset_ns = unix_offset_ns() - self._start_offset_ns
+            if abs(offset_ns - known_ns) > MAX_CLOCK_ERROR_NS:
+                known_ns = offset_ns
+                self.ingest.remark(ClockSet(offset_ns))
+                if self._events is not None:
+                    text = (
+                        f"the host's clock was set: it is {offset_ns / 1e9:+.1f} s from the stamps "
+                        "of this session, which keep the clock of its start"
+                    )
+                    self._events.add(Severity.WARNING, "clock_set", text, offset_s=offset_ns / 1e9)
+            await asyncio.sleep(CLOCK_INTERVAL_S)
 
     async def _watch(self) -> None:
         """Raise errors of the sonar's link."""

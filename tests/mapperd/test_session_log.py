@@ -7,6 +7,7 @@ import pytest
 from mapperd.session_log import (
     DECISIONS,
     LINK,
+    ClockSet,
     Decision,
     Drop,
     Gap,
@@ -45,6 +46,7 @@ ALL: list[Decision] = [
     Gap("sonar"),
     Skip("sonar", 5),
     Drop(7),
+    ClockSet(-3_600_000_000_000),
     RemovedRemark(),
 ]
 
@@ -83,7 +85,7 @@ def test_remarks_are_collected() -> None:
     chunks = [chunk_of(decision, 0) for decision in [*ALL, Drop(3)]]
     found = remarks_in([*chunks, bytes_of(b"x")])
     assert found == Remarks(frozenset({3, 7}), frozenset({1}))
-    assert [is_remark(one) for one in ALL].count(True) == 3
+    assert [is_remark(one) for one in ALL].count(True) == 4
 
 
 @pytest.mark.parametrize("value", [0.1, None])

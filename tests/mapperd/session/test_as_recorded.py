@@ -17,6 +17,7 @@ from mapperd.config.live import Applied, ConfigStore
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.daemon.session import Live
+from mapperd.events import EventLog
 from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import PipelineCounters
@@ -29,6 +30,7 @@ from mapperd.session.recordings import files_in, sessions_of
 from mapperd.session_log import (
     DECISIONS,
     SESSION,
+    ClockSet,
     Drop,
     Gap,
     Reset,
@@ -213,6 +215,33 @@ def test_statuses_of_the_sonar_are_recorded(tmp_path: Path) -> None:
     assert [(chunk.link, chunk.arrival_ns, chunk.data) for chunk in recorded] == [
         (STATUS, START_NS, status)
     ]
+
+
+def test_a_clock_that_is_set_is_recorded_and_logged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    offset_ns = [START_NS]
+    monkeypatch.setattr("mapperd.daemon.session.unix_offset_ns", lambda: offset_ns[0])
+    monkeypatch.setattr("mapperd.daemon.session.CLOCK_INTERVAL_S", 0.0)
+    config = config_from_text(settings_text(tmp_path / "recordings"))
+    events = EventLog(lambda: START_NS)
+    poses, clock = OdometryPoses(config), lambda: START_NS
+    live = Live(SonarMap(config), poses, session="abc", clock=clock, events=events)
+
+    async def work() -> None:
+        async with live.recorder:
+            live.ingest.order(live._beginning())
+            watching = asyncio.create_task(live._watch_clock())
+            for change_ns in (0, 100 * MS, 3600_000 * MS, 100 * MS):
+                offset_ns[0] += change_ns
+                await asyncio.sleep(0.02)
+            watching.cancel()
+
+    asyncio.run(work())
+    (session,) = sessions_of(files_in([tmp_path / "recordings"]))
+    decisions = [decision_of(chunk) for chunk in session]
+    assert [one for one in decisions if isinstance(one, ClockSet)] == [ClockSet(3600_100 * MS)]
+    assert [event.code for event in events.since(0)[0]] == ["clock_set"]
 
 
 def short_session(sonar_map: SonarMap, session: str, pings: list[bytes], pose: Pose) -> None:
