@@ -9,7 +9,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-com
 TOOLS := $(VENV)/.tools
 STAMP := $(VENV)/.installed
 # What builds the wheel, as in pyproject.toml and as the C++ tests need it.
-BUILD_TOOLS := 'scikit-build-core>=0.10,<2' 'pybind11>=3.0,<4' 'cmake>=3.25,<5' 'ninja>=1.11,<2'
+BUILD_TOOLS := 'scikit-build-core>=1.0,<2' 'pybind11>=3.0,<4' 'cmake>=3.25,<5' 'ninja>=1.11,<2'
 # Programs of the tools, which run from a checkout alone.
 TOOL := PYTHONPATH=tools $(BIN)/python -m
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
@@ -17,7 +17,7 @@ CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLi
 # Programs and tests start hundreds of Pythons, which must not compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check tidy cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install lock prerequisites test-prerequisites clean
+.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check tidy cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install lock sdist wheels prerequisites test-prerequisites clean
 
 demo: $(STAMP)
 	$(TOOL) demo --out out/demo
@@ -146,6 +146,16 @@ lock: $(TOOLS)
 	$(LOCK) pyproject.toml $(foreach extra,filters mavlink mqtt nmea serial,--extra $(extra)) \
 		--output-file requirements/vehicle.lock
 	printf '%s\n' $(BUILD_TOOLS) | $(LOCK) - --output-file requirements/build.lock
+
+# The source package into out/dist: the same bytes for the same commit.
+sdist: $(TOOLS)
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -c \
+		'from scikit_build_core.build import build_sdist; build_sdist("out/dist")'
+
+# Wheels of the source package for this architecture, into out/dist: wants Docker.
+wheels: sdist
+	$(PIP) 'cibuildwheel==4.3.3'
+	$(BIN)/cibuildwheel out/dist/mapperd-*.tar.gz --platform linux --output-dir out/dist
 
 # The site of docs/, into out/site; warnings and broken links are errors.
 docs: $(STAMP)

@@ -1,11 +1,16 @@
 """What is installed: bounds of versions, locked hashes, and the files of the source package."""
 
+import os
 import re
+import subprocess
+import sys
+import tarfile
 import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -119,3 +124,106 @@ def test_every_supported_python_gets_one_version(name: str) -> None:
             if entry.marker is None or entry.marker.evaluate(where)
         ]
         assert len(chosen) == len(set(chosen)) == len({entry.name for entry, _, _ in locked(name)})
+
+
+SDIST_PATHS = (
+    *("CHANGELOG.md", "LICENSE", "PKG-INFO", "README.md", "pyproject.toml"),
+    *("config/", "cpp/", "mapperd/", "oculus_driver/", "requirements/", "scripts/check_wheel.py"),
+    *("systemd/", "tools/mapper_survey/", "tools/sonar_sim/"),
+)
+
+
+def test_wheels_are_built_on_machines_of_their_architecture() -> None:
+    text = (ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
+    wheels = yaml.safe_load(text)["jobs"]["wheels"]
+    machines = {one["arch"]: one["runner"] for one in wheels["strategy"]["matrix"]["include"]}
+    assert set(machines) == {"x86_64", "aarch64"}
+    assert machines["aarch64"].endswith("-arm")
+    assert {"run": "make wheels"} in wheels["steps"]
+    options = project()["tool"]["cibuildwheel"]
+    assert options["archs"] == ["auto64"]
+    assert all(re.fullmatch(r"cp3\d\d-manylinux_\*", name) for name in options["build"])
+    commands = " ".join(options[name] for name in ("before-build", "before-test", "test-command"))
+    needed = re.findall(r"\{project\}/(\S+)", commands)
+    assert len(needed) == 3
+    for name in needed:
+        assert (ROOT / name).is_file()
+        assert name.startswith(SDIST_PATHS), "wheels are built from the source package"
+
+
+@pytest.mark.slow
+def test_check_of_a_wheel_maps_a_ping(tmp_path: Path) -> None:
+    done = subprocess.run(  # noqa: S603 our own program
+        [sys.executable, str(ROOT / "scripts" / "check_wheel.py")],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=100,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "one ping mapped" in done.stdout
+
+
+def copied(files: list[str], folder: Path) -> Path:
+    """Copy tracked files, in this order."""
+    for name in files:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes((ROOT / name).read_bytes())
+        path.chmod((ROOT / name).stat().st_mode)
+    return folder
+
+
+def built(folder: Path) -> tuple[bytes, set[str]]:
+    """Build the source package of a folder: its bytes, and the names of its files."""
+    script = "from scikit_build_core.build import build_sdist as b; b('dist')"
+    subprocess.run(  # noqa: S603 our own line
+        [sys.executable, "-c", script],
+        cwd=folder,
+        env=os.environ | {"SOURCE_DATE_EPOCH": "1700000000"},
+        capture_output=True,
+        check=True,
+        timeout=200,
+    )
+    (path,) = (folder / "dist").glob("mapperd-*.tar.gz")
+    with tarfile.open(path) as archive:
+        members = archive.getmembers()
+    assert {member.mtime for member in members} == {1_700_000_000}
+    assert all(member.isfile() for member in members)
+    return path.read_bytes(), {member.name.partition("/")[2] for member in members}
+
+
+@pytest.mark.slow
+def test_source_package_is_reproducible_and_holds_sources_alone(tmp_path: Path) -> None:
+    pytest.importorskip("scikit_build_core")
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"],  # noqa: S607
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if listed.returncode:
+        pytest.skip("no Git checkout")
+    files = [name for name in listed.stdout.split("\0") if name and (ROOT / name).is_file()]
+    clean = copied(files, tmp_path / "clean")
+    used = copied(files[::-1], tmp_path / "used")
+    for name in (
+        *("build/a.o", "out/map.bt", "tests/data/dive.mcap", ".hypothesis/a", ".venv/a.py"),
+        *("mapperd/_core.so", "mapperd/__pycache__/api.pyc", "cpp/map/test/data.bin", "dive.mcap"),
+    ):
+        (used / name).parent.mkdir(parents=True, exist_ok=True)
+        (used / name).write_bytes(b"x")
+    for name in files:
+        os.utime(used / name, (1.0, 1.0))
+        (used / name).chmod((used / name).stat().st_mode & 0o700)  # another umask
+
+    archive, names = built(clean)
+    assert built(used)[0] == archive
+    assert names - {"PKG-INFO"} <= set(files)
+    assert [name for name in sorted(names) if not name.startswith(SDIST_PATHS)] == []
+    assert not [name for name in names if "test" in name.split("/")]
+    packages = ("mapperd/", "oculus_driver/", "tools/mapper_survey/", "tools/sonar_sim/")
+    assert {name for name in files if name.startswith(packages)} <= names
+    assert {"cpp/CMakeLists.txt", "cpp/map/CMakeLists.txt"} <= names
