@@ -19,7 +19,7 @@ COMMANDS = {
     "mapperctl": "mapperd.cli.mapperctl.command",
     "oculus": "oculus_driver.cli",
     "sonar-sim": "sonar_sim.command",
-    "mapper-survey": "mapper_survey.command",
+    "mapper-survey": "mapper_survey",
 }
 
 
@@ -61,3 +61,22 @@ def test_command_prints_its_version(command: str) -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert done.stdout == f"{command} {mapperd.__version__}\n"
+
+
+@pytest.mark.parametrize("command", ["sonar-sim", "mapper-survey"])
+@pytest.mark.parametrize("words", [["--help"], ["--version"], ["plan"]])
+def test_command_of_a_missing_extra_ends_in_one_line(command: str, words: list[str]) -> None:
+    code = (
+        "import sys\n"
+        "for name in ('dask', 'embreex', 'fsspec', 'matplotlib', 'scipy', 'trimesh'):\n"
+        "    sys.modules[name] = None\n"
+        f"from {COMMANDS[command]} import main\n"
+        f"sys.exit(main({words}))\n"
+    )
+    done = subprocess.run(  # noqa: S603 our own lines
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    assert "the extra `" in line

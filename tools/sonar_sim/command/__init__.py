@@ -7,13 +7,9 @@ from typing import NoReturn
 
 from oculus_driver import __version__
 from oculus_driver.errors import OculusError
-from sonar_sim.command import capture, explain, render, scene_list, serve, validate
-from sonar_sim.command.arguments import FAULT, INTERRUPTED, USAGE
-from sonar_sim.errors import SonarSimError
+from sonar_sim.errors import FAULT, INTERRUPTED, USAGE, SonarSimError
 
 __all__ = ["main"]
-
-SUBCOMMANDS = (scene_list, explain, render, capture, serve, validate)
 
 EPILOG = """\
 exit codes: 0 success; 1 failure; 2 invalid command or scene; 130 interrupted"""
@@ -29,7 +25,13 @@ class _Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; every failure that input can cause is one line and an exit code."""
-    args = _parser().parse_args(argv)
+    try:
+        parser = _parser()
+    except ModuleNotFoundError as error:
+        return _failure(
+            f"{error.name} cannot be imported: install the extra `sim` of mapperd", USAGE
+        )
+    args = parser.parse_args(argv)
     try:
         return int(args.run(args))
     except SonarSimError as error:
@@ -40,12 +42,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def _failure(error: Exception, code: int) -> int:
+def _failure(error: Exception | str, code: int) -> int:
     sys.stderr.write(f"sonar-sim: {error}\n")
     return code
 
 
 def _parser() -> argparse.ArgumentParser:
+    from sonar_sim.command import (  # noqa: PLC0415 of an extra
+        capture,
+        explain,
+        render,
+        scene_list,
+        serve,
+        validate,
+    )
+
     parser = _Parser(
         prog="sonar-sim",
         description="Simulate an Oculus sonar in a scene: pictures, recordings, a live device.",
@@ -55,7 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"sonar-sim {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for module in SUBCOMMANDS:
+    for module in (scene_list, explain, render, capture, serve, validate):
         command = commands.add_parser(
             module.NAME, help=module.HELP, description=module.HELP, allow_abbrev=False
         )

@@ -2,7 +2,6 @@
 
 import argparse
 import math
-from typing import Final
 
 import numpy as np
 
@@ -76,9 +75,3 @@ def time_on(path: Trajectory, time_s: float) -> float:
 def names(text: str) -> tuple[str, ...]:
     """Read `a,b,c`."""
     return tuple(part.strip() for part in text.split(",") if part.strip())
-
-
-OK: Final = 0
-FAULT: Final = 1
-USAGE: Final = 2
-INTERRUPTED: Final = 130

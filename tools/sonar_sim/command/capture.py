@@ -9,7 +9,8 @@ from pathlib import Path
 from tqdm import tqdm
 
 from sonar_sim.capture import CaptureSettings, write_capture
-from sonar_sim.command.arguments import OK, count, seed
+from sonar_sim.command.arguments import count, seed
+from sonar_sim.errors import OK
 from sonar_sim.scene_file import load_scenario
 
 NAME = "capture"

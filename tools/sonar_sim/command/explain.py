@@ -4,13 +4,14 @@ import argparse
 import json
 import sys
 
-from sonar_sim.command.arguments import OK, count, positive, time_on
+from sonar_sim.command.arguments import count, positive, time_on
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import Decision, EffectPlan, EffectSelection
 from sonar_sim.effects.planner import Planner
 from sonar_sim.effects.previewer import Previewer
 from sonar_sim.effects.rule_check import measured_costs_ms
 from sonar_sim.engine import PingEngine
+from sonar_sim.errors import OK
 from sonar_sim.scene.scenario import sonar_motion, sonar_pose
 from sonar_sim.scene_file import load_scenario
 

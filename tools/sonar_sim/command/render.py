@@ -11,7 +11,8 @@ from tqdm import tqdm
 from oculus_driver.render import COLOURS, Style
 from sonar_sim.classic import classic_camera
 from sonar_sim.classic.writer import write_classic
-from sonar_sim.command.arguments import OK, count, names, pose, positive, seed, size, time_on
+from sonar_sim.command.arguments import count, names, pose, positive, seed, size, time_on
+from sonar_sim.errors import OK
 from sonar_sim.geometry.pose import FramePose
 from sonar_sim.products import PRODUCTS, ProductRenderer, write_products
 from sonar_sim.products.writer import ProductSettings

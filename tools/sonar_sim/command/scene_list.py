@@ -2,7 +2,7 @@
 
 import argparse
 
-from sonar_sim.command.arguments import OK
+from sonar_sim.errors import OK
 from sonar_sim.scene_file import load_scenario, scene_names
 
 NAME = "list"

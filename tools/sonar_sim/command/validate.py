@@ -5,8 +5,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from sonar_sim.command.arguments import FAULT, OK, names
-from sonar_sim.errors import SonarSimError
+from sonar_sim.command.arguments import names
+from sonar_sim.errors import FAULT, OK, SonarSimError
 from sonar_sim.validation.case import ValidationResult
 from sonar_sim.validation.cases import CASES, draw_page
 
