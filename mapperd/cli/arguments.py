@@ -34,7 +34,7 @@ class Arguments:
         pose: pose of the base in the map for every ping; None uses the odometry.
         integrator: overrides the setting; None keeps it.
         start_s, duration_s: the part of the recording to map.
-        use_damaged: map data that fail their checksum, too.
+        allow_damaged: map data that fail their checksum, too.
     """
 
     replay: tuple[Path, ...]
@@ -46,7 +46,7 @@ class Arguments:
     integrator: str | None
     start_s: float
     duration_s: float | None
-    use_damaged: bool = False
+    allow_damaged: bool = False
 
 
 class _Parser(argparse.ArgumentParser):
@@ -69,8 +69,8 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
         parser.error("--start needs --replay")
     if args.store is not None and (not args.replay or args.start or args.duration):
         parser.error("--store needs --replay, without --start and --duration")
-    if args.use_damaged and not args.replay:
-        parser.error("--use-damaged needs --replay")
+    if args.allow_damaged and not args.replay:
+        parser.error("--allow-damaged needs --replay")
     if args.as_recorded and (problem := _contradiction(args)) is not None:
         parser.error(problem)
     return Arguments(
@@ -83,7 +83,7 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
         integrator=args.integrator,
         start_s=args.start,
         duration_s=args.duration,
-        use_damaged=args.use_damaged,
+        allow_damaged=args.allow_damaged,
     )
 
 
@@ -157,7 +157,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--duration", metavar="S", type=_positive, help="map S seconds and stop")
     add(
-        "--use-damaged",
+        "--allow-damaged",
         action="store_true",
         help="also map recorded data that fail their checksum",
     )

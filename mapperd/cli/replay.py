@@ -66,7 +66,7 @@ def map_recordings(
         ReplayError: the recordings cannot become a map with the options given.
         RecordingError: one is not a recording, or is empty.
     """
-    damaged = DamagedData(use=arguments.use_damaged)
+    damaged = DamagedData(allowed=arguments.allow_damaged)
     sessions = sessions_of(files_in(arguments.replay, begun=True), damaged)
     if not sessions:
         raise RecordingError(f"{arguments.replay[0]}: no recording with anything in it")

@@ -65,7 +65,7 @@ class RecordingConfig(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 32768
     free_floor: Annotated[int, rule("Minimum free disk space.", "MiB", ge=0, le=1 << 30)] = 1024
-    use_damaged: Annotated[
+    allow_damaged: Annotated[
         bool,
         rule("Map recorded data that fail their checksum when a session is recovered or rebuilt."),
     ] = False

@@ -270,6 +270,8 @@ def recording_facts(sessions: Sequence[RecordedSession]) -> dict[str, Any]:
         for path in session.paths
         for part in session.damaged.parts.get(path, ())
     ]
+    damages = [session.damage for session in sessions]
+    damages += [loss for session in sessions for loss in session.damaged.losses.values()]
     facts = {
         "format": sessions[0].format,
         "files": sum(len(session.paths) for session in sessions),
@@ -277,14 +279,13 @@ def recording_facts(sessions: Sequence[RecordedSession]) -> dict[str, Any]:
         "size_bytes": sum(session.size_bytes for session in sessions),
         "bytes_read": sum(session.bytes_read for session in sessions),
         "truncated": any(session.truncated for session in sessions),
-        "damage": next((session.damage for session in sessions if session.damage), None),
-        "data_lost": any(session.data_lost for session in sessions)
-        or (bool(parts) and not sessions[0].damaged.use),
+        "damage": next(filter(None, damages), None),
+        "data_lost": any(session.damaged.data_lost for session in sessions),
         "damaged_bytes": sum(
             session.damaged.bytes.get(path, 0) for session in sessions for path in session.paths
         ),
         "damaged_parts": parts[:MAX_PARTS],
-        "damaged_used": sessions[0].damaged.use,
+        "damaged_used": sessions[0].damaged.allowed,
     }
     return {"recording": facts}
 

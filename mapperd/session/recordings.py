@@ -20,43 +20,53 @@ SIGNATURE_BYTES = 8
 
 @dataclass(slots=True)
 class DamagedData:
-    """Data of recordings that fail their checksum.
+    """What damage of recordings costs. Reading a file again counts once.
 
     Attributes:
-        use: whether they are mapped all the same.
-        bytes: of each file.
-        parts: of each file, the first 1000.
+        allowed: whether data that fail their checksum are mapped all the same.
+        bytes: number of bytes that fail it, by file.
+        parts: the first 1000 parts that fail it, by file.
+        losses: the first other damage that may have cost data, by file; no missing end.
     """
 
-    use: bool = False
+    allowed: bool = False
     bytes: dict[Path, int] = field(default_factory=dict)
     parts: dict[Path, tuple[DamagedPart, ...]] = field(default_factory=dict)
+    losses: dict[Path, str] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        """Return how much is damaged, and the first place."""
-        if not self.bytes:
-            return ""
-        path, parts = next(iter(self.parts.items()))
-        count = sum(map(len, self.parts.values()))
-        mapped = "mapped all the same" if self.use else "not mapped"
-        return (
-            f"{sum(self.bytes.values())} bytes in {count} parts fail their checksum and were "
-            f"{mapped}; the first part is at byte {parts[0].offset} of {path.name}"
-        )
+        """Return what is damaged, with the first places; empty without damage."""
+        found = [f"{path.name}: {damage}" for path, damage in self.losses.items()][:1]
+        if self.bytes:
+            path, parts = next(iter(self.parts.items()))
+            count = sum(map(len, self.parts.values()))
+            mapped = "mapped all the same" if self.allowed else "not mapped"
+            found.append(
+                f"{sum(self.bytes.values())} bytes in {count} parts fail their checksum and were "
+                f"{mapped}; the first part is at byte {parts[0].offset} of {path.name}"
+            )
+        return "; ".join(found)
 
-    def add(self, recording: Recording) -> None:
-        """Add what reading a file has found so far; reading it again counts once."""
-        if recording.damaged_bytes > self.bytes.get(recording.path, 0):
-            self.bytes[recording.path] = recording.damaged_bytes
-            self.parts[recording.path] = recording.damaged_parts
+    @property
+    def data_lost(self) -> bool:
+        """Whether data are missing in a map of the recordings."""
+        return bool(self.losses) or (bool(self.bytes) and not self.allowed)
 
     def read(self, recording: Recording) -> Iterator[Chunk]:
-        """Yield the chunks of a file; damaged ones count as good if they are to be used."""
+        """Yield the chunks of a file; damaged ones count as good if they are allowed."""
         try:
             for chunk in recording:
-                yield replace(chunk, damaged=False) if self.use and chunk.damaged else chunk
+                yield replace(chunk, damaged=False) if self.allowed and chunk.damaged else chunk
         finally:
-            self.add(recording)
+            self._add(recording)
+
+    def _add(self, recording: Recording) -> None:
+        """Add what reading a file has found so far."""
+        path = recording.path
+        if recording.damaged_bytes > self.bytes.get(path, 0):
+            self.bytes[path], self.parts[path] = recording.damaged_bytes, recording.damaged_parts
+        if recording.data_lost:
+            self.losses.setdefault(path, recording.damage or "")
 
 
 @dataclass(slots=True)
@@ -66,7 +76,6 @@ class _Seen:
     bytes_read: int = 0
     truncated: bool = False
     damage: str | None = None
-    data_lost: bool = False
     read_error: OSError | None = None
 
 
@@ -83,7 +92,7 @@ class RecordedSession:
         session: id of the daemon's session; None where they are no recordings of a session.
         format: of the first file.
         size_bytes: of all files.
-        damaged: data that fail their checksum.
+        damaged: what damage costs.
     """
 
     def __init__(
@@ -116,11 +125,6 @@ class RecordedSession:
         return self._seen.damage
 
     @property
-    def data_lost(self) -> bool:
-        """Whether damage, other than a missing end, may have cost data."""
-        return self._seen.data_lost
-
-    @property
     def read_error(self) -> OSError | None:
         """Error of the disk that prevented reading a file; a later attempt may succeed."""
         return self._seen.read_error
@@ -136,7 +140,6 @@ class RecordedSession:
                     yield chunk
                 seen.bytes_read = before + recording.bytes_read
                 seen.truncated = seen.truncated or recording.truncated
-                seen.data_lost = seen.data_lost or recording.data_lost
                 seen.read_error = seen.read_error or recording.read_error
                 if recording.damage is not None and seen.damage is None:
                     name = f"{path.name}: " if len(self.paths) > 1 else ""

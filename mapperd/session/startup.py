@@ -120,7 +120,7 @@ class _Startup:
         self._folder = folder
         self._events = events
         self._trouble: str | None = None
-        self._damaged = DamagedData(use=config.recording.use_damaged)
+        self._damaged = DamagedData(allowed=config.recording.allow_damaged)
         self._is_verified = False
 
     def opened(self) -> tuple[SonarMap, TileStore, Position | None]:
@@ -141,8 +141,8 @@ class _Startup:
         except BaseException:
             store.close()
             raise
-        if self._damaged.bytes:
-            text = f"damaged recordings: {self._damaged}"
+        if damage := str(self._damaged):
+            text = f"damaged recordings: {damage}"
             self._events.add(Severity.ERROR, "recording_damaged", text)
         return sonar_map, store, position
 

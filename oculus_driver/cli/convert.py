@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=sorted({*FORMATS.values()}),
         help="target format, regardless of the suffix",
     )
-    add("--use-damaged", action="store_true", help="also write data that fail their checksum")
+    add("--allow-damaged", action="store_true", help="also write data that fail their checksum")
     add("--overwrite", action="store_true", help="replace an existing OUT")
 
 
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace, output: Output) -> Exit:
         args.out,
         target_format,
         overwrite=args.overwrite,
-        use_damaged=args.use_damaged,
+        allow_damaged=args.allow_damaged,
     )
     lines = [f"{args.out}: {done.target_format}, {done.size_bytes} bytes, {done.chunks} chunks"]
     lines += [f"left out: {count} bytes, {reason}" for reason, count in done.left_out.items()]

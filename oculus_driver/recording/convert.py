@@ -72,7 +72,7 @@ def convert(
     target_format: str = MCAP,
     *,
     overwrite: bool = False,
-    use_damaged: bool = False,
+    allow_damaged: bool = False,
 ) -> Conversion:
     """Write the recording in `source` to `target`. The target appears once it is complete.
 
@@ -85,7 +85,7 @@ def convert(
         target: file to write.
         target_format: one of `WRITABLE`.
         overwrite: replace an existing file.
-        use_damaged: write data that fail their checksum, too; they are then no longer marked.
+        allow_damaged: write data that fail their checksum, too; they are then no longer marked.
 
     Raises:
         RecordingError: the source cannot be read, the target cannot be written, exists without
@@ -100,7 +100,7 @@ def convert(
         left_out: Counter[str] = Counter()
         try:
             with _writing(part):
-                good = recording if use_damaged else _without_damaged(recording, left_out)
+                good = recording if allow_damaged else _without_damaged(recording, left_out)
                 chunks, stamped = _copy(recording, good, part, target_format, left_out)
                 size = part.stat().st_size
                 part.replace(path)

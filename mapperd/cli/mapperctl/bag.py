@@ -92,8 +92,8 @@ def bag_of_recordings(
         writer.end()
     yield from _report(path, bag)
     for session in sessions:
-        if session.damaged.bytes:
-            yield f"damaged: {session.damaged}"
+        if damage := str(session.damaged):
+            yield f"damaged: {damage}"
     if writer.unstamped:
         yield f"{writer.unstamped} pings without a time were left out"
 

@@ -102,7 +102,7 @@ def test_the_rest_of_a_damaged_recording_is_mapped_and_the_loss_is_listed(
     recorded(tmp_path / "rest", [event for event in events if event[1] not in lost])
     assert run(tmp_path / "rest").summary["map_sha256"] == summary["map_sha256"]
 
-    ran = run(damaged, "--use-damaged")
+    ran = run(damaged, "--allow-damaged")
     assert (ran.code, ran.summary["pings_mapped"]) == (DaemonExit.OK, PINGS)
     assert ran.summary["map_sha256"] not in (whole["map_sha256"], summary["map_sha256"])
     assert "were mapped all the same" in ran.output
@@ -117,6 +117,25 @@ def test_a_replay_into_a_store_leaves_altered_pings_out(
     assert ran.code == DaemonExit.BAD_DATA
     assert ran.summary["pings_dropped"] == {"checksum": 4}
     assert ran.summary["map_sha256"] == run(damaged).summary["map_sha256"]
+
+
+@pytest.mark.parametrize("stored", [False, True])
+def test_a_damaged_record_head_ends_in_a_statement(
+    stored: bool,  # noqa: FBT001 a parameter of the test
+    tmp_path: Path,
+    run: Run,
+    survey: Survey,
+    ping_bytes: PingBytes,
+) -> None:
+    recorded(tmp_path / "whole", track(survey))
+    data = bytearray((tmp_path / "whole").read_bytes())
+    end = data.index(ping_bytes(9))
+    start = data.rindex(b"\x06", 0, data.rindex(b"\x05", 0, end - 22))
+    data[start] = 0x0B  # a chunk of pings looks like statistics
+    (tmp_path / "altered").write_bytes(data)
+    ran = run(tmp_path / "altered", *(["--store", str(tmp_path / "map.db")] if stored else []))
+    assert (ran.code, ran.summary["recording"]["data_lost"]) == (DaemonExit.BAD_DATA, True)
+    assert "damaged at byte" in ran.output
 
 
 def test_altered_odometry_is_not_used(
@@ -215,13 +234,13 @@ def test_a_rebuild_leaves_altered_pings_out_unless_asked(
     pings = [ping_bytes(k + 1) for k in range(5)]
     config = dive(folder, path, pings)
     damage(folder, pings[2])
-    damaged = DamagedData(use=use)
+    damaged = DamagedData(allowed=use)
     sonar_map = SonarMap(config)
     with TileStore(path, sonar_map, tile_size_m=8.0, cache_tiles=8) as store:
         mapped, _ = map_recorded_sessions(store, sonar_map, ("one",), folder, damaged)
     assert mapped == (5 if use else 0)  # the whole dive is one chunk
     assert len(damaged.parts) == 1
-    assert not replay_sessions(SonarMap(config), ("one",), folder, DamagedData(use=use))
+    assert not replay_sessions(SonarMap(config), ("one",), folder, DamagedData(allowed=use))
 
 
 def test_the_daemon_reports_damaged_recordings_when_it_rebuilds_its_map(

@@ -124,7 +124,7 @@ def test_data_that_fail_their_checksum_are_left_out_unless_asked_for(
     done = convert(source, target, kind)
     assert done.left_out == {"checksum": 2 * len(ping)}
     assert [ping.id for ping in described(target).ping_list] == [0, 1, 4, 5]
-    assert convert(source, all_of_it, kind, use_damaged=True).left_out == {}
+    assert convert(source, all_of_it, kind, allow_damaged=True).left_out == {}
     assert [ping.id for ping in described(all_of_it).ping_list] == list(range(6))
 
 
