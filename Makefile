@@ -17,7 +17,7 @@ CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLi
 # Programs and tests start hundreds of Pythons, which must not compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check tidy cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install lock sdist wheels prerequisites test-prerequisites clean
+.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak power-cuts chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check tidy cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install lock sdist wheels prerequisites test-prerequisites clean
 
 demo: $(STAMP)
 	$(TOOL) demo --out out/demo
@@ -28,7 +28,7 @@ demo: $(STAMP)
 test: test-prerequisites $(STAMP)
 	@echo "Static checks and C++ tests run side by side; each prints its output when it ends."
 	+$(MAKE) -j 2 --output-sync=target cpp-test check
-	CRASH_KILLS=10 STORE_KILLS=2 $(BIN)/python -m pytest tests -m "not slow" -n 3
+	CRASH_KILLS=10 POWER_CUTS=20 STORE_KILLS=2 $(BIN)/python -m pytest tests -m "not slow" -n 3
 
 # All tests: also the sanitizers, the demo, the slow tests and the long series of kills. The demo fails
 # if its map is worse than promised. The sanitizers are built first: they need no installation.
@@ -110,6 +110,10 @@ store-soak: $(STAMP)
 # The daemon: 500 deaths at any instant, live and replayed, and half a million pings. Hours.
 crash-soak: $(STAMP)
 	CRASH_KILLS=500 SOAK_PINGS=500000 $(BIN)/python -m pytest -s -o timeout=0 tests/mapperd/session/crash
+
+# The daemon: 500 power cuts that lose, tear and reorder what was not synced. A quarter of an hour.
+power-cuts: $(STAMP)
+	POWER_CUTS=500 $(BIN)/python -m pytest -s -o timeout=0 tests/mapperd/session/crash/test_power_cut.py
 
 # Ten minutes of the coverage-guided fuzzer on the driver's parser, and ten on both ends of the map
 # stream. The corpora in out/fuzz grow and are kept.

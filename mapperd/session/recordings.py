@@ -1,5 +1,7 @@
 """Recordings on the disk: which there are, which belong together, and their tails."""
 
+import contextlib
+import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -255,6 +257,7 @@ class Tail:
         self._start = start
         self._damaged = damaged or DamagedData()
         self.place = start
+        self._unflushed = list(self._files.values())
 
     def __iter__(self) -> Iterator[Chunk]:
         for number, path in self._files.items():
@@ -279,5 +282,13 @@ class Tail:
         return RecordingOffset(number >> 40, number & ((1 << 40) - 1))
 
     def wait_for(self, number: int, timeout_s: float) -> bool:  # noqa: ARG002
-        """Nothing is to be waited for."""
+        """Flush the files to the disk: a killed daemon may have left data that are not there."""
+        while self._unflushed:
+            with contextlib.suppress(OSError):  # such as a file system that cannot flush
+                handle = os.open(self._unflushed[-1], os.O_RDONLY | os.O_CLOEXEC)
+                try:
+                    os.fdatasync(handle)
+                finally:
+                    os.close(handle)
+            self._unflushed.pop()
         return True

@@ -2,12 +2,14 @@
 
 import asyncio
 import json
+import os
 import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from oculus_driver import PlaybackSonar
 from tests.mapperd.conftest import make_odometry, make_ping
@@ -71,9 +73,14 @@ class World:
 
 
 class Daemons:
-    """Starts daemons and kills them."""
+    """Starts daemons and kills them.
 
-    def __init__(self, log: Path) -> None:
+    Args:
+        log: file for what they print.
+        environ: variables added to those of this process.
+    """
+
+    def __init__(self, log: Path, environ: Mapping[str, str] = MappingProxyType({})) -> None:
         self._log = log.open("wb")
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tests.mapperd.session.crash.daemons"],
@@ -82,6 +89,7 @@ class Daemons:
             stdout=subprocess.PIPE,
             stderr=self._log,
             text=True,
+            env=os.environ | dict(environ),
         )
 
     def close(self) -> None:
