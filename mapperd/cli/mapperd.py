@@ -211,7 +211,8 @@ def _damage(recording: dict[str, Any]) -> str:
     more = ", …" if len(parts) > MAX_PLACES else ""
     done = "were mapped all the same" if recording["damaged_used"] else "were not mapped"
     text = f"{size} bytes in {len(parts)} parts fail their checksum and {done} ({places}{more})"
-    return f"{damage}; {text}" if damage else text
+    hint = "" if recording["damaged_used"] else "; --allow-damaged maps them"
+    return f"{damage}; {text}{hint}" if damage else f"{text}{hint}"
 
 
 def _source(arguments: Arguments) -> str:

@@ -19,10 +19,16 @@ from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import PosedPing, SessionDecoder
 from mapperd.pipeline.ingest import SONAR
 from mapperd.pipeline.pose_lookup import FixedPose
-from mapperd.session.recordings import DamagedData, files_in, sessions_of
-from mapperd.session.recovery import map_recorded_sessions, replay_sessions
+from mapperd.session.recordings import DamagedData, Tail, files_in, sessions_of
+from mapperd.session.recovery import (
+    StoredSession,
+    map_recorded_sessions,
+    recover,
+    replay_sessions,
+)
 from mapperd.session.startup import open_map
 from mapperd.store.checkpoint import decode_state, encode_state
+from mapperd.store.position import RecordingOffset, position_in
 from mapperd.store.tile_store import TileStore
 from oculus_driver.recording import OCULUS, Chunk, RecordingWriter
 
@@ -241,6 +247,31 @@ def test_a_rebuild_leaves_altered_pings_out_unless_asked(
     assert mapped == (5 if use else 0)  # the whole dive is one chunk
     assert len(damaged.parts) == 1
     assert not replay_sessions(SonarMap(config), ("one",), folder, DamagedData(allowed=use))
+
+
+@pytest.mark.parametrize("allowed", [False, True])
+def test_a_recovery_leaves_altered_pings_out_unless_asked(
+    allowed: bool,  # noqa: FBT001 a parameter of the test
+    tmp_path: Path,
+    ping_bytes: PingBytes,
+) -> None:
+    folder, path = tmp_path / "recordings", tmp_path / "map.db"
+    pings = [ping_bytes(k + 1) for k in range(5)]
+    config = dive(folder, path, pings)
+    damage(folder, pings[2])
+    sonar_map, damaged = SonarMap(config), DamagedData(allowed)
+    counters, nothing = PipelineCounters(), Tail({}, RecordingOffset())
+    decoder = SessionDecoder(config, FixedPose(STILL), counters, confirm=False, obey=True)
+    with TileStore(path, sonar_map, tile_size_m=8.0, cache_tiles=8) as store:
+        persistence = StoredSession(store, sonar_map, "one").persistence()
+        persistence.begin(decoder, nothing, lambda: None)
+        persistence.stop()  # as a kill does: nothing is mapped yet
+        position = position_in(store.position)
+        assert position is not None
+        recovered = recover(store, sonar_map, position, folder, damaged)
+    assert recovered is not None
+    assert (recovered.pings, recovered.problem) == (5 if allowed else 0, None)
+    assert "fail their checksum" in str(damaged)
 
 
 def test_the_daemon_reports_damaged_recordings_when_it_rebuilds_its_map(
