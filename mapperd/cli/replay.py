@@ -134,7 +134,7 @@ def _require_data(sessions: Sequence[RecordedSession], *, odometry: bool) -> Non
         raise RecordingError(f"{sessions[0].paths[0]}: no sonar data in it{damage}")
     if odometry and not has_odometry:
         raise ReplayError(
-            f"no odometry in it{damage}, so nobody knows where the vehicle was; if it stood "
+            f"no odometry in it{damage}, so the poses of the vehicle are unknown; if it stood "
             "still, give its pose with --pose x,y,z,roll,pitch,yaw"
         )
 

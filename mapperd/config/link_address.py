@@ -62,7 +62,7 @@ def parse_address(text: str) -> LinkAddress:
         return _serial(rest, text)
     if scheme not in ("udp", "tcp", "socket") or not rest.startswith("//"):
         raise ValueError(
-            f"{text!r} is no link; allowed: udp://ADDRESS:PORT, tcp://HOST:PORT, "
+            f"{text!r} is not a link; allowed: udp://ADDRESS:PORT, tcp://HOST:PORT, "
             "socket://HOST:PORT, serial:/dev/NAME?baud=115200 or serial:UDEV_NAME"
         )
     found = HOST_PORT.match(rest[2:])

@@ -1,4 +1,6 @@
-"""Pictures of a ping before and after each filter, to set their thresholds.
+"""Pictures of a ping before and after each filter, to set their thresholds without a topside PC.
+
+`visualization.show_opencv_visualization` turns them on.
 
 Rows are ranges, the nearest at the bottom; columns are beams, port on the left. And where
 localization believes that the vehicle is.

@@ -1,4 +1,4 @@
-"""Images as PNG (ISO/IEC 15948), without a library: 8 bits, grey or RGB."""
+"""Images as PNG (ISO/IEC 15948): 8 bits, grey or RGB. It saves the vehicle an imaging library."""
 
 import struct
 import zlib

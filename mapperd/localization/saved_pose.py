@@ -97,5 +97,5 @@ def load_pose(path: Path, frame: str) -> PlanarGaussian | None:
     if saved.frame != frame:
         raise MapError(f"{path}: a pose in {saved.frame!r}, the map is {frame!r}", "bad_saved_pose")
     if abs(saved.mean[2]) > math.tau:
-        raise MapError(f"{path}: no saved pose: its heading is no angle", "bad_saved_pose")
+        raise MapError(f"{path}: not a saved pose: its heading is not an angle", "bad_saved_pose")
     return pose

@@ -276,11 +276,11 @@ def _angle(text: str, digits: int, max_deg: float) -> float:
     """Radians of degrees (so many digits) and minutes written as one number."""
     match = _ANGLE.fullmatch(text)
     if match is None or len(match[1]) != digits:
-        raise ValueError(f"{text[:20]!r} is no angle")
+        raise ValueError(f"{text[:20]!r} is not an angle")
     minutes = float(match[2])
     degrees = int(match[1]) + minutes / 60
     if minutes >= 60 or degrees > max_deg:  # noqa: PLR2004 minutes
-        raise ValueError(f"{text[:20]!r} is no angle")
+        raise ValueError(f"{text[:20]!r} is not an angle")
     return math.radians(degrees)
 
 

@@ -103,7 +103,7 @@ def open_map(
     )
     if sessions:
         text = (
-            f"the map of {len(sessions)} earlier sessions goes on: the odometry's world has to be "
+            f"the map of {len(sessions)} earlier sessions continues: the odometry's world must be "
             "theirs (docs/reference/store.md)"
         )
         events.add(Severity.NOTICE, "map_continued", text, sessions=len(sessions))

@@ -174,5 +174,5 @@ def progress_in(connection: sqlite3.Connection, path: Path) -> tuple[int, bytes]
     if not (isinstance(revision, int) and 0 <= revision < MAX_REVISION):
         raise StoreError(f"{path}: is damaged: {revision!r} is no revision of a map", "damaged")
     if not isinstance(position, bytes):
-        raise StoreError(f"{path}: is damaged: its position is no bytes", "damaged")
+        raise StoreError(f"{path}: is damaged: its position is not a blob", "damaged")
     return revision, position

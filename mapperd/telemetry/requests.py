@@ -164,7 +164,7 @@ def _request(asked: Asked, payload: bytes) -> _Request:
     try:
         body = msgspec.json.decode(payload)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise _BadRequestError(f"no JSON: {error}") from error
+        raise _BadRequestError(f"not JSON: {error}") from error
     if asked.kind == "config":
         if isinstance(body, dict) and "value" in body:
             _allow(body, "id", "value")
@@ -196,7 +196,7 @@ def _pose(body: Mapping[str, Any]) -> PoseRequest:
 
 def _text(body: Mapping[str, Any], key: str) -> str:
     if not isinstance(body.get(key), str):
-        raise _BadRequestError(f"{key}: a text is wanted")
+        raise _BadRequestError(f"{key}: expected a string")
     return str(body[key])
 
 

@@ -4,6 +4,8 @@ A TCP flow is a sonar's if it comes from the sonar's port, or if its first bytes
 a message that sonars send. Each sonar is a link: "sonar", "sonar-2" and so on by appearance; all
 its connections follow each other in the link. Traffic to sonars is ignored.
 
+A capture that ends inside a packet, or has damaged packets, is read as far as possible.
+
 Link types are those of the tcpdump.org list. IP fragments are ignored: neither a sonar's stream
 nor its status needs them.
 """

@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"mapper-survey: {error}\n")
         return FAULT
     except KeyboardInterrupt:
-        sys.stderr.write("mapper-survey: interrupted; the same command goes on from here\n")
+        sys.stderr.write("mapper-survey: interrupted; run the same command to continue\n")
         return INTERRUPTED
 
 

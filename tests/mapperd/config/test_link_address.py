@@ -61,7 +61,7 @@ def test_a_name_of_udev_is_looked_up_each_time(
 
 
 def test_settings_refuse_wrong_links_and_owners() -> None:
-    with pytest.raises(ValueError, match="is no link"):
+    with pytest.raises(ValueError, match="is not a link"):
         OdometrySourceConfig(link="nowhere")
     with pytest.raises(ValueError, match=r"owners\.depth 'bar30' .*odometry, none"):
         OdometryFusionConfig(owners=OwnersConfig(depth="bar30"))

@@ -51,7 +51,7 @@ class Water:
         if not all(SLOWEST_MPS <= speed_mps <= FASTEST_MPS for _, speed_mps in self.profile):
             raise SceneError(
                 f"a profile of sound speed holds a speed outside of {SLOWEST_MPS:g} to "
-                f"{FASTEST_MPS:g} m/s: that is no water"
+                f"{FASTEST_MPS:g} m/s: outside the range of water"
             )
 
     @property
