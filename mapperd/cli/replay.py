@@ -41,7 +41,7 @@ def unreadable(paths: Sequence[Path]) -> str | None:
                 return f"{path}: there is no such file"
             if path.is_dir():
                 if not files_in([path]):
-                    return f"{path}: there is no recording in this folder"
+                    return f"{path}: there is no recording in this folder{_bag_in(path)}"
             elif not path.is_file():
                 return f"{path}: is not a file"
         except OSError as error:  # such as a name that is too long
@@ -49,6 +49,12 @@ def unreadable(paths: Sequence[Path]) -> str | None:
         if not os.access(path, os.R_OK):
             return f"{path}: may not be read"
     return None
+
+
+def _bag_in(folder: Path) -> str:
+    if any(one.suffix in (".db3", ".bag") for one in folder.iterdir()):
+        return ", only a ROS bag: it holds ROS messages, not the bytes of the sonar"
+    return ""
 
 
 def map_recordings(

@@ -61,7 +61,10 @@ def test_file_that_is_no_recording(
 @pytest.mark.parametrize("pose", [[], [STILL]], ids=["odometry", "pose"])
 def test_path_that_is_no_file(tmp_path: Path, run: Run, pose: list[str]) -> None:
     os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "bag_0.db3").touch()
     for path, words in (
+        (tmp_path / "bag", "only a ROS bag"),
         (tmp_path, "folder"),
         (tmp_path / "nothing", "no such file"),
         (tmp_path / "pipe", "not a file"),
