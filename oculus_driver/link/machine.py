@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 
 _PREFERRED_VERSION: Final = 2
 _FALLBACK: Final = {2: 1, 1: 2}
+_LATE_STATUS_NS: Final = 3 * SECOND_NS
+"""After this time a status is not from before the connection."""
+
 _CONNECTED: Final = frozenset(
     {LinkState.CONFIGURING, LinkState.PINGING, LinkState.STANDBY, LinkState.SILENT}
 )
@@ -120,10 +123,14 @@ class Link:
     def discovered(self, address: str, now_ns: int, *, holder: str | None = None) -> list[Action]:
         """Handle a status of the sonar: its address and the connected client (None: nobody).
 
-        Has no effect on a given address.
+        Has no effect on a given address. A client that the sonar names while it pings for this
+        link is this link, even under another address, as behind a router.
         """
         if not self._discovers:
             return []
+        is_own = self._state is LinkState.PINGING and now_ns - self._since_ns > _LATE_STATUS_NS
+        if is_own and holder is not None and address == self._address:
+            self._local_addresses.add(holder)
         self._target, self._holder, self._discovered_ns = address, holder, now_ns
         if self._state is LinkState.SEARCHING:
             return self._connect_if_free("status received", now_ns)

@@ -165,3 +165,33 @@ def test_closing_ends_everything(pinging: MakeBench) -> None:
     bench.lose()
     assert (bench.state, bench.link.deadline_ns) == (LinkState.CLOSED, None)
     assert bench.disconnects == ["done"]
+
+
+@pytest.mark.parametrize("name", ["10.9.8.7", "another client"])
+def test_the_client_that_a_sonar_names_while_it_pings_for_us_is_no_other_program(
+    start: MakeBench, name: str
+) -> None:
+    bench = start(address=None)
+    bench.sight()
+    bench.connect()
+    for _ in range(5):
+        bench.ping()
+        bench.sight(holder=name)
+        bench.wait(1.0)
+    bench.lose()
+    bench.sight(holder=name)  # the sonar has not noticed it yet
+    bench.wait(1.0)
+    assert bench.connects == [HERE, HERE]
+    assert "in use" not in bench.reason
+
+
+def test_a_late_status_does_not_make_another_client_ours(start: MakeBench) -> None:
+    bench = start(address=None)
+    bench.sight()
+    bench.connect()
+    bench.ping()
+    bench.sight(holder="10.9.8.7")
+    bench.lose()
+    bench.sight(holder="10.9.8.7")
+    bench.wait(1.0)
+    assert "in use by 10.9.8.7" in bench.reason
