@@ -191,14 +191,27 @@ def _verdict(arguments: Arguments, summary: dict[str, Any]) -> DaemonExit:
     )
     if problem is not None:
         return _fail(DaemonExit.CANNOT_WRITE, f"standard output: cannot be written: {problem}")
+    code = DaemonExit.BAD_DATA if recording.get("data_lost") else DaemonExit.OK
     if bricks := lost_bricks(summary):
         path = summary["store"]["path"]
-        return _fail(
+        code = _fail(
             DaemonExit.BAD_DATA,
             f"{path}: {bricks} bricks are damaged, and their space is unknown: map.bt, map.ply and "
             "map.png are not written. `mapperctl convert --allow-damaged` writes the rest",
         )
-    return DaemonExit.BAD_DATA if recording.get("data_lost") else DaemonExit.OK
+    return _fail(DaemonExit.CANNOT_WRITE, loss) if (loss := _loss(summary)) else code
+
+
+def _loss(summary: dict[str, Any]) -> str:
+    """Return what of a live session is not in the map file or not in the recordings."""
+    losses = []
+    if problem := summary.get("store", {}).get("loss"):
+        losses.append(f"the map is not saved as a whole: {problem}")
+    recorded = summary.get("live", {}).get("recording") or {}
+    if dropped := recorded.get("bytes_dropped"):
+        why = f" ({recorded['reason']})" if recorded["reason"] else ""
+        losses.append(f"{dropped} bytes of the session are not recorded{why}")
+    return "; ".join(losses)
 
 
 def _damage(recording: dict[str, Any]) -> str:

@@ -65,6 +65,14 @@ class RecordingConfig(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 32768
     free_floor: Annotated[int, rule("Minimum free disk space.", "MiB", ge=0, le=1 << 30)] = 1024
+    require_space: Annotated[
+        bool,
+        rule(
+            "Refuse to start a session while the disk has no space to record it or to keep its "
+            "map. Without it, such a session is mapped in memory and saved at its end as far as "
+            "space allows."
+        ),
+    ] = True
     allow_damaged: Annotated[
         bool,
         rule("Map recorded data that fail their checksum when a session is recovered or rebuilt."),

@@ -24,7 +24,7 @@ from mapperd.daemon.servers import serving, stream_server
 from mapperd.daemon.session import Live, host_clock
 from mapperd.daemon.supervisor import supervised
 from mapperd.daemon.systemd import Notifier, inherited_sockets, watchdog_s
-from mapperd.errors import ConfigError, MapError
+from mapperd.errors import ConfigError, MapError, StoreError
 from mapperd.events import EventLog, Severity
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.report import state_of
@@ -36,10 +36,14 @@ from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.server.map_source import MapSource
 from mapperd.server.stream_server import StreamServer
 from mapperd.session.startup import OpenMap, open_map
+from oculus_driver.recording.log_files import free_bytes_of
 
 __all__ = ["LiveRun", "map_live"]
 
 STDERR = 2
+
+MIN_FREE_BYTES = 64 << 20
+"""On the disk of the map file, for the beginning of a session."""
 
 STATUS_PERIOD_S = 10.0
 """Period of status lines."""
@@ -107,9 +111,28 @@ async def _map(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
             clock=clock,
             localization=localization,
         )
+        _require_space(run.settings.current, live, opened, events)
         return await _served(run, opened, live, events, clock)
     finally:
         opened.close()
+
+
+def _require_space(config: Config, live: Live, opened: OpenMap, events: EventLog) -> None:
+    """Refuse a session that cannot be kept, or log it if the settings allow it.
+
+    Raises:
+        StoreError: its recording or its map has no space (`disk_full`).
+    """
+    problem = live.recorder.shortage()
+    store = opened.persistence.store
+    if problem is None and store is not None and free_bytes_of(store.path.parent) < MIN_FREE_BYTES:
+        problem = f"{store.path}: less than {MIN_FREE_BYTES >> 20} MiB are free for the map"
+    if problem is None:
+        return
+    text = f"no space to keep a session: {problem}"
+    if config.recording.require_space:
+        raise StoreError(f"{text}; recording.require_space: false allows it", "disk_full")
+    events.add(Severity.ERROR, "no_space", text)
 
 
 async def _served(
@@ -151,6 +174,7 @@ async def _served(
                 "path": stored["path"],
                 "bricks_lost": lost,
                 "sessions_not_mapped": stored["sessions_not_mapped"],
+                "loss": stored["loss"],
             }
     return whole, summary_of(source, whole, live.poses, live.counters, wall_s)
 

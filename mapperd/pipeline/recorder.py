@@ -83,6 +83,27 @@ class Recorder:
             await self._log.__aexit__(kind, error, trace)
 
     @property
+    def missing(self) -> str:
+        """Why the recording lacks a part of the session; empty if it does not."""
+        if self._log is None:
+            return "it is not recorded"
+        lost = self._files.counters.bytes_dropped + self._log.bytes_dropped
+        return f"{lost} bytes are not recorded" if lost else ""
+
+    def shortage(self) -> str | None:
+        """Return why nothing can be recorded at the moment; None if it can, or need not be."""
+        if self._log is None:
+            return None
+        try:
+            shortage = self._files.shortage
+        except OSError as error:
+            shortage = error.strerror
+        if shortage is None:
+            return None
+        floor_mib = self._files.policy.free_floor_bytes // MIB
+        return f"{self._files.folder}: {shortage}; recording.free_floor is {floor_mib} MiB"
+
+    @property
     def newest(self) -> int:
         """Number of the newest piece; 0 before the first, and without a recording."""
         return 0 if self._log is None else self._log.offered

@@ -268,6 +268,11 @@ class Tail:
                         yield chunk
 
     @property
+    def missing(self) -> str:
+        """Return the empty string: all that is read is recorded."""
+        return ""
+
+    @property
     def newest(self) -> int:
         """All that is read is written."""
         return 0

@@ -100,6 +100,8 @@ def open_map(
         on_trouble=startup.log_trouble,
         on_damage=startup.log_damage,
         on_begin=(lambda: None) if verification is None else verification.start,
+        on_loss=startup.log_loss,
+        must_begin=config.recording.require_space,
     )
     if sessions:
         text = (
@@ -149,6 +151,11 @@ class _Startup:
     def verification_of(self, store: TileStore) -> Verification | None:
         """Return the verification of a file that is still to be done during the session."""
         return None if self._is_verified else Verification(store, self._log_verification)
+
+    def log_loss(self, problem: str) -> None:
+        """Log that the session is not in the file as a whole at its end."""
+        text = f"the map is not saved as a whole: {problem}"
+        self._events.add(Severity.ERROR, "map_not_saved", text)
 
     def log_damage(self, count: int) -> None:
         """Log bricks that were found damaged during the session."""
@@ -286,6 +293,7 @@ class _Startup:
             lambda scratch: (
                 replay_sessions(scratch, position.sessions, self._folder, self._damaged)
                 and not position.incomplete
+                and not position.unrecorded
             ),
         )
         left = len(store.lost)

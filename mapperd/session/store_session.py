@@ -67,6 +67,8 @@ class SqlitePersistence:
         on_trouble: called with why saving fails, and with None when it works again.
         on_damage: called with the number of bricks that were found damaged since the last call.
         on_begin: called when the file holds the beginning of the session durably.
+        on_loss: called at the end with what of the session is not in the file.
+        must_begin: whether a session that the file cannot take is refused at its beginning.
     """
 
     def __init__(
@@ -82,6 +84,8 @@ class SqlitePersistence:
         on_trouble: Callable[[str | None], None] = lambda _: None,
         on_damage: Callable[[int], None] = lambda _: None,
         on_begin: Callable[[], None] = lambda: None,
+        on_loss: Callable[[str], None] = lambda _: None,
+        must_begin: bool = True,
     ) -> None:
         self.store = store
         self._map = sonar_map
@@ -96,6 +100,11 @@ class SqlitePersistence:
         self._on_trouble = on_trouble
         self._on_damage = on_damage
         self._on_begin = on_begin
+        self._on_loss = on_loss
+        self._must_begin = must_begin
+        self._loss: str | None = None
+        self._lost_before = store.lost
+        self._unrecorded = () if earlier is None else earlier.unrecorded
         self._damage_reported = store.counters.bricks_damaged
         self._done = 0
         self._next: _Point | None = None
@@ -121,6 +130,9 @@ class SqlitePersistence:
             offsets: of the recording.
             wake: makes the mapping thread call `between` soon.
             localization: the one that affects the map; None without one.
+
+        Raises:
+            StoreError: the file cannot take the beginning of the session, and must.
         """
         self._localization = localization
         self._decoder, self._offsets, self._wake = decoder, offsets, wake
@@ -134,8 +146,7 @@ class SqlitePersistence:
         self._checked_s = time.monotonic()
         self._advance()
         if self._resumed is None:
-            self._try_to_save()  # so that a recovery finds the recording from the first byte on
-            self._try_to_sync()
+            self._save_beginning()
         self._on_begin()
         self._thread.start()
 
@@ -176,29 +187,22 @@ class SqlitePersistence:
         Raises:
             StoreError: the map cannot be emptied; it is unchanged.
         """
-        before = self._sessions, self._emptied, self._incomplete
+        before = self._sessions, self._emptied, self._incomplete, self._unrecorded
         self._sessions, self._emptied = (), (*self._emptied, *self._sessions)
-        self._incomplete = {}
+        self._incomplete, self._unrecorded = {}, ()
         try:
             self.store.reset()
         except StoreError:
-            self._sessions, self._emptied, self._incomplete = before
+            self._sessions, self._emptied, self._incomplete, self._unrecorded = before
             raise
 
     def end(self) -> None:
         """Save the whole session, in the mapping thread."""
         self.stop()
         self._report_damage()
-        position = Position(
-            self._session,
-            whole=True,
-            sessions=self._all_sessions,
-            origin_deg=self._origin_deg(),
-            emptied=self._emptied,
-            incomplete=self._incomplete,
-        )
-        self.store.advance(partial(self._sealed_whole, position))
-        self._try_to_save()
+        self._loss = self._save_whole()
+        if self._loss is not None:
+            self._on_loss(self._loss)
         self._try_to_sync()
 
     def stop(self) -> None:
@@ -221,7 +225,7 @@ class SqlitePersistence:
             return self.store.bytes_written - before
 
     def whole(self) -> WholeMap:
-        """Return the whole map, as last saved, in memory.
+        """Return the whole map, as last saved, in memory; after the end, what is unsaved as well.
 
         Raises:
             StoreError: the file cannot be read.
@@ -230,6 +234,10 @@ class SqlitePersistence:
         with StoreReader(self.store.path) as reader:
             lost = reader.load(whole).lost
         self.store.suspect(lost)
+        if self._loss is not None:
+            unsaved = self.store.unsaved()
+            whole.core.put_bricks([(key, brick) for key, _, brick in unsaved])
+            lost -= {key for key, _, _ in unsaved} - self._lost_before  # they are in this map
         return WholeMap(whole, len(lost))
 
     def worker(self) -> Worker:
@@ -245,6 +253,7 @@ class SqlitePersistence:
             **self.store.status(),
             "checkpoint_bytes": len(self._point.checkpoint) if self._began else 0,
             "sessions_not_mapped": self._not_mapped | self._incomplete,
+            "loss": self._loss,
         }
 
     @property
@@ -267,13 +276,72 @@ class SqlitePersistence:
             self._on_damage(found - self._damage_reported)
             self._damage_reported = found
 
-    def _try_to_save(self) -> None:
+    def _save_beginning(self) -> None:
+        """Save, so that a recovery finds the recording from the first byte on."""
+        try:
+            self.store.save()
+        except StoreError as error:
+            if self._must_begin:
+                raise
+            self._on_trouble(str(error))
+        else:
+            self._on_trouble(None)
+        self._try_to_sync()
+
+    def _save_whole(self) -> str | None:
+        """Save the whole session, or what there is space for; return what is not in the file.
+
+        While the recording has the whole session, the file stays at its last save: the next start
+        maps the rest. Otherwise the file is the only place for the map.
+        """
+        position = self._last_position()
+        self.store.advance(partial(self._sealed_whole, position))
         try:
             self.store.save()
         except StoreError as error:
             self._on_trouble(str(error))
+            if not (self._stuck or self._offsets.missing):
+                return f"{error}; the next start maps the rest from the recording"
         else:
             self._on_trouble(None)
+            return None
+        return self._save_part(self._last_position())
+
+    def _save_part(self, position: Position) -> str | None:
+        self._lost_before = self.store.lost
+        self.store.advance(position.encoded())
+        try:
+            self.store.save()
+        except StoreError as error:
+            reason = str(error)
+        else:
+            self._on_trouble(None)
+            return None
+        whole, self._incomplete = self._incomplete, {**self._incomplete, self._session: reason}
+        self.store.advance(self._last_position().encoded())
+        try:
+            count = self.store.save_part()
+        except StoreError as error:
+            return f"{error}; nothing since the last save is in the file, nor in a recording"
+        if count:
+            return f"{reason}; {count} bricks are not in the file, and count as lost"
+        self._incomplete = whole
+        return None
+
+    def _last_position(self) -> Position:
+        """Return the position at the end of the session."""
+        unrecorded = self._unrecorded
+        if self._stuck or self._offsets.missing:
+            unrecorded = (*unrecorded, self._session)
+        return Position(
+            self._session,
+            whole=True,
+            sessions=self._all_sessions,
+            origin_deg=self._origin_deg(),
+            emptied=self._emptied,
+            incomplete=self._incomplete,
+            unrecorded=unrecorded,
+        )
 
     def _try_to_sync(self) -> None:
         if self.store.trouble is None:
@@ -345,6 +413,7 @@ class SqlitePersistence:
             localization=point.localization,
             emptied=self._emptied,
             incomplete=self._incomplete,
+            unrecorded=self._unrecorded,
         ).encoded()
 
     def _origin_deg(self) -> tuple[float, float] | None:

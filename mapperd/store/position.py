@@ -24,6 +24,10 @@ class RecordingOffsets(Protocol):
     """Knows where the pieces of a recording lie."""
 
     @property
+    def missing(self) -> str:
+        """Why the recording lacks a part of the session; empty if it does not."""
+
+    @property
     def newest(self) -> int:
         """Number of the newest piece."""
 
@@ -42,7 +46,8 @@ class Position(Struct, frozen=True):
         whole: nothing of the session is missing; then nothing below matters.
         sessions: ids of all sessions since the map was empty, this one included.
         emptied: ids of sessions that a reset has removed from the map.
-        incomplete: sessions of which the map or the recordings lack a part, and why.
+        incomplete: sessions of which the map lacks a part, and why.
+        unrecorded: ids of sessions of which the recordings lack a part that the map has.
         place: of the checkpoint.
         done: pieces of work that are in the map since then.
         config: the settings in force at the checkpoint, as plain values.
@@ -65,6 +70,7 @@ class Position(Struct, frozen=True):
     localization: bytes = b""
     emptied: tuple[str, ...] = ()
     incomplete: dict[str, str] = {}
+    unrecorded: tuple[str, ...] = ()
 
     def encoded(self) -> bytes:
         """As the map's file holds it."""

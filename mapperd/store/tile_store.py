@@ -90,6 +90,7 @@ class TileStore:
         self._damaged: dict[Key, str] = {}
         self._suspects: set[Key] = set()
         self._rewritten: set[Key] = set()
+        self._unsaved: set[Key] = set()
         self._writing = threading.Lock()
         self._numbers = self._written = 0
         self._open = ExitStack()
@@ -218,6 +219,43 @@ class TileStore:
         """
         self.write(self.take())
 
+    def save_part(self) -> int:
+        """Put as much of what changed into the file as there is space; the rest is lost in it.
+
+        The position says that the map is complete, and the lost bricks are on record.
+
+        Returns:
+            bricks that are not in the file; they stay in memory.
+
+        Raises:
+            StoreError: not even the position can be written; the file is as before.
+        """
+        snapshot = self.take()
+        bricks = list(snapshot.bricks)
+        unsaved = {key for key, _, _ in bricks}
+        rebuilt = unsaved - self._lost
+        self.write(replace(snapshot, bricks=(), unsaved=tuple(unsaved)))
+        self._lost |= unsaved
+        self._unsaved = unsaved
+        for key, changed_at, brick in bricks:
+            self._numbers += 1
+            whole_again = (key,) if key in rebuilt else ()
+            row = [(key, changed_at, brick)]
+            some = Snapshot(self._numbers, snapshot.revision, self.position, row, {}, whole_again)
+            try:
+                self.write(some)
+            except StoreError:
+                break
+            unsaved.discard(key)
+        return len(unsaved)
+
+    def unsaved(self) -> list[tuple[Key, int, bytes]]:
+        """Return the bricks in memory that the file does not hold as they are."""
+        bricks: list[tuple[Key, int, bytes]] = self._core.bricks_since(self._saved_revision)[1]
+        if not self._unsaved:
+            return bricks
+        return [brick for brick in self._resident() if brick[0] in self._unsaved]
+
     def sync(self) -> None:
         """Move all that was saved from the write-ahead log into the file, durably.
 
@@ -225,8 +263,10 @@ class TileStore:
             StoreError: it cannot be.
         """
         with self._writing, translated(self.path):
-            self._saver.sync()
+            is_done = self._saver.sync()
             sync_folder(self.path.parent)
+        if not is_done:
+            raise StoreError(f"{self.path}: a reader holds its write-ahead log", "busy")
 
     def check(self) -> frozenset[Key]:
         """Read the whole file for damage, which is noticed otherwise when a tile is needed.

@@ -42,6 +42,9 @@ PROGRESS = """INSERT INTO progress VALUES (1, ?, ?)
 QUARANTINE = f"""INSERT INTO quarantine ({COLUMNS}, reason)
     SELECT {COLUMNS}, ? FROM brick WHERE x = ? AND y = ? AND z = ?"""  # noqa: S608 our own text
 
+UNSAVED = """INSERT INTO quarantine (x, y, z, reason)
+    VALUES (?, ?, ?, 'there was no space to save it')"""
+
 REBUILT = """UPDATE quarantine SET rebuilt = 1, data = NULL WHERE x = ? AND y = ? AND z = ?"""
 
 
@@ -56,6 +59,7 @@ class Snapshot:
         bricks: (key, revision, bytes) of those that changed.
         damaged: bricks whose rows could not be read, and why.
         rebuilt: bricks of quarantined rows that are whole again.
+        unsaved: bricks that changed and are not among `bricks`: they are lost in the file.
     """
 
     number: int
@@ -64,6 +68,7 @@ class Snapshot:
     bricks: Iterable[tuple[Key, int, bytes]]
     damaged: Mapping[Key, str]
     rebuilt: tuple[Key, ...] = ()
+    unsaved: tuple[Key, ...] = ()
 
 
 class Saver:
@@ -94,6 +99,10 @@ class Saver:
             for key, reason in snapshot.damaged.items():
                 self._connection.execute(QUARANTINE, (reason, *key))
                 self._connection.execute("DELETE FROM brick WHERE (x, y, z) = (?, ?, ?)", key)
+            self._connection.executemany(UNSAVED, snapshot.unsaved)
+            self._connection.executemany(
+                "DELETE FROM brick WHERE (x, y, z) = (?, ?, ?)", snapshot.unsaved
+            )
             for row in self._packed(snapshot):
                 self._connection.execute(PUT, (*row.key, row.revision, row.size, row.crc, row.data))
                 rows, sizes = rows + 1, sizes + len(row.data)
@@ -102,15 +111,17 @@ class Saver:
         self.bricks_written += rows
         self.bytes_written += sizes
 
-    def sync(self) -> None:
+    def sync(self) -> bool:
         """Move the write-ahead log into the file, and the file to the disk.
+
+        Returns:
+            False if a reader holds the log.
 
         Raises:
             sqlite3.Error: it cannot be.
         """
         busy, *_ = self._connection.execute("PRAGMA wal_checkpoint(FULL)").fetchone()
-        if busy:
-            raise sqlite3.OperationalError("a reader holds the write-ahead log")
+        return not busy
 
     def forget(self, revision: int, position: bytes, identity: MapIdentity) -> MapIdentity:
         """Empty the map; nothing is lost any more, for nothing should be there.

@@ -198,6 +198,11 @@ class SonarLog:
         return LogPosition(self._folder.number, self._messages)
 
     @property
+    def folder(self) -> Path:
+        """Folder of the files."""
+        return self._folder.path
+
+    @property
     def holding(self) -> bool:
         """Whether a piece waits to be written."""
         return self._held is not None

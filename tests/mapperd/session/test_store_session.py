@@ -34,6 +34,7 @@ class Recording:
     def __init__(self) -> None:
         self.newest = self.written = 0
         self.patience_s = 0.0
+        self.missing = ""
 
     def place_of(self, number: int) -> RecordingOffset | None:
         if number == 0:

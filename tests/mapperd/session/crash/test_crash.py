@@ -210,6 +210,27 @@ def test_who_is_reported_to_end_leaves_a_whole_map(
     assert codes == ["map_continued"]  # and nothing was missing
 
 
+def test_a_session_without_space_is_refused_or_keeps_its_map(
+    tmp_path: Path, world: World, daemons: Daemons
+) -> None:
+    text = settings_of(world, tmp_path).replace("free_floor: 0", "free_floor: 1000000000")
+    settings = tmp_path / "live.yaml"
+    settings.write_text(text, encoding="utf-8")
+    daemons.start("--config", settings, "--out", tmp_path / "out")
+    assert daemons.ended() == 73
+    settings.write_text(text.replace("free_floor", "require_space: false, free_floor"), "utf-8")
+    daemons.start("--config", settings, "--out", tmp_path / "out", "--duration", "5")
+    assert daemons.ended() == 73  # the session is not recorded
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert summary["voxels_occupied"] > 0
+    assert summary["store"]["loss"] is None
+    assert summary["live"]["recording"]["bytes_dropped"] > 0
+    assert content(tmp_path / "dive.map", config_from_text(text)) == summary["map_sha256"]
+    log = (tmp_path / "log").read_text(encoding="utf-8")
+    assert "no space to keep a session" in log
+    assert "are not recorded" in log
+
+
 DEMO = ROOT / "out" / "demo" / "capture.bin"
 DEMO_BYTES = 20_000_000
 
