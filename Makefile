@@ -107,9 +107,9 @@ out/demo/capture.bin: | $(STAMP)
 store-soak: $(STAMP)
 	STORE_KILLS=500 STORE_PINGS=500000 $(BIN)/python -m pytest -s -o timeout=0 tests/mapperd/store/test_kill.py tests/mapperd/store/test_soak.py
 
-# The daemon: 500 deaths at any instant, live and replayed, and half a million pings. Hours.
+# The daemon: 500 deaths at any instant, live and replayed, 1000 changed bytes, half a million pings. Hours.
 crash-soak: $(STAMP)
-	CRASH_KILLS=500 SOAK_PINGS=500000 $(BIN)/python -m pytest -s -o timeout=0 tests/mapperd/session/crash
+	CRASH_KILLS=500 CRASH_CORRUPTIONS=1000 SOAK_PINGS=500000 $(BIN)/python -m pytest -s -o timeout=0 tests/mapperd/session/crash
 
 # The daemon: 500 power cuts that lose, tear and reorder what was not synced. A quarter of an hour.
 power-cuts: $(STAMP)

@@ -414,7 +414,7 @@ def map_recorded_sessions(
                 pass
         except (CheckpointError, ConfigError, ReplayError) as error:  # a known map that is gone
             reasons[session] = str(error)
-        before = position_in(store.position)
+        before = position_in(store.saved_position)
     return counters.pings_mapped, reasons
 
 

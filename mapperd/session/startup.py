@@ -189,10 +189,10 @@ class _Startup:
     def _checked(self) -> tuple[SonarMap, TileStore]:
         """Open the file and verify it; a large one only after an interrupted session."""
         sonar_map, store = self._at_path()
-        position = position_in(store.position)
-        is_interrupted = position is not None and not position.whole
-        self._is_verified = is_interrupted or self.path.stat().st_size <= VERIFIED_FIRST_BYTES
         try:
+            position = position_in(store.position)
+            is_interrupted = position is not None and not position.whole
+            self._is_verified = is_interrupted or self.path.stat().st_size <= VERIFIED_FIRST_BYTES
             if self._is_verified:
                 store.check()
         except BaseException:

@@ -59,6 +59,8 @@ def translated(path: Path) -> Iterator[None]:
     """Turn SQLite's errors into ours."""
     try:
         yield
+    except UnicodeDecodeError as error:  # names of the schema, in SQLite's own message
+        raise StoreError(f"{path}: {ADVICE['damaged']} ({error})", "damaged") from error
     except sqlite3.Error as error:
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_IOERR)
         reason = REASONS.get(code & 0xFF, "io_error")

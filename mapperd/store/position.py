@@ -1,9 +1,12 @@
 """Up to where a map is complete: the place in its recordings, and all that the estimators knew."""
 
+import zlib
 from typing import Any, Protocol
 
 import msgspec
 from msgspec import Struct
+
+from mapperd.errors import StoreError
 
 __all__ = ["Position", "RecordingOffset", "RecordingOffsets", "position_in"]
 
@@ -48,6 +51,7 @@ class Position(Struct, frozen=True):
         emptied: ids of sessions that a reset has removed from the map.
         incomplete: sessions of which the map lacks a part, and why.
         unrecorded: ids of sessions of which the recordings lack a part that the map has.
+        crc: CRC-32 of all encoded bytes before it; the last field, None in earlier files.
         place: of the checkpoint.
         done: pieces of work that are in the map since then.
         config: the settings in force at the checkpoint, as plain values.
@@ -71,18 +75,39 @@ class Position(Struct, frozen=True):
     emptied: tuple[str, ...] = ()
     incomplete: dict[str, str] = {}
     unrecorded: tuple[str, ...] = ()
+    crc: int | None = None
 
     def encoded(self) -> bytes:
         """As the map's file holds it."""
-        return msgspec.msgpack.encode(self)
+        data = msgspec.msgpack.encode(msgspec.structs.replace(self, crc=MAX_CRC))
+        return data[:-CRC_BYTES] + zlib.crc32(data[:-CRC_BYTES]).to_bytes(CRC_BYTES, "big")
 
+
+CRC_BYTES = 4
+MAX_CRC = (1 << 32) - 1
+CRC_TAG = b"\xa3crc\xce"
+"""MessagePack of the key and of the type of the value."""
+
+KEYS = (b"\xa8sessions", b"\xa5whole")
+"""Keys of a position; damage of one byte leaves one of them."""
 
 _DECODER = msgspec.msgpack.Decoder(Position)
 
 
 def position_in(data: bytes) -> Position | None:
-    """Read the position in a map file; None if it is absent or of another program."""
+    """Read the position in a map file; None if it is absent or of another program.
+
+    Raises:
+        StoreError: it is damaged.
+    """
     try:
-        return _DECODER.decode(data)
-    except ValueError:  # malformed, or text that is not UTF-8
+        position = _DECODER.decode(data)
+    except ValueError as error:  # malformed, or text that is not UTF-8
+        if any(name in data for name in KEYS):
+            text = f"the position in the map file is damaged: {error}"
+            raise StoreError(text, "damaged") from error
         return None
+    content, crc = data[:-CRC_BYTES], int.from_bytes(data[-CRC_BYTES:], "big")
+    if content.endswith(CRC_TAG) and zlib.crc32(content) != crc:
+        raise StoreError("the position in the map file is damaged", "damaged")
+    return position

@@ -69,7 +69,8 @@ class TileStore:
         StoreError: the file cannot be used, or is of other settings.
 
     Attributes:
-        position: up to which the map was complete at the last save; empty in a new file.
+        position: up to which the map was complete when the file was opened; empty in a new file.
+        saved_position: the same at the last save.
         identity: of the map; any thread may read it.
         counters: what happened.
         trouble: why nothing can be saved at the moment; None when all is well.
@@ -103,6 +104,7 @@ class TileStore:
                 self._saved_revision, self.position, self._lost = self._begin(writer, sonar_map)
                 with transaction(writer):
                     self.identity: MapIdentity = begun(writer, self._saved_revision)
+            self.saved_position = self.position
             reader = open_reader(path)
             opening.callback(reader.close)
             self._loader = Loader(reader, path, edge)
@@ -204,7 +206,8 @@ class TileStore:
                 self.trouble = str(error)
                 raise
             self._written = snapshot.number
-            self._saved_revision, self.position = snapshot.revision, _made(snapshot.position)
+            self._saved_revision = snapshot.revision
+            self.saved_position = _made(snapshot.position)
             for key in snapshot.damaged:
                 self._damaged.pop(key, None)
             self._lost.difference_update(snapshot.rebuilt)
@@ -241,7 +244,8 @@ class TileStore:
             self._numbers += 1
             whole_again = (key,) if key in rebuilt else ()
             row = [(key, changed_at, brick)]
-            some = Snapshot(self._numbers, snapshot.revision, self.position, row, {}, whole_again)
+            position = self.saved_position
+            some = Snapshot(self._numbers, snapshot.revision, position, row, {}, whole_again)
             try:
                 self.write(some)
             except StoreError:

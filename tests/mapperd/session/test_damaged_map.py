@@ -4,10 +4,11 @@ import sqlite3
 import time
 from argparse import Namespace
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from mapperd.cli import mapperd as cli
@@ -24,6 +25,7 @@ from mapperd.session.replay_to_store import map_into_store
 from mapperd.session.startup import OpenMap, open_map
 from mapperd.session.store_session import SqlitePersistence
 from mapperd.store.map_files import map_in
+from mapperd.store.position import Position, position_in
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
 from mapperd.store.verification import Verification
@@ -231,3 +233,21 @@ def test_the_verification_ends_with_the_store(tmp_path: Path) -> None:
         wait_for(lambda: verification.state == "done")
         verification.stop()
         assert ended[-1] is None
+
+
+def test_a_changed_byte_of_the_position_is_noticed() -> None:
+    config = {"octree": {"voxel_resolution": 0.2}, "outofcore": {"use": True}}
+    position = Position("b", whole=False, sessions=("a", "b"), done=7, config=config)
+    data = position.encoded()
+    assert msgspec.structs.replace(position_of(data), crc=None) == position
+    for at in range(len(data)):
+        for bit in (0x01, 0x10, 0x80):
+            changed = data[:at] + bytes([data[at] ^ bit]) + data[at + 1 :]
+            with suppress(StoreError):
+                assert msgspec.structs.replace(position_of(changed), crc=None) == position, at
+
+
+def position_of(data: bytes) -> Position:
+    position = position_in(data)
+    assert position is not None
+    return position

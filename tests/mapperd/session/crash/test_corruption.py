@@ -1,0 +1,158 @@
+"""One byte of the map file, its log or a recording changes: the map is right, or what is missing is
+stated.
+
+`make crash-soak` does it 1000 times.
+"""
+
+import os
+import random
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from mapperd.config.tree import Config
+from mapperd.errors import MapperdError
+from mapperd.events import EventLog
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.pose_lookup import OdometryPoses
+from mapperd.session.recordings import Tail, files_of
+from mapperd.session.recovery import StoredSession, map_rest
+from mapperd.session.startup import open_map
+from mapperd.session_log import remarks_in
+from mapperd.store.position import RecordingOffset, position_in
+from mapperd.store.tile_store import TileStore
+from tests.mapperd.session.crash.test_startup import config_of, mapped, record, reference
+
+pytestmark = pytest.mark.crash
+
+CORRUPTIONS = int(os.environ.get("CRASH_CORRUPTIONS", "24"))
+
+STATED = {
+    "bricks_lost",
+    "not_recovered",
+    "recording_damaged",
+    "sessions_not_mapped",
+    "store_damaged",
+}
+"""Events that state that something is missing."""
+
+
+@dataclass
+class Scenes:
+    """Folders as a daemon left them.
+
+    Attributes:
+        work: the folder to work in, which the settings name.
+        copies: by name.
+        expected: fingerprint of the map that the next start makes of each.
+    """
+
+    work: Path
+    copies: dict[str, Path]
+    expected: str
+
+    def lay(self, name: str) -> None:
+        """Put a copy in place."""
+        shutil.rmtree(self.work, ignore_errors=True)
+        shutil.copytree(self.copies[name], self.work)
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Scenes:
+    """After a clean end, in the middle of a session, and after a clean end without recordings."""
+    folder = tmp_path_factory.mktemp("scenes")
+    work = folder / "work"
+    work.mkdir()
+    config = config_of(work)
+    record(config, 1, "a", range(15))
+    record(config, 2, "b", range(10, 25))
+    mapped(config, "a")
+    shutil.copytree(work, folder / "before")
+    leave_in_the_middle(config, "b")
+    scenes = Scenes(work, {}, reference(config, "a", "b"))
+    work.rename(folder / "in the middle")
+    shutil.copytree(folder / "before", work)
+    mapped(config, "b")
+    shutil.copytree(work, folder / "clean end")
+    shutil.rmtree(work / "recordings")
+    work.rename(folder / "without recordings")
+    for name in ("in the middle", "clean end", "without recordings"):
+        scenes.copies[name] = folder / name
+    return scenes
+
+
+def leave_in_the_middle(config: Config, session: str) -> None:
+    """Map half a session, and leave the files as a kill does: with a write-ahead log."""
+    path = Path(config.outofcore.map_path)
+    sonar_map = SonarMap(config)
+    store = TileStore(path, sonar_map, tile_size_m=6.4, cache_tiles=2)
+    files = files_of(Path(config.recording.folder), session)
+    stored = StoredSession(store, sonar_map, session, None, position_in(store.position), 3600.0)
+    remarks = remarks_in(Tail(files, RecordingOffset()))
+    steps = map_rest(stored, OdometryPoses(config), Tail(files, RecordingOffset()), remarks)
+    for count, _ in enumerate(steps):
+        if count % 10 == 0:
+            store.save()
+        if count == 25:
+            break
+    left = {name: path.with_name(name).read_bytes() for name in ("dive.map", "dive.map-wal")}
+    steps.close()
+    store.close()
+    for name, data in left.items():
+        path.with_name(name).write_bytes(data)
+
+
+def files_in(folder: Path) -> Iterator[Path]:
+    yield from sorted(folder.glob("dive.map*"))
+    yield from sorted(folder.glob("recordings/*"))
+
+
+def outcome(folder: Path) -> tuple[str, set[str]]:
+    """Start in a folder; return the fingerprint of the map, and what was stated."""
+    events = EventLog(lambda: 0)
+    try:
+        opened = open_map(config_of(folder), "new", events, {}, lambda: 1.0)
+        try:
+            whole, lost = opened.persistence.whole()
+        finally:
+            opened.close()
+    except MapperdError as error:
+        return "", {str(error)}
+    stated = {event.code for event in events.since(0)[0]} & STATED
+    return whole.sha256(), stated | ({"lost"} if lost else set())
+
+
+def test_a_changed_byte_is_repaired_or_stated(scenes: Scenes) -> None:
+    chance = random.Random(int(os.environ.get("CRASH_SEED", "14")))  # noqa: S311 for the places
+    names = list(scenes.copies)
+    for name in names:
+        scenes.lay(name)
+        assert outcome(scenes.work) == (scenes.expected, set())
+    silent, right = [], 0
+    for number in range(CORRUPTIONS):
+        name = names[number % len(names)]
+        scenes.lay(name)
+        place = corrupt(scenes.work, chance)
+        try:
+            fingerprint, stated = outcome(scenes.work)
+        except Exception as error:  # noqa: BLE001 all are listed
+            silent.append(f"{number}, {name}, {place}: {error!r}")
+            continue
+        if fingerprint != scenes.expected and not stated:
+            silent.append(f"{number}, {name}, {place}: another map, and nothing is stated")
+        right += fingerprint == scenes.expected
+    assert silent == []
+    assert right > CORRUPTIONS / 3
+
+
+def corrupt(folder: Path, chance: random.Random) -> str:
+    """Change one byte of one file; return which."""
+    path = chance.choice([one for one in files_in(folder) if one.stat().st_size])
+    data = bytearray(path.read_bytes())
+    at = chance.randrange(len(data))
+    data[at] ^= chance.randrange(1, 256)
+    path.write_bytes(data)
+    return f"byte {at} of {path.name}"
