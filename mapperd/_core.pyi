@@ -18,6 +18,12 @@ MAP_FILE_MAGIC: bytes
 BRICK_VOXELS: int
 """Voxels along one edge of a brick, the unit of `VoxelMap.bricks_since`."""
 
+def finished_parts() -> int:
+    """Return how many parts of long work all threads have finished: it grows with progress."""
+
+def finish_part() -> None:
+    """Count a finished part of long work."""
+
 Key: TypeAlias = tuple[int, int, int]
 
 class IwloParams:

@@ -2,12 +2,15 @@
 #include <pybind11/pybind11.h>
 
 #include "bindings.hpp"
+#include "mapperd/common/progress.hpp"
 #include "mapperd/map/voxel_map.hpp"
 
 PYBIND11_MODULE(_core, module) {
   module.doc() = "The C++ map core of mapperd.";
   module.attr("BLOCK_EDGE") = mapperd::map::kBlockEdge;
   module.attr("LOG_ODDS_UNIT") = mapperd::map::kLogOddsUnit;
+  module.def("finished_parts", [] { return mapperd::finished_parts.load(); });
+  module.def("finish_part", &mapperd::finish_part);
   mapperd::python::bind_iwlo(module);
   mapperd::python::bind_map(module);
   mapperd::python::bind_map_file(module);

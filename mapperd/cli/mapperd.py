@@ -39,6 +39,7 @@ from mapperd.imaging.filter_chain import check_filters
 from mapperd.io import make_folder
 from mapperd.odometry.formats import check_libraries
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
+from mapperd.pipeline.watchdog import process_progress
 from mapperd.telemetry.broker import check_telemetry
 from oculus_driver.errors import OculusError, RecordingError, SettingsError
 
@@ -117,7 +118,7 @@ def _live(arguments: Arguments) -> DaemonExit:
     run = LiveRun(store, partial(_poses, arguments), arguments.duration_s, _print, again, notifier)
     with contextlib.closing(notifier), graceful_stop():
         sonar_map, summary = map_live(run)
-        with notifier.patience():
+        with notifier.patience(process_progress):
             write_results(arguments.out, sonar_map, summary)
     return _verdict(arguments, summary)
 

@@ -8,6 +8,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from mapperd import _core
 from mapperd.api import OperationError, PoseRequest
 from mapperd.config.changes import changes_between
 from mapperd.config.layers import Layered
@@ -129,9 +130,8 @@ class Daemon:
     def workers(self) -> list[Worker]:
         """What each thread has to do and has done, for a watchdog; any thread."""
         live = self._live
-        mapping = Worker(
-            "mapping", live.queue.waiting_bytes + live.mapping.waiting, live.mapping.steps
-        )
+        waiting = live.queue.waiting_bytes + live.mapping.waiting
+        mapping = Worker("mapping", waiting, live.mapping.steps + _core.finished_parts())
         return [mapping, live.recorder.worker(), live.persistence.worker()]
 
     async def save(self, name: str, origin: str) -> dict[str, Any]:

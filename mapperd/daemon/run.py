@@ -33,6 +33,7 @@ from mapperd.localization.session import LocalizationSession, begun
 from mapperd.localization.status import LocalizationFacts
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
+from mapperd.pipeline.watchdog import process_progress
 from mapperd.server.map_source import MapSource
 from mapperd.server.stream_server import StreamServer
 from mapperd.session.startup import OpenMap, open_map
@@ -90,7 +91,9 @@ async def _map(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
     to_journal = goes_to_journal(os.environ, STDERR)
     events.listen(Journal(sys.stderr, time.monotonic, priorities=to_journal).write)
     session = secrets.token_hex(8)
-    with run.notifier.patience():  # the end of a session that was cut short may be long
+    with run.notifier.patience(
+        process_progress
+    ):  # the end of a session that was cut short may be long
         opened = await asyncio.to_thread(
             open_map,
             run.settings.current,
@@ -168,7 +171,8 @@ async def _served(
         source = {"live": _live_facts(daemon, stop_requested=stop.is_set())}
         if (facts := live.mapping.snapshot.localization) is not None:
             source |= localization_summary(facts)
-        whole, lost = await asyncio.to_thread(opened.persistence.whole)
+        with run.notifier.patience(process_progress):
+            whole, lost = await asyncio.to_thread(opened.persistence.whole)
         if (stored := opened.persistence.status()) is not None:
             source["store"] = {
                 "path": stored["path"],
@@ -176,7 +180,8 @@ async def _served(
                 "sessions_not_mapped": stored["sessions_not_mapped"],
                 "loss": stored["loss"],
             }
-    return whole, summary_of(source, whole, live.poses, live.counters, wall_s)
+    with run.notifier.patience(process_progress):
+        return whole, summary_of(source, whole, live.poses, live.counters, wall_s)
 
 
 def _server(

@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Iterat
 from typing import Any
 
 from mapperd.api import DaemonApi
-from mapperd.daemon.systemd import Notifier
+from mapperd.daemon.systemd import PATIENCE_S, Notifier
 from mapperd.errors import MapperdError
 from mapperd.events import Severity
 from mapperd.pipeline.watchdog import Watchdog, Worker
@@ -128,6 +128,7 @@ async def supervised(
     }
 
     def stop_requested() -> None:
+        session.is_stopping = True
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.remove_signal_handler(number)
         notifier.stopping("stopping")
@@ -163,6 +164,7 @@ class _Session:
         print_line: Callable[[str], None],
     ) -> None:
         self.tasks: set[asyncio.Task[None]] = set()
+        self.is_stopping = False
         self._daemon = daemon
         self._workers = workers
         self._notifier = notifier
@@ -190,6 +192,8 @@ class _Session:
             self._notifier.status(f"stuck: {', '.join(stuck)}" if stuck else self.line())
             if self._feeds and not stuck:
                 self._notifier.alive()
+            if self.is_stopping and not stuck:
+                self._notifier.extend(PATIENCE_S)
             await asyncio.sleep(self._period_s)
 
     def _report_stuck(self, stuck: tuple[str, ...]) -> None:

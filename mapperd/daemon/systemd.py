@@ -4,12 +4,13 @@ import contextlib
 import os
 import socket
 import threading
-from collections.abc import Iterator, Mapping, MutableMapping
+import time
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
 
 __all__ = ["Notifier", "inherited_sockets", "watchdog_s"]
 
 PATIENCE_S = 30.0
-"""What takes long asks for so much more time, three times in each."""
+"""Time that long work requests while it makes progress, and may take without progress."""
 
 MAX_STATUS = 200
 """Characters of a status line; more is cut."""
@@ -60,18 +61,29 @@ class Notifier:
         self._send(f"EXTEND_TIMEOUT_USEC={round(seconds * 1e6)}")
 
     @contextlib.contextmanager
-    def patience(self) -> Iterator[None]:
-        """Ask for more time, and feed the watchdog, while something long is done in this block."""
+    def patience(
+        self, progress: Callable[[], object], limit_s: float = PATIENCE_S
+    ) -> Iterator[None]:
+        """Request more time, and feed the watchdog, while the work in this block makes progress.
+
+        Args:
+            progress: returns another value whenever a part of the work is finished; any thread.
+            limit_s: time without progress after which the manager may act.
+        """
         if not self.is_supervised:
             yield
             return
         done = threading.Event()
 
         def ask() -> None:
+            seen, since_s = progress(), time.monotonic()
             while True:
-                self.extend(PATIENCE_S)
-                self.alive()
-                if done.wait(PATIENCE_S / 6):
+                if (now := progress()) != seen:
+                    seen, since_s = now, time.monotonic()
+                if time.monotonic() - since_s < limit_s:
+                    self.extend(limit_s)
+                    self.alive()
+                if done.wait(limit_s / 6):
                     return
 
         thread = threading.Thread(target=ask, name="patience", daemon=True)

@@ -106,6 +106,7 @@ class MappingThread:
         self._clock = clock
         self._read_snapshot = read_snapshot
         self._number = 0
+        self._is_busy = False
         self.snapshot = read_snapshot(self)
         self._published_ns = 0
         self._unpublished = False
@@ -113,8 +114,8 @@ class MappingThread:
 
     @property
     def waiting(self) -> int:
-        """Number of waiting pieces of work; any thread."""
-        return len(self.backlog)
+        """Number of unfinished pieces of work; any thread."""
+        return len(self.backlog) + self._is_busy
 
     @property
     def steps(self) -> int:
@@ -167,6 +168,7 @@ class MappingThread:
     def _do_next(self, *, patient: bool) -> bool:
         """Do the next piece of work; return whether it was a dropped ping."""
         work, is_late = self.backlog.next(self._clock(), patient=patient)
+        self._is_busy = True
         executor = self.pipeline.executor
         match work:
             case PosedPing() if is_late:
@@ -180,6 +182,7 @@ class MappingThread:
                 executor.change_settings(work)
             case _:
                 self.on_request(work, executor.request(work))
+        self._is_busy = False
         self.progress += 1
         return is_late
 

@@ -242,9 +242,7 @@ class SqlitePersistence:
 
     def worker(self) -> Worker:
         """Return the progress of the saving thread for the watchdog."""
-        counters = self.store.counters
-        done = counters.saves + counters.saves_failed
-        return Worker("saving", int(self._saving.locked()), done)
+        return Worker("saving", int(self._saving.locked()), self.store.steps)
 
     def status(self) -> dict[str, Any]:
         """Return the status of the file for a person."""

@@ -148,6 +148,11 @@ class TileStore:
         self._open.close()
 
     @property
+    def steps(self) -> int:
+        """Grows while the map is saved; any thread."""
+        return self.counters.saves + self.counters.saves_failed + self._saver.bricks_packed
+
+    @property
     def bytes_written(self) -> int:
         """Of bricks, since the file was opened."""
         return self._saver.bytes_written

@@ -79,13 +79,14 @@ class Saver:
 
     Attributes:
         bricks_written: rows written.
+        bricks_packed: rows begun: grows during a write.
         bytes_written: of their data.
     """
 
     def __init__(self, connection: sqlite3.Connection) -> None:
         self._connection = connection
         self._compressor = zstandard.ZstdCompressor(level=LEVEL)
-        self.bricks_written = 0
+        self.bricks_written = self.bricks_packed = 0
         self.bytes_written = 0
 
     def write(self, snapshot: Snapshot) -> None:
@@ -140,6 +141,7 @@ class Saver:
 
     def _packed(self, snapshot: Snapshot) -> Iterator[BrickRow]:
         for key, revision, brick in snapshot.bricks:
+            self.bricks_packed += 1
             yield pack(self._compressor, key, revision, brick)
 
 
@@ -208,6 +210,7 @@ class Loader:
         bricks = []
         damaged = {}
         for row in rows:
+            _core.finish_part()
             try:
                 bricks.append((row.key, unpack(self._unpacker, row)))
             except DamagedBrickError as error:

@@ -157,8 +157,9 @@ bool ParticleFilter::predict(const Pose2& before, const Pose2& now, MotionModel 
   for (const double alpha : alphas) {
     if (!(alpha >= 0.0 && alpha <= 1e6)) throw std::invalid_argument("alphas must not be negative");
   }
-  if (!(floor.sigma_xy_m >= 0.0 && floor.sigma_yaw_rad >= 0.0)) {
-    throw std::invalid_argument("floors of motion noise must not be negative");
+  const auto is_noise = [](double sigma) { return sigma >= 0.0 && sigma <= 1e6; };
+  if (!is_noise(floor.sigma_xy_m) || !is_noise(floor.sigma_yaw_rad)) {
+    throw std::invalid_argument("floors of motion noise must lie in 0 ... 1e6");
   }
   const bool possible = is_finite(before) && is_finite(now) &&
                         std::hypot(now.x - before.x, now.y - before.y) <= rule_.max_step_m;

@@ -11,7 +11,9 @@
 namespace mapperd::localization {
 namespace {
 
-constexpr double kAhead = 1e-9;  // cells; a point this close to an edge ahead counts as beyond it
+// Cells; a point this close to an edge ahead counts as beyond it. A ray along an edge is in the cell
+// above it, or to its right, as points on the edge are.
+constexpr double kAhead = 1e-9;
 
 // Content of one octant of a cell, in a byte.
 constexpr std::uint8_t kBlocked = 0;
@@ -54,7 +56,7 @@ void fill_wedges(const Octant& way, std::size_t rows, std::size_t columns, std::
 
 double not_zero(double along) {
   if (std::abs(along) > 1e-12) return along;
-  return along > 0.0 ? 1e-12 : -1e-12;
+  return along >= 0.0 ? 1e-12 : -1e-12;
 }
 
 constexpr std::size_t kLanes = 8;  // rays are worked on in multiples of them
@@ -92,8 +94,8 @@ MAPPERD_VECTORISED_WIDE double step_on(const Steps& steps, March& march) {
     const double gone = march.gone[i];
     const double along_u = march.along_u[i];
     const double along_v = march.along_v[i];
-    double u = march.u[i] + gone * along_u + (along_u > 0.0 ? kAhead : -kAhead);
-    double v = march.v[i] + gone * along_v + (along_v > 0.0 ? kAhead : -kAhead);
+    double u = march.u[i] + gone * along_u + (along_u >= 0.0 ? kAhead : -kAhead);
+    double v = march.v[i] + gone * along_v + (along_v >= 0.0 ? kAhead : -kAhead);
     u = u > 0.0 ? u : 0.0;
     v = v > 0.0 ? v : 0.0;
     u = u < s.last_u ? u : s.last_u;
@@ -102,8 +104,8 @@ MAPPERD_VECTORISED_WIDE double step_on(const Steps& steps, March& march) {
     const auto row = static_cast<std::int32_t>(v);
     const std::uint64_t here = s.cells[row * s.stride + column] >> march.shift[i];
     const double found = double_of((here & 255U) | kWhole) - double_of(kWhole);
-    const double edge_u = static_cast<double>(column) + (along_u > 0.0 ? 1.0 : 0.0);
-    const double edge_v = static_cast<double>(row) + (along_v > 0.0 ? 1.0 : 0.0);
+    const double edge_u = static_cast<double>(column) + (along_u >= 0.0 ? 1.0 : 0.0);
+    const double edge_v = static_cast<double>(row) + (along_v >= 0.0 ? 1.0 : 0.0);
     const double leave_u = (edge_u - march.u[i]) * march.inverse_u[i];
     const double leave_v = (edge_v - march.v[i]) * march.inverse_v[i];
     const double leave = leave_u < leave_v ? leave_u : leave_v;

@@ -7,6 +7,7 @@
 #include <unordered_map>
 #include <vector>
 
+#include "mapperd/common/progress.hpp"
 #include "mapperd/map/block_writer.hpp"
 
 namespace mapperd::map {
@@ -17,6 +18,7 @@ constexpr std::size_t kFreeRowStep = 10;
 constexpr std::size_t kReturnRows = 50;
 constexpr double kFreeVoxelStep = 4.0;
 constexpr double kReturnVoxelStep = 1.5;
+constexpr std::size_t kSamplesAPart = 65536;  // of progress
 
 struct FirstHit {
   double bearing_rad;
@@ -62,6 +64,7 @@ class RaySampler {
       if (hit == image_.rows) continue;  // a beam without a return has no information
       sample_free(j, hit);
       sample_returns(j, hit);
+      finish_part();
     }
     fetch();
     return update_map();
@@ -168,7 +171,9 @@ class RaySampler {
     CellPool::Cache pool(map_.pool());
     std::unordered_map<Block*, CellSet> opened;
     const std::uint64_t revision = map_.next_revision();
+    std::size_t done = 0;
     for (const Sample& sample : samples_) {
+      if (++done % kSamplesAPart == 0) finish_part();
       const VoxelIndex& v = sample.voxel;
       const auto local = [](std::int64_t i) { return static_cast<int>(i & (kBlockEdge - 1)); };
       Block& at = map_.get_or_create(block_holding(v));

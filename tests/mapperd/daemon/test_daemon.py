@@ -3,6 +3,8 @@
 import asyncio
 import json
 import socket
+import threading
+import time
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -10,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from mapperd import _core
 from mapperd.api import DaemonApi, OperationError
 from mapperd.cli.mapperd import DaemonExit, main
 from mapperd.config.layers import Layered
@@ -21,9 +24,10 @@ from mapperd.errors import StoreError
 from mapperd.events import EventLog
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.decoder import Work
+from mapperd.pipeline.decoder import PosedPing, Work
 from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
+from mapperd.pipeline.watchdog import Watchdog
 from oculus_driver import Faults, PlaybackSonar
 from tests.support.process import free_port, run
 
@@ -164,6 +168,33 @@ def test_daemon_offers_all_operations(tmp_path: Path, pings: list[bytes]) -> Non
         for code in ("session_began", "sonar_link", "map_saved", "snapshot", "map_reset"):
             assert code in codes
         assert codes[-1] == "session_ended"
+
+    run(work())
+
+
+@pytest.mark.parametrize("hangs", [False, True])
+def test_a_long_ping_is_no_hang(tmp_path: Path, pings: list[bytes], *, hangs: bool) -> None:
+    async def work() -> None:
+        async with bench_of(tmp_path, pings) as bench:
+            await bench.mapped(1)
+            executor, begun = bench.live.mapping.pipeline.executor, threading.Event()
+            map_ping, watchdog, stuck = executor.map_ping, Watchdog(0.5), set[str]()
+
+            def long(posed: PosedPing) -> Any:
+                begun.set()
+                executor.map_ping = map_ping  # type: ignore[method-assign]
+                for _ in range(15):
+                    time.sleep(0.1)
+                    if not hangs:
+                        _core.finish_part()  # as an integrator does
+                return map_ping(posed)
+
+            executor.map_ping = long  # type: ignore[method-assign]
+            await asyncio.to_thread(begun.wait)
+            for _ in range(25):
+                stuck |= set(watchdog.stuck(bench.daemon.workers(), time.monotonic()))
+                await asyncio.sleep(0.05)
+            assert stuck == ({"mapping"} if hangs else set())
 
     run(work())
 

@@ -1,6 +1,8 @@
 """What the manager hears; the tests are the manager."""
 
+import contextlib
 import socket
+import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -90,3 +92,23 @@ def test_long_status_is_cut(manager: socket.socket) -> None:
 )
 def test_watchdog_time(environ: dict[str, str], seconds: float | None) -> None:
     assert watchdog_s(environ, 7) == seconds
+
+
+def test_long_work_gets_time_while_it_makes_progress_only(manager: socket.socket) -> None:
+    parts: list[int] = []
+    manager.settimeout(0)
+    with closing(Notifier({"NOTIFY_SOCKET": manager.getsockname()})) as notifier:
+        with notifier.patience(lambda: len(parts), limit_s=0.3):
+            for part in range(12):
+                time.sleep(0.1)
+                parts.append(part)
+                assert heard(manager) in ("EXTEND_TIMEOUT_USEC=300000", "WATCHDOG=1")
+            time.sleep(0.6)  # it hangs
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    heard(manager)
+            time.sleep(0.3)
+            with pytest.raises(BlockingIOError):
+                heard(manager)
+        with pytest.raises(BlockingIOError):
+            heard(manager)

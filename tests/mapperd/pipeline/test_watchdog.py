@@ -1,4 +1,17 @@
-from mapperd.pipeline.watchdog import Watchdog, Worker
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from mapperd import _core
+from mapperd.config.tree import Config, MappingConfig
+from mapperd.imaging.ping_image import ping_image_of
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.watchdog import Watchdog, Worker, process_progress
+from oculus_driver.ping import Ping
 
 
 def test_idle_is_alive_for_ever() -> None:
@@ -38,3 +51,26 @@ def test_waiting_on_purpose_is_alive() -> None:
         assert watchdog.stuck([held], now_s) == ()
     assert watchdog.stuck([Worker("recorder", 5, 1)], 104) == ()
     assert watchdog.stuck([Worker("recorder", 5, 1)], 106) == ("recorder",)
+
+
+@pytest.mark.parametrize("integrator", ["evidence_grid", "rays"])
+def test_a_ping_makes_progress_part_by_part(
+    ping: Callable[..., Ping], integrator: Literal["evidence_grid", "rays"]
+) -> None:
+    sonar_map = SonarMap(Config(mapping=MappingConfig(integrator=integrator)))
+    before = _core.finished_parts()
+    sonar_map.integrate(ping_image_of(ping(), sonar_map.config.sonar), np.eye(4))
+    assert _core.finished_parts() > before + 10
+
+
+def test_a_process_makes_progress_by_reading_and_writing_and_not_by_waiting(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    before = process_progress()
+    path.write_bytes(bytes(1 << 20))
+    written = process_progress()
+    path.read_bytes()
+    assert before < written < process_progress()
+    idle = process_progress()
+    for _ in range(100):  # as often as a process is looked at in ten minutes
+        time.sleep(0.001)
+    assert process_progress() <= idle + 1

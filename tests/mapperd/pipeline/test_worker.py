@@ -1,5 +1,7 @@
 """The mapping thread, on a clock that the test turns."""
 
+import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -82,6 +84,25 @@ def test_backlog_is_late_until_nothing_waits(ping_bytes: PingBytes) -> None:
     bench.run()
     assert bench.late[0]
     assert not bench.late[-1]
+
+
+def test_a_thread_that_hangs_in_its_only_ping_has_work(ping_bytes: PingBytes) -> None:
+    bench, going_on = Bench(), threading.Event()
+
+    def hang(_: Any) -> Any:
+        going_on.wait()
+
+    bench.thread.pipeline.executor.map_ping = hang  # type: ignore[method-assign, assignment]
+    bench.receive(ping_bytes(1), 0)
+    bench.thread.start()
+    while not bench.thread.waiting:
+        time.sleep(0.001)
+    time.sleep(0.05)
+    assert bench.thread.waiting == 1
+    going_on.set()
+    bench.queue.close()
+    bench.thread.join()
+    assert bench.thread.waiting == 0
 
 
 @pytest.fixture(autouse=True)

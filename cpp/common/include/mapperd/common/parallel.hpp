@@ -13,11 +13,13 @@
 #include <thread>
 #include <vector>
 
+#include "mapperd/common/progress.hpp"
+
 namespace mapperd {
 
 /// Runs task(0) ... task(count - 1); the assignment to threads is unspecified. If the system has no
 /// more threads, fewer are used. Rethrows the first exception of a task, after which no further
-/// task starts.
+/// task starts. Each finished task counts as progress.
 template <typename Task>
 void run_parallel(std::size_t count, int threads, const Task& task) {
   std::atomic<std::size_t> next{0};
@@ -25,7 +27,10 @@ void run_parallel(std::size_t count, int threads, const Task& task) {
   std::mutex failing;
   const auto work = [&] {
     try {
-      for (std::size_t i = next++; i < count; i = next++) task(i);
+      for (std::size_t i = next++; i < count; i = next++) {
+        task(i);
+        finish_part();
+      }
     } catch (...) {
       const std::lock_guard<std::mutex> lock(failing);
       if (!failure) failure = std::current_exception();
