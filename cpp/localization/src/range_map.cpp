@@ -11,8 +11,8 @@
 namespace mapperd::localization {
 namespace {
 
-// Cells; a point this close to an edge ahead counts as beyond it. A ray along an edge is in the cell
-// above it, or to its right, as points on the edge are.
+// Cells; a point this close to an edge ahead counts as beyond it. A ray along an edge is in the
+// cell above it, or to its right, as points on the edge are.
 constexpr double kAhead = 1e-9;
 
 // Content of one octant of a cell, in a byte.
@@ -54,10 +54,11 @@ void fill_wedges(const Octant& way, std::size_t rows, std::size_t columns, std::
   }
 }
 
-double not_zero(double along) {
-  if (std::abs(along) > 1e-12) return along;
-  return along >= 0.0 ? 1e-12 : -1e-12;
-}
+constexpr double kParallel = 1e-12;  // a ray that goes aside by less is parallel to an axis
+
+double without_rounding(double along) { return std::abs(along) > kParallel ? along : 0.0; }
+
+double not_zero(double along) { return along == 0.0 ? kParallel : along; }
 
 constexpr std::size_t kLanes = 8;  // rays are worked on in multiples of them
 
@@ -132,10 +133,10 @@ void start(const Rays& rays, March& march) {
     march.place[i] = from;
     march.u[i] = rays.u[from];
     march.v[i] = rays.v[from];
-    march.along_u[i] = rays.along_u[from];
-    march.along_v[i] = rays.along_v[from];
-    march.inverse_u[i] = 1.0 / not_zero(rays.along_u[from]);
-    march.inverse_v[i] = 1.0 / not_zero(rays.along_v[from]);
+    march.along_u[i] = without_rounding(rays.along_u[from]);
+    march.along_v[i] = without_rounding(rays.along_v[from]);
+    march.inverse_u[i] = 1.0 / not_zero(march.along_u[i]);
+    march.inverse_v[i] = 1.0 / not_zero(march.along_v[i]);
     const bool steep = std::abs(march.inverse_u[i]) > std::abs(march.inverse_v[i]);
     march.shift[i] = (march.inverse_u[i] < 0.0 ? 8U : 0U) + (march.inverse_v[i] < 0.0 ? 16U : 0U) +
                      (steep ? 32U : 0U);

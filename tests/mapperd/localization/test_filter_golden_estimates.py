@@ -181,15 +181,26 @@ def test_weighted_covariance() -> None:  # S9, S11
     ("ray", "most", "expected"),
     [
         ((0.5, 0, 0), 5.0, -1),
+        ((0, 1, 0), 5.0, 1.0),
         ((0, 1, PI / 2), 5.0, -1),
         ((0, 0, PI / 2), 1.0, 1.0),
         ((0, 0, PI / 4), 5.0, 2**0.5),
     ],
-    ids=["G1", "G3", "G5", "G7"],
+    ids=["G1", "G2", "G3", "G5", "G7"],
 )
 def test_rays(ray: tuple[float, float, float], most: float, expected: float) -> None:
     found = RangeMap(A).cast(np.array([ray], float), most)
     assert found[0] == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("yaw", [0.0, PI / 2, PI, -PI, -PI / 2])
+@pytest.mark.parametrize("aside", [0.0, 1e-9, 0.25])
+def test_ray_along_an_edge_is_in_the_cell_above_or_to_the_right(yaw: float, aside: float) -> None:
+    """The occupied cell of A is 1 to 1.5 m in x and y; all these rays begin 1 m before it."""
+    along = np.round([np.cos(yaw), np.sin(yaw)])
+    start = np.where(along > 0, 0.0, np.where(along < 0, 2.5, 1.0 + aside))
+    found = RangeMap(A).cast(np.array([(*start, yaw)]), 5.0)
+    assert found[0] == pytest.approx(1.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -41,6 +41,16 @@ def test_a_heading_that_is_no_number_is_a_refused_step(wrong: float) -> None:
     assert np.isfinite(particles.poses).all()
 
 
+@pytest.mark.parametrize("wrong", [-0.1, np.nan, np.inf])
+@pytest.mark.parametrize("floor", ["floor_xy_m", "floor_yaw_rad"])
+def test_noise_that_is_no_number_is_refused(floor: str, wrong: float) -> None:
+    particles = one_particle()
+    before, still = particles.poses.copy(), pose(0, 0, 0)
+    with pytest.raises(ValueError, match="floors of motion noise"):
+        particles.predict(still, pose(1, 0, 0), "differential_drive", np.zeros(5), **{floor: wrong})
+    assert np.array_equal(particles.poses, before)
+
+
 def test_given_particles_have_headings_that_are_wrapped() -> None:
     particles = filter_at(np.array([pose(1, 2, 4.0), pose(1, 2, -9.0)]))
     assert particles.poses[:, 2] == pytest.approx([4.0 - 2 * np.pi, -9.0 + 2 * np.pi])
