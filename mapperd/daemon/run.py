@@ -4,17 +4,19 @@ import asyncio
 import contextlib
 import os
 import secrets
+import signal
 import socket
 import sys
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from mapperd.config.layers import Layered
 from mapperd.config.live import ConfigStore
-from mapperd.config.paths import map_path, pose_path, state_folder
+from mapperd.config.paths import map_path, pose_path, recordings_folder, state_folder
 from mapperd.config.tree import Config
 from mapperd.daemon.daemon import Daemon
 from mapperd.daemon.journal import Journal, goes_to_journal
@@ -22,7 +24,7 @@ from mapperd.daemon.localization_service import PoseKeeper
 from mapperd.daemon.map_folder import localization_summary, summary_of
 from mapperd.daemon.servers import serving, stream_server
 from mapperd.daemon.session import Live, host_clock
-from mapperd.daemon.supervisor import supervised
+from mapperd.daemon.supervisor import is_main_thread, supervised
 from mapperd.daemon.systemd import Notifier, inherited_sockets, watchdog_s
 from mapperd.errors import ConfigError, MapError, StoreError
 from mapperd.events import EventLog, Severity
@@ -82,6 +84,9 @@ def map_live(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
         OculusError: the sonar cannot be looked for, or not be configured as the settings require.
         StoreError: the map's file cannot be used.
     """
+    if run.settings.current.outofcore.use and is_main_thread():
+        # A recovery takes long, and goes on at the next start: it need not be waited for.
+        signal.signal(signal.SIGINT, lambda number, _: _end_at_once(run, number))
     return asyncio.run(_map(run))
 
 
@@ -91,9 +96,8 @@ async def _map(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
     to_journal = goes_to_journal(os.environ, STDERR)
     events.listen(Journal(sys.stderr, time.monotonic, priorities=to_journal).write)
     session = secrets.token_hex(8)
-    with run.notifier.patience(
-        process_progress
-    ):  # the end of a session that was cut short may be long
+    # The end of a session that was cut short may be long.
+    with run.notifier.patience(process_progress):
         opened = await asyncio.to_thread(
             open_map,
             run.settings.current,
@@ -159,6 +163,7 @@ async def _served(
             run.notifier,
             watchdog_s=watchdog_s(os.environ, os.getpid()),
             stop=stop.set,
+            abandon=partial(_end_at_once, run),
             print_line=run.print_line,
         )
         await stack.enter_async_context(feeding)
@@ -182,6 +187,31 @@ async def _served(
             }
     with run.notifier.patience(process_progress):
         return whole, summary_of(source, whole, live.poses, live.counters, wall_s)
+
+
+def _end_at_once(run: LiveRun, signal_number: int) -> NoReturn:
+    """End the process without waiting for its threads; state what becomes of the map."""
+    config = run.settings.current
+    run.print_line(f"ended at once: {_kept(config)}")
+    os._exit(128 + signal_number)
+
+
+def _kept(config: Config) -> str:
+    """Return in one line what a session leaves that ends at any moment."""
+    recorded = config.recording.enabled
+    if config.outofcore.use:
+        rest = (
+            "the next start maps the rest of the recording"
+            if recorded
+            else "what came after that is lost: recording.enabled is off"
+        )
+        return f"the map is in {map_path(config, os.environ)} as it was saved last; {rest}"
+    if recorded:
+        folder = recordings_folder(config, os.environ)
+        return (
+            f"the map was in memory and is lost; its recordings are in {folder}: mapperd --replay"
+        )
+    return "the map was in memory and is lost, and recording.enabled is off"
 
 
 def _server(

@@ -17,7 +17,7 @@ from mapperd.errors import MapperdError
 from mapperd.events import Severity
 from mapperd.pipeline.watchdog import Watchdog, Worker
 
-__all__ = ["StatusLine", "graceful_stop", "stack_lines", "supervised"]
+__all__ = ["StatusLine", "graceful_stop", "is_main_thread", "stack_lines", "supervised"]
 
 MIB = 1 << 20
 
@@ -76,6 +76,7 @@ MIN_LOOK_S = 0.05
 PATIENCE = 0.5
 """Of the watchdog's time: a worker may be silent so long before the manager is let to act."""
 
+ASKING = (signal.SIGHUP, signal.SIGUSR1, signal.SIGUSR2)
 ORIGINS = {signal.SIGHUP: "SIGHUP", signal.SIGUSR1: "SIGUSR1"}
 
 
@@ -85,15 +86,21 @@ def graceful_stop() -> Iterator[None]:
 
     Unheard, SIGHUP and the others would end the program, and systemd takes that for a clean end.
     """
-    asking: tuple[signal.Signals, ...] = (signal.SIGHUP, signal.SIGUSR1, signal.SIGUSR2)
-    if threading.current_thread() is not threading.main_thread():  # signals are not its business
-        asking = ()
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in asking}
+    if not is_main_thread():  # signals are not its business
+        yield
+        return
+    stops = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in ASKING}
     try:
         yield
     finally:
-        for number, action in before.items():
+        for number, action in (before | stops).items():
             signal.signal(number, action)
+
+
+def is_main_thread() -> bool:
+    """Return whether this thread may set what signals do."""
+    return threading.current_thread() is threading.main_thread()
 
 
 @contextlib.asynccontextmanager
@@ -104,6 +111,7 @@ async def supervised(
     *,
     watchdog_s: float | None,
     stop: Callable[[], None],
+    abandon: Callable[[int], None] | None = None,
     print_line: Callable[[str], None],
 ) -> AsyncIterator[None]:
     """Report readiness, feed the watchdog while the daemon works, and handle signals; `async with`.
@@ -117,6 +125,8 @@ async def supervised(
         notifier: of the manager.
         watchdog_s: how long the manager waits for a sign of life; None where it does not.
         stop: makes the daemon end.
+        abandon: ends the process at once, for the second of those signals, whose number it gets;
+            None leaves that to Python.
         print_line: prints diagnostics of a hang.
     """
     session = _Session(daemon, workers, notifier, watchdog_s, print_line)
@@ -131,6 +141,8 @@ async def supervised(
         session.is_stopping = True
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.remove_signal_handler(number)
+            if abandon is not None:
+                signal.signal(number, lambda again, _: abandon(again))
         notifier.stopping("stopping")
         stop()
 

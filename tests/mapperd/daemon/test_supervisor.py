@@ -4,6 +4,9 @@ import asyncio
 import os
 import signal
 import socket
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -175,6 +178,58 @@ def test_stopped(manager: Manager, number: int) -> None:
         assert signal.getsignal(signal.SIGINT) in (signal.default_int_handler, signal.SIG_DFL)
 
     asyncio.run(run(Daemon(), manager, scene))
+
+
+ENDLESS = """
+import signal, sys, time
+from mapperd.cli.mapperd import main
+from mapperd.pipeline.persistence import MemoryPersistence
+from mapperd.session.store_session import SqlitePersistence
+signal.signal(signal.SIGINT, signal.default_int_handler)
+for persistence in (MemoryPersistence, SqlitePersistence):
+    persistence.end = lambda _: (print("ending", flush=True), time.sleep(60))
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    ("settings", "kept"),
+    [
+        ("outofcore: {use: true}\n", "saved last; the next start maps the rest"),
+        ("outofcore: {use: true}\nrecording: {enabled: false}\n", "after that is lost"),
+        ("", "the map was in memory and is lost; its recordings are in"),
+        ("recording: {enabled: false}\n", "is lost, and recording.enabled is off"),
+    ],
+)
+def test_second_signal_ends_at_once_and_states_what_is_kept(
+    tmp_path: Path, settings: str, kept: str, number: int
+) -> None:
+    (tmp_path / "a.yaml").write_text(
+        f"device: {{address: 127.0.0.1, port: 1}}\nservice: {{state_folder: {tmp_path}}}\n"
+        f"{settings}",
+        encoding="utf-8",
+    )
+    words = ["--config", str(tmp_path / "a.yaml"), "--out", str(tmp_path / "out")]
+    with subprocess.Popen(  # noqa: S603 our own lines
+        [sys.executable, "-c", ENDLESS, *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as program:
+        assert program.stdout is not None
+        assert program.stderr is not None
+        while "begins" not in program.stderr.readline():
+            pass
+        time.sleep(0.2)
+        program.send_signal(number)
+        assert program.stdout.readline() == "ending\n"
+        program.send_signal(number)
+        left = program.stderr.read()
+        assert program.wait(10) == 128 + number
+    assert "Traceback" not in left
+    assert kept in left.splitlines()[-1]
 
 
 @pytest.mark.parametrize("refuses", [False, True])
