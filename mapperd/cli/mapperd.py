@@ -118,7 +118,7 @@ def _live(arguments: Arguments) -> DaemonExit:
     run = LiveRun(store, partial(_poses, arguments), arguments.duration_s, _print, again, notifier)
     with contextlib.closing(notifier), graceful_stop():
         sonar_map, summary = map_live(run)
-        with notifier.patience(process_progress):
+        with notifier.patience(process_progress), contextlib.closing(sonar_map):
             write_results(arguments.out, sonar_map, summary)
     return _verdict(arguments, summary)
 
@@ -139,7 +139,8 @@ def _replay(arguments: Arguments) -> DaemonExit:
         sonar_map, summary = map_recordings(arguments, settings, ready)
     except KeyboardInterrupt:
         return _fail(DaemonExit.INTERRUPTED, "interrupted; nothing was written")
-    write_results(arguments.out, sonar_map, summary)
+    with contextlib.closing(sonar_map):
+        write_results(arguments.out, sonar_map, summary)
     return _verdict(arguments, summary)
 
 

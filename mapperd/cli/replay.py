@@ -15,6 +15,7 @@ from mapperd.config.tree import Config
 from mapperd.daemon.map_folder import localization_summary, recording_facts, summary_of
 from mapperd.errors import ReplayError
 from mapperd.geometry.frames import Pose
+from mapperd.mapping.content import MapContent
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.session.recordings import DamagedData, RecordedSession, files_in, sessions_of
@@ -59,8 +60,8 @@ def _bag_in(folder: Path) -> str:
 
 def map_recordings(
     arguments: Arguments, settings: Callable[[], Config], ready: Callable[[], None]
-) -> tuple[SonarMap, dict[str, Any]]:
-    """Check everything that can be checked, then map; returns the map and the summary.
+) -> tuple[MapContent, dict[str, Any]]:
+    """Check everything that can be checked, then map; return the map, open, and the summary.
 
     Args:
         arguments: with the recordings.
@@ -115,7 +116,7 @@ def _mapped(runs: Sequence[Run], sonar_map: SonarMap, window: Window) -> dict[st
 
 def _stored(
     sessions: Sequence[RecordedSession], config: Config, pose: Pose | None, path: Path
-) -> tuple[SonarMap, dict[str, Any]]:
+) -> tuple[MapContent, dict[str, Any]]:
     """Map a recording into a file; the counts are of this time, the map is the whole one."""
     if len(sessions) > 1:
         raise ReplayError("--store takes one recording at a time, and these are several sessions")

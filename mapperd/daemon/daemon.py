@@ -24,6 +24,7 @@ from mapperd.geometry.geodesy import Origin
 from mapperd.imaging.filter_chain import check_filters
 from mapperd.localization.models import check_localization
 from mapperd.localization.report import localization_report
+from mapperd.mapping.content import MapContent
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.executor import PingExecutor
 from mapperd.pipeline.pose_lookup import origin_of
@@ -224,12 +225,13 @@ class Daemon:
             return Reject("busy", f"the daemon is {self.phase}")
         return await self._live.request(request)
 
-    def _whole(self) -> SonarMap:
+    def _whole(self) -> MapContent:
         """The map as it is now, to be written as a file; a file with holes would show water."""
         keep = self._live.persistence
         keep.save()  # what is not in the file is not in a file's copy
-        whole, lost = keep.whole()
-        if lost:
+        whole = keep.whole()
+        if lost := whole.bricks_lost:
+            whole.close()
             raise MapError(f"{lost} bricks of the map are damaged and not rebuilt", "bricks_lost")
         return whole
 

@@ -1,5 +1,6 @@
 """Folders of results: saved maps, map.bt, map.ply, map.png and summary.json."""
 
+import contextlib
 import json
 import re
 import threading
@@ -24,7 +25,7 @@ from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.geometry.geodesy import Origin
 from mapperd.io import atomic_file, make_folder, remove
 from mapperd.localization.status import LocalizationFacts
-from mapperd.mapping.sonar_map import SonarMap, Voxels
+from mapperd.mapping.content import MapContent, VoxelCloud
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.session.recordings import RecordedSession
@@ -89,7 +90,7 @@ class MapFolder:
         settings.follow(self.FOLLOWS, lambda _: None)  # they are looked up at every save
 
     def save(
-        self, name: str, whole_map: Callable[[], SonarMap], origin: Origin | None = None
+        self, name: str, whole_map: Callable[[], MapContent], origin: Origin | None = None
     ) -> dict[str, Any]:
         """Write the map; takes seconds, in a thread of its own.
 
@@ -111,7 +112,8 @@ class MapFolder:
         began_s = self._clock()
         try:
             make_folder(self.folder)
-            files = write_map(whole_map(), self.folder / name, self._heights(), origin)
+            with contextlib.closing(whole_map()) as whole:
+                files = write_map(whole, self.folder / name, self._heights(), origin)
             size = sum(path.stat().st_size for path in files)
         except (ExportError, MapError, StoreError) as error:
             raise OperationError(str(error), "cannot_write") from error
@@ -128,7 +130,7 @@ class MapFolder:
         return Heights(export.min_z, export.max_z)
 
 
-def write_results(folder: Path, sonar_map: SonarMap, summary: dict[str, Any]) -> None:
+def write_results(folder: Path, sonar_map: MapContent, summary: dict[str, Any]) -> None:
     """Write the summary, then the map in every form; each file is whole or as it was.
 
     Without matplotlib there is no picture. What the map cannot give is removed from the folder,
@@ -144,7 +146,7 @@ def write_results(folder: Path, sonar_map: SonarMap, summary: dict[str, Any]) ->
             remove(folder / name)
         _write_summary(folder / "summary.json", summary)
         return
-    occupied = sonar_map.voxels("occupied")
+    occupied = sonar_map.occupied()
     resolution_m = sonar_map.resolution_m
     problems = [
         *_problem(partial(_write_summary, folder / "summary.json", summary)),
@@ -175,13 +177,13 @@ def _write_summary(path: Path, summary: dict[str, Any]) -> None:
         file.write(json.dumps(summary, indent=2, allow_nan=False).encode() + b"\n")
 
 
-def _write_cloud(path: Path, occupied: Voxels, resolution_m: float) -> None:
+def _write_cloud(path: Path, occupied: VoxelCloud, resolution_m: float) -> None:
     with atomic_file(path) as file:
         write_ply(file, occupied, resolution_m)
 
 
 def _write_picture(
-    path: Path, occupied: Voxels, resolution_m: float, summary: dict[str, Any]
+    path: Path, occupied: VoxelCloud, resolution_m: float, summary: dict[str, Any]
 ) -> None:
     if not can_draw():
         remove(path)
@@ -194,19 +196,17 @@ def _write_picture(
         write_picture(file, occupied, resolution_m, title)
 
 
-def _write_octomap(path: Path, sonar_map: SonarMap) -> None:
+def _write_octomap(path: Path, sonar_map: MapContent) -> None:
     try:
-        tree = sonar_map.octomap_bt()
+        sonar_map.save_octomap(path)
     except MapError as error:
         remove(path)
         raise ExportError(f"{path}: not written: {error}") from error
-    with atomic_file(path) as file:
-        file.write(tree)
 
 
 def summary_of(
     source: dict[str, Any],
-    sonar_map: SonarMap,
+    sonar_map: MapContent,
     poses: FixedPose | OdometryPoses,
     counters: PipelineCounters,
     wall_s: float,

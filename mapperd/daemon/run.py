@@ -33,7 +33,7 @@ from mapperd.localization.report import state_of
 from mapperd.localization.saved_pose import load_pose
 from mapperd.localization.session import LocalizationSession, begun
 from mapperd.localization.status import LocalizationFacts
-from mapperd.mapping.sonar_map import SonarMap
+from mapperd.mapping.content import MapContent
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.pipeline.watchdog import process_progress
 from mapperd.server.map_source import MapSource
@@ -75,8 +75,8 @@ class LiveRun:
     notifier: Notifier
 
 
-def map_live(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
-    """Map until SIGINT, SIGTERM or the end of the time; returns the map and the summary.
+def map_live(run: LiveRun) -> tuple[MapContent, dict[str, Any]]:
+    """Map until SIGINT, SIGTERM or the end of the time; return the map, open, and the summary.
 
     Raises:
         ConfigError: a library that a link needs is not installed, or the settings are wrong.
@@ -90,7 +90,7 @@ def map_live(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
     return asyncio.run(_map(run))
 
 
-async def _map(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
+async def _map(run: LiveRun) -> tuple[MapContent, dict[str, Any]]:
     clock = host_clock()
     events = EventLog(clock)
     to_journal = goes_to_journal(os.environ, STDERR)
@@ -119,9 +119,19 @@ async def _map(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
             localization=localization,
         )
         _require_space(run.settings.current, live, opened, events)
-        return await _served(run, opened, live, events, clock)
+        source, wall_s = await _served(run, opened, live, events, clock)
     finally:
         opened.close()
+    with run.notifier.patience(process_progress):
+        whole = opened.persistence.whole()
+        if (stored := opened.persistence.status()) is not None:
+            source["store"] = {
+                "path": stored["path"],
+                "bricks_lost": whole.bricks_lost,
+                "sessions_not_mapped": stored["sessions_not_mapped"],
+                "loss": stored["loss"],
+            }
+        return whole, summary_of(source, whole, live.poses, live.counters, wall_s)
 
 
 def _require_space(config: Config, live: Live, opened: OpenMap, events: EventLog) -> None:
@@ -144,8 +154,8 @@ def _require_space(config: Config, live: Live, opened: OpenMap, events: EventLog
 
 async def _served(
     run: LiveRun, opened: OpenMap, live: Live, events: EventLog, clock: Callable[[], int]
-) -> tuple[SonarMap, dict[str, Any]]:
-    """Map, and serve requests meanwhile."""
+) -> tuple[dict[str, Any], float]:
+    """Map, and serve requests meanwhile; return where the pings came from, and the seconds."""
     folder = state_folder(run.settings.current, os.environ)
     daemon = Daemon(
         run.settings, opened.sonar_map, live, events, read=run.read, folder=folder / "maps"
@@ -176,17 +186,7 @@ async def _served(
         source = {"live": _live_facts(daemon, stop_requested=stop.is_set())}
         if (facts := live.mapping.snapshot.localization) is not None:
             source |= localization_summary(facts)
-        with run.notifier.patience(process_progress):
-            whole, lost = await asyncio.to_thread(opened.persistence.whole)
-        if (stored := opened.persistence.status()) is not None:
-            source["store"] = {
-                "path": stored["path"],
-                "bricks_lost": lost,
-                "sessions_not_mapped": stored["sessions_not_mapped"],
-                "loss": stored["loss"],
-            }
-    with run.notifier.patience(process_progress):
-        return whole, summary_of(source, whole, live.poses, live.counters, wall_s)
+    return source, wall_s
 
 
 def _end_at_once(run: LiveRun, signal_number: int) -> NoReturn:

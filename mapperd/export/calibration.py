@@ -6,6 +6,7 @@ into a share: that of voxels like it which held something, in scenes whose truth
 changes numbers in files, never the map, nor which voxels are occupied.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from mapperd.config.loader import YamlProblem, parse_yaml
 from mapperd.errors import ConfigError
+from mapperd.mapping.content import VoxelCloud
 from mapperd.mapping.probability import probabilities_of
 from mapperd.mapping.sonar_map import Voxels
 
@@ -72,10 +74,31 @@ class Calibration:
             log_odds = np.log(wide) - np.log1p(-wide)
         return probabilities_of(self.log_odds_of(log_odds))
 
-    def of(self, voxels: Voxels) -> Voxels:
+    def of(self, voxels: VoxelCloud) -> VoxelCloud:
         """The same voxels with calibrated probabilities."""
-        calibrated = self.probability_of(voxels.probability)
-        return replace(voxels, probability=calibrated.astype(np.float32))
+        return _CalibratedVoxels(voxels, self)
+
+
+@dataclass(frozen=True, slots=True)
+class _CalibratedVoxels:
+    """Voxels whose probabilities are calibrated as they are read."""
+
+    voxels: VoxelCloud
+    calibration: Calibration
+
+    def __len__(self) -> int:
+        return len(self.voxels)
+
+    @property
+    def box_m(self) -> NDArray[np.float64]:
+        """Of the voxels, (2, 3)."""
+        return self.voxels.box_m
+
+    def batches(self) -> Iterator[Voxels]:
+        """Yield the voxels."""
+        for some in self.voxels.batches():
+            calibrated = self.calibration.probability_of(some.probability)
+            yield replace(some, probability=calibrated.astype(np.float32))
 
 
 def load_calibration(path: Path) -> Calibration:

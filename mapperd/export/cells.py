@@ -1,6 +1,7 @@
 """The map seen from above, a cell for each column of voxels."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,8 +9,8 @@ from numpy.typing import NDArray
 
 from mapperd import _core
 from mapperd.errors import ExportError
+from mapperd.mapping.content import MapContent
 from mapperd.mapping.probability import log_odds_of
-from mapperd.mapping.sonar_map import SonarMap, Voxels, iwlo_params
 
 __all__ = [
     "FREE",
@@ -147,7 +148,7 @@ class KnownCells:
         return GridLayer(grid, window)
 
 
-def known_cells(sonar_map: SonarMap, heights: Heights) -> GridLayer | None:
+def known_cells(sonar_map: MapContent, heights: Heights) -> GridLayer | None:
     """What is known of each column, by the thresholds of the map's settings; None if nothing is.
 
     Pings wait only while the map is copied.
@@ -162,8 +163,8 @@ def known_cells(sonar_map: SonarMap, heights: Heights) -> GridLayer | None:
         log_odds_of(mapping.occupied_threshold, "occupied_threshold"),
         log_odds_of(mapping.free_threshold, "free_threshold"),
     )
-    copy = sonar_map.core.with_rule(iwlo_params(sonar_map.config))
-    copy.visit_blocks(known.add, BLOCKS_AT_ONCE)
+    for part in sonar_map.parts():
+        part.visit_blocks(known.add, BLOCKS_AT_ONCE)
     return known.cells()
 
 
@@ -173,43 +174,53 @@ class Tops:
 
     Attributes:
         window: which columns.
-        rows: (height, width) into `voxels`, -1 for empty cells; row 0 is the south.
-        voxels: that they are of.
+        z: (height, width) int64, index of the voxel in z, `NO_TOP` for empty cells; row 0 is the
+            south.
+        count: (height, width) uint16, number of pings that observed it.
     """
 
     window: GridWindow
-    rows: Ints
-    voxels: Voxels
+    z: Ints
+    count: NDArray[np.uint16]
 
 
-def top_voxels(sonar_map: SonarMap, heights: Heights) -> Tops | None:
+def top_voxels(sonar_map: MapContent, heights: Heights) -> Tops | None:
     """The highest occupied voxel that counts of each column; None where none does.
 
     Raises:
         ExportError: the grid is too large.
     """
-    voxels = sonar_map.voxels("occupied")
-    z_m = voxels.centres_m[:, 2]
-    chosen = np.flatnonzero((z_m >= heights.min_m) & (z_m <= heights.max_m))
-    if not len(chosen):
+    voxels = sonar_map.occupied()
+
+    def chosen() -> Iterator[tuple[Ints, NDArray[np.uint16]]]:
+        for some in voxels.batches():
+            z_m = some.centres_m[:, 2]
+            counts = (z_m >= heights.min_m) & (z_m <= heights.max_m)
+            if counts.any():
+                yield (
+                    indices_of(some.centres_m[counts], sonar_map.resolution_m),
+                    some.count[counts],
+                )
+
+    corners = [(places.min(axis=0), places.max(axis=0)) for places, _ in chosen()]
+    if not corners:
         return None
-    chosen = chosen[np.argsort(z_m[chosen], kind="stable")]
-    columns = indices_of(voxels.centres_m[chosen, :2], sonar_map.resolution_m)
-    window = window_of(columns)
-    rows = np.full((window.height, window.width), -1, dtype=np.int64)
-    # Ascending in z: of a column's voxels the highest is put last, which is what is kept.
-    rows[columns[:, 1] - window.y, columns[:, 0] - window.x] = chosen
-    return Tops(window, rows, voxels)
+    window = window_of(np.concatenate(corners).reshape(-1, 3)[:, :2])
+    z = np.full((window.height, window.width), NO_TOP, dtype=np.int64)
+    count = np.zeros(z.shape, dtype=np.uint16)
+    for places, observed in chosen():
+        cells = places[:, 1] - window.y, places[:, 0] - window.x
+        np.maximum.at(z, cells, places[:, 2])
+        top = z[cells] == places[:, 2]
+        count[cells[0][top], cells[1][top]] = observed[top]
+    return Tops(window, z, count)
 
 
-def top_cells(sonar_map: SonarMap, heights: Heights) -> GridLayer | None:
+def top_cells(sonar_map: MapContent, heights: Heights) -> GridLayer | None:
     """Index in z of the highest occupied voxel of each column that counts, int64, or `NO_TOP`.
 
     Raises:
         ExportError: the grid is too large.
     """
     tops = top_voxels(sonar_map, heights)
-    if tops is None:
-        return None
-    indices = indices_of(tops.voxels.centres_m[:, 2], sonar_map.resolution_m)
-    return GridLayer(np.where(tops.rows >= 0, indices[tops.rows], NO_TOP), tops.window)
+    return None if tops is None else GridLayer(tops.z, tops.window)

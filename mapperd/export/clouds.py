@@ -5,7 +5,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.mapping.sonar_map import Voxels
+from mapperd.mapping.content import VoxelCloud
 
 __all__ = ["POINT", "VERTEX", "write_pcd", "write_ply", "write_points", "write_xyz"]
 
@@ -16,15 +16,16 @@ VERTEX = np.dtype(_PLY_FIELDS)
 _PLY_TYPES = {"<f8": "double", "<f4": "float", "<u2": "ushort"}
 
 
-def write_ply(file: BinaryIO, voxels: Voxels, resolution_m: float) -> None:
+def write_ply(file: BinaryIO, voxels: VoxelCloud, resolution_m: float) -> None:
     """Write voxel centres (metres; x east, y north, z up) with probability and count."""
     file.write(_ply_header(len(voxels), resolution_m).encode("ascii"))
-    vertices = np.empty(len(voxels), dtype=VERTEX)
-    for axis, name in enumerate("xyz"):
-        vertices[name] = voxels.centres_m[:, axis]
-    vertices["probability"] = voxels.probability
-    vertices["count"] = voxels.count
-    file.write(vertices.data)
+    for some in voxels.batches():
+        vertices = np.empty(len(some), dtype=VERTEX)
+        for axis, name in enumerate("xyz"):
+            vertices[name] = some.centres_m[:, axis]
+        vertices["probability"] = some.probability
+        vertices["count"] = some.count
+        file.write(vertices.data)
 
 
 def _ply_header(count: int, resolution_m: float) -> str:
@@ -47,15 +48,16 @@ POINT = np.dtype(_PCD_FIELDS)
 """One point; PCL's own types hold single floats: within 8 km of the origin to half a millimetre."""
 
 
-def write_pcd(file: BinaryIO, voxels: Voxels, resolution_m: float) -> None:
+def write_pcd(file: BinaryIO, voxels: VoxelCloud, resolution_m: float) -> None:
     """Write voxel centres (metres; x east, y north, z up); `intensity` is the probability."""
     file.write(_pcd_header(len(voxels), resolution_m).encode("ascii"))
-    points = np.empty(len(voxels), dtype=POINT)
-    for axis, name in enumerate("xyz"):
-        points[name] = voxels.centres_m[:, axis]
-    points["intensity"] = voxels.probability
-    points["count"] = voxels.count
-    file.write(points.data)
+    for some in voxels.batches():
+        points = np.empty(len(some), dtype=POINT)
+        for axis, name in enumerate("xyz"):
+            points[name] = some.centres_m[:, axis]
+        points["intensity"] = some.probability
+        points["count"] = some.count
+        file.write(points.data)
 
 
 def _pcd_header(count: int, resolution_m: float) -> str:
@@ -81,9 +83,10 @@ LINES_AT_ONCE = 1000
 """Formatting holds the interpreter for about a millisecond at a time."""
 
 
-def write_xyz(file: BinaryIO, voxels: Voxels) -> None:
+def write_xyz(file: BinaryIO, voxels: VoxelCloud) -> None:
     """Write voxel centres in metres (x east, y north, z up, not a depth), to a tenth of one mm."""
-    write_points(file, voxels.centres_m)
+    for some in voxels.batches():
+        write_points(file, some.centres_m)
 
 
 def write_points(

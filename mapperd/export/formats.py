@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-from mapperd.errors import ExportError, MapError
+from mapperd.errors import ExportError
 from mapperd.export.calibration import Calibration
 from mapperd.export.cells import Heights, known_cells, top_cells, top_voxels
 from mapperd.export.clouds import write_pcd, write_ply, write_xyz
@@ -14,7 +14,8 @@ from mapperd.export.grids import nav2_yaml, write_ascii_grid, write_pgm
 from mapperd.export.las import write_las
 from mapperd.geometry.geodesy import Origin, local_projection, utm_zone
 from mapperd.io import atomic_file
-from mapperd.mapping.sonar_map import SonarMap, Voxels
+from mapperd.mapping.content import MapContent, VoxelCloud
+from mapperd.mapping.sonar_map import SonarMap
 
 __all__ = ["FORMATS", "PROBABILITY_FORMATS", "check_calibration", "crs_of", "write_map"]
 
@@ -27,14 +28,14 @@ class _Asked:
     origin: Origin | None
     calibration: Calibration | None
 
-    def occupied(self, sonar_map: SonarMap) -> Voxels:
+    def occupied(self, sonar_map: MapContent) -> VoxelCloud:
         """The occupied voxels, with the probabilities that are asked for."""
-        voxels = sonar_map.voxels("occupied")
+        voxels = sonar_map.occupied()
         return voxels if self.calibration is None else self.calibration.of(voxels)
 
 
 def write_map(
-    sonar_map: SonarMap,
+    sonar_map: MapContent,
     path: Path,
     heights: Heights = ALL,
     origin: Origin | None = None,
@@ -43,7 +44,7 @@ def write_map(
     """Write one state of a map, whole or not at all, while pings may go on changing it.
 
     Args:
-        sonar_map: in memory as a whole.
+        sonar_map: in memory as a whole, or read from its file.
         path: its suffix is one of `FORMATS`.
         heights: what the flat formats, `.asc`, `.tif` and `.pgm`, look at.
         origin: geographic position of the map's origin; None if unknown.
@@ -61,8 +62,8 @@ def write_map(
     if write is None:
         raise ExportError(f"{path.name}: unknown format; known suffixes: {' '.join(FORMATS)}")
     check_calibration(path, calibration)
-    if sonar_map.core.is_in_tiles:
-        raise MapError("the map is in tiles: read it from its file", "in_tiles")
+    if isinstance(sonar_map, SonarMap):
+        sonar_map.check_whole()
     return write(sonar_map, path, _Asked(heights, origin, calibration))
 
 
@@ -95,62 +96,59 @@ def crs_of(path: Path, origin: Origin | None) -> str | None:
 _PROJECTIONS = MappingProxyType({".las": utm_zone, ".laz": utm_zone, ".tif": local_projection})
 
 
-def _map(sonar_map: SonarMap, path: Path, _: _Asked) -> list[Path]:
+def _map(sonar_map: MapContent, path: Path, _: _Asked) -> list[Path]:
     sonar_map.save(path)
     return [path]
 
 
-def _bt(sonar_map: SonarMap, path: Path, _: _Asked) -> list[Path]:
-    return _bytes(sonar_map.octomap_bt(), path)
+def _octomap(sonar_map: MapContent, path: Path, _: _Asked) -> list[Path]:
+    sonar_map.save_octomap(path)
+    return [path]
 
 
-def _ot(sonar_map: SonarMap, path: Path, _: _Asked) -> list[Path]:
-    return _bytes(sonar_map.octomap_ot(), path)
-
-
-def _ply(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
+def _ply(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
     occupied = asked.occupied(sonar_map)
     with atomic_file(path) as file:
         write_ply(file, occupied, sonar_map.resolution_m)
     return [path]
 
 
-def _pcd(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
+def _pcd(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
     occupied = asked.occupied(sonar_map)
     with atomic_file(path) as file:
         write_pcd(file, occupied, sonar_map.resolution_m)
     return [path]
 
 
-def _xyz(sonar_map: SonarMap, path: Path, _: _Asked) -> list[Path]:
-    occupied = sonar_map.voxels("occupied")
+def _xyz(sonar_map: MapContent, path: Path, _: _Asked) -> list[Path]:
+    occupied = sonar_map.occupied()
     with atomic_file(path) as file:
         write_xyz(file, occupied)
     return [path]
 
 
-def _asc(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
+def _asc(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
     tops = top_cells(sonar_map, asked.heights)
     with atomic_file(path) as file:
         write_ascii_grid(file, tops, sonar_map.resolution_m)
     return [path]
 
 
-def _las(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
+def _las(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
     occupied = asked.occupied(sonar_map)
     with atomic_file(path) as file:
         write_las(file, occupied, asked.origin, packed=path.suffix == ".laz")
     return [path]
 
 
-def _tif(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
+def _tif(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
     tops = top_voxels(sonar_map, asked.heights)
     with atomic_file(path) as file:
         write_geotiff(file, tops, sonar_map.resolution_m, asked.origin)
     return [path]
 
 
-def _pgm(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
+def _pgm(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
     """Both files are written before either takes its place."""
     cells = known_cells(sonar_map, asked.heights)
     beside = path.with_suffix(".yaml")
@@ -161,19 +159,13 @@ def _pgm(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
     return [path, beside]
 
 
-def _bytes(data: bytes, path: Path) -> list[Path]:
-    with atomic_file(path) as file:
-        file.write(data)
-    return [path]
-
-
 PROBABILITY_FORMATS = (".ply", ".pcd", ".las", ".laz")
 """Formats with a probability per voxel that are not read back as maps."""
 
-FORMATS: Mapping[str, Callable[[SonarMap, Path, _Asked], list[Path]]] = MappingProxyType(
+FORMATS: Mapping[str, Callable[[MapContent, Path, _Asked], list[Path]]] = MappingProxyType(
     {
-        ".bt": _bt,
-        ".ot": _ot,
+        ".bt": _octomap,
+        ".ot": _octomap,
         ".ply": _ply,
         ".pcd": _pcd,
         ".xyz": _xyz,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.errors import ExportError, missing_extra
-from mapperd.export.cells import Tops
+from mapperd.export.cells import NO_TOP, Tops
 from mapperd.geometry.geodesy import Origin, TransverseMercator, local_projection
 
 __all__ = ["NO_DATA", "Band", "GridPlace", "write_geotiff", "write_tiles"]
@@ -87,10 +87,10 @@ def write_geotiff(
     write = _library()
     if tops is None:
         raise ExportError("no occupied voxel: there is no surface to write")
-    window, known = tops.window, tops.rows >= 0
+    window, known = tops.window, tops.z != NO_TOP
     values = np.full((2, *known.shape), NO_DATA, dtype=np.float32)
-    values[0][known] = tops.voxels.centres_m[tops.rows[known], 2]
-    values[1][known] = tops.voxels.count[tops.rows[known]]
+    values[0][known] = (tops.z[known] + 0.5) * resolution_m
+    values[1][known] = tops.count[known]
     place = GridPlace(
         window.x * resolution_m,
         (window.y + window.height) * resolution_m,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mapperd.errors import ExportError, missing_extra
 from mapperd.geometry.geodesy import Origin, utm_zone
+from mapperd.mapping.content import VoxelCloud
 from mapperd.mapping.sonar_map import Voxels
 
 __all__ = ["STEP_M", "las_cloud", "write_las"]
@@ -28,7 +29,7 @@ INTENSITY_AT_1 = 65535
 Floats = NDArray[np.float64]
 
 
-def write_las(file: BinaryIO, voxels: Voxels, origin: Origin | None, *, packed: bool) -> None:
+def write_las(file: BinaryIO, voxels: VoxelCloud, origin: Origin | None, *, packed: bool) -> None:
     """Write voxel centres with `intensity` (the probability, 65535 is 1), probability and count.
 
     Args:
@@ -41,10 +42,9 @@ def write_las(file: BinaryIO, voxels: Voxels, origin: Origin | None, *, packed: 
     Raises:
         ExportError: the library is not there, or the map is too wide for the format.
     """
-    bounds_m = voxels.centres_m if len(voxels) else np.zeros((1, 3))
-    box_m = np.stack([bounds_m.min(axis=0), bounds_m.max(axis=0)])
-    with las_cloud(file, box_m, origin, packed=packed) as add:
-        add(voxels)
+    with las_cloud(file, voxels.box_m, origin, packed=packed) as add:
+        for some in voxels.batches():
+            add(some)
 
 
 @contextlib.contextmanager

@@ -4,15 +4,19 @@ matplotlib belongs to the extra `topside`; it is imported only when a picture is
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mapperd.mapping.content import VoxelCloud
 from mapperd.mapping.sonar_map import Voxels
 
 __all__ = ["MAX_PIXELS", "View", "can_draw", "project", "write_picture"]
+
+Floats = NDArray[np.float64]
 
 MAX_PIXELS = 1500
 """Along one side of a view; a longer map gets several voxels to the pixel."""
@@ -31,28 +35,59 @@ class View:
     extent_m: tuple[float, float, float, float]
 
 
-def project(centres_m: NDArray[np.float64], resolution_m: float, across: int, up: int) -> View:
+def project(
+    voxels: VoxelCloud, resolution_m: float, planes: Sequence[tuple[int, int]]
+) -> list[View]:
     """Project voxels so that each is drawn as a square of its true size.
 
     Args:
-        centres_m: (N, 3) voxel centres, N at least 1.
+        voxels: at least 1; they are read once.
         resolution_m: voxel edge.
-        across: axis (0, 1, 2) that runs to the right.
-        up: axis that runs upwards.
+        planes: for each view the axes (0, 1, 2) that run to the right and upwards.
     """
-    plane = centres_m[:, [across, up]]
-    low = plane.min(axis=0) - resolution_m / 2
-    cells = np.floor((plane - low) / resolution_m).astype(np.int64)
-    scale = 1 + cells.max(axis=0) // MAX_PIXELS  # each axis alone: a long map may be thin
-    columns, rows = (cells // scale).T
-    width, height = int(columns.max()) + 1, int(rows.max()) + 1
-    grid = np.full(width * height, -np.inf)
-    np.maximum.at(grid, rows * width + columns, centres_m[:, 2])
-    grid[np.isneginf(grid)] = np.nan
-    left, bottom = (float(edge) for edge in low)
-    pixel_m = scale * resolution_m
-    right, top = left + width * float(pixel_m[0]), bottom + height * float(pixel_m[1])
-    return View(grid.reshape(height, width), (left, right, bottom, top))
+    pixels = [_Pixels(voxels.box_m[:, plane], resolution_m, plane) for plane in planes]
+    for some in voxels.batches():
+        for one in pixels:
+            one.add(some)
+    return [one.view() for one in pixels]
+
+
+class _Pixels:
+    """Pixels of one view.
+
+    Args:
+        box_m: (2, 2) lowest and highest centre, along the axes of the plane.
+        resolution_m: voxel edge.
+        plane: axes that run to the right and upwards.
+    """
+
+    def __init__(self, box_m: Floats, resolution_m: float, plane: tuple[int, int]) -> None:
+        self._low_m = box_m[0] - resolution_m / 2
+        self._resolution_m = resolution_m
+        self._plane = list(plane)
+        most = self._cells(box_m[1])
+        self._scale = 1 + most // MAX_PIXELS  # each axis alone: a long map may be thin
+        width, height = (most // self._scale + 1).tolist()
+        self._grid = np.full((height, width), -np.inf)
+
+    def add(self, voxels: Voxels) -> None:
+        """Add voxels."""
+        cells = self._cells(voxels.centres_m[:, self._plane])
+        columns, rows = (cells // self._scale).T
+        np.maximum.at(self._grid, (rows, columns), voxels.centres_m[:, 2])
+
+    def view(self) -> View:
+        """Return the view of all voxels."""
+        height, width = self._grid.shape
+        left, bottom = (float(edge) for edge in self._low_m)
+        pixel_m = self._scale * self._resolution_m
+        right, top = left + width * float(pixel_m[0]), bottom + height * float(pixel_m[1])
+        grid = np.where(np.isneginf(self._grid), np.nan, self._grid)
+        return View(grid, (left, right, bottom, top))
+
+    def _cells(self, places_m: Floats) -> NDArray[np.int64]:
+        cells = np.floor((places_m - self._low_m) / self._resolution_m)
+        return np.asarray(cells, dtype=np.int64)
 
 
 PAPER, INK, WATER = "#ffffff", "#1b2733", "#eef2f5"
@@ -73,7 +108,7 @@ def can_draw() -> bool:
     return True
 
 
-def write_picture(file: BinaryIO, voxels: Voxels, resolution_m: float, title: str) -> None:
+def write_picture(file: BinaryIO, voxels: VoxelCloud, resolution_m: float, title: str) -> None:
     """Draw the occupied voxels as a PNG.
 
     Args:
@@ -95,8 +130,8 @@ def write_picture(file: BinaryIO, voxels: Voxels, resolution_m: float, title: st
     figure.savefig(file, format="png")
 
 
-def _draw_views(figure: Any, voxels: Voxels, resolution_m: float) -> None:  # noqa: ANN401 untyped
-    low, high = voxels.centres_m.min(axis=0), voxels.centres_m.max(axis=0)
+def _draw_views(figure: Any, voxels: VoxelCloud, resolution_m: float) -> None:  # noqa: ANN401 untyped
+    low, high = voxels.box_m
     east, north, up = (float(edge) for edge in high - low + resolution_m)
     grid = figure.add_gridspec(
         2,
@@ -116,9 +151,11 @@ def _draw_views(figure: Any, voxels: Voxels, resolution_m: float) -> None:  # no
         (grid[1, 0], "side view, looking north", 0, 2),
         (grid[1, 1], "front view, looking west", 1, 2),
     )
-    for place, label, across, upwards in views:
+    planes = [(across, upwards) for _, _, across, upwards in views]
+    projected = project(voxels, resolution_m, planes)
+    for (place, label, across, upwards), view in zip(views, projected, strict=True):
         axes = figure.add_subplot(place, facecolor=WATER)
-        image = _draw_view(axes, voxels, resolution_m, (across, upwards), heights)
+        image = _draw_view(axes, view, (across, upwards), heights)
         stretch = _stretch(axes)
         axes.set_aspect(stretch)
         stretched = f"; {'xyz'[upwards]} drawn times {stretch:g}" if stretch > 1 else ""
@@ -130,14 +167,12 @@ def _draw_views(figure: Any, voxels: Voxels, resolution_m: float) -> None:  # no
 
 def _draw_view(
     axes: Any,  # noqa: ANN401 matplotlib has no types
-    voxels: Voxels,
-    resolution_m: float,
+    view: View,
     plane: tuple[int, int],
     heights_m: tuple[float, float],
 ) -> Any:  # noqa: ANN401
     """Draw the voxels as true-size squares; returns the image for the colour bar."""
     names = ("x east [m]", "y north [m]", "z up [m]")
-    view = project(voxels.centres_m, resolution_m, *plane)
     image = axes.imshow(
         view.height_m,
         origin="lower",

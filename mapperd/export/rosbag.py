@@ -21,7 +21,7 @@ from mapperd.errors import ExportError, missing_extra
 from mapperd.export.cells import FREE, OCCUPIED, UNKNOWN, GridLayer, Heights, known_cells
 from mapperd.export.clouds import POINT
 from mapperd.geometry.frames import Pose, quaternion_to_matrix
-from mapperd.mapping.sonar_map import SonarMap, Voxels
+from mapperd.mapping.content import MapContent, VoxelCloud
 from mapperd.odometry.fusion import FusedPose
 
 __all__ = ["GRID_TOPIC", "Bag", "Messages", "Storage", "Turned", "open_bag"]
@@ -117,13 +117,17 @@ class Messages:
             ],
         )
 
-    def cloud(self, stamp_ns: int, frame: str, voxels: Voxels) -> Any:  # noqa: ANN401
+    def cloud(self, stamp_ns: int, frame: str, voxels: VoxelCloud) -> Any:  # noqa: ANN401
         """sensor_msgs/PointCloud2: voxel centres, `intensity` is the probability, and `count`."""
         points = np.empty(len(voxels), POINT)
-        for axis, name in enumerate("xyz"):
-            points[name] = voxels.centres_m[:, axis]
-        points["intensity"] = voxels.probability
-        points["count"] = voxels.count
+        begin = 0
+        for some in voxels.batches():
+            part = points[begin : begin + len(some)]
+            for axis, name in enumerate("xyz"):
+                part[name] = some.centres_m[:, axis]
+            part["intensity"] = some.probability
+            part["count"] = some.count
+            begin += len(some)
         fields = [
             self._of(
                 "sensor_msgs/msg/PointField",
@@ -243,13 +247,13 @@ class Bag:
         message = self._messages.transforms(stamp_ns, turned)
         self._write("/tf_static" if static else "/tf", stamp_ns, message, keep=static)
 
-    def cloud(self, stamp_ns: int, sonar_map: SonarMap) -> None:
+    def cloud(self, stamp_ns: int, sonar_map: MapContent) -> None:
         """The occupied voxels."""
-        voxels = sonar_map.voxels("occupied")
+        voxels = sonar_map.occupied()
         message = self._messages.cloud(stamp_ns, self.config.frames.map, voxels)
         self._write(self.config.topics.pointcloud, stamp_ns, message, keep=True)
 
-    def grid(self, stamp_ns: int, sonar_map: SonarMap) -> None:
+    def grid(self, stamp_ns: int, sonar_map: MapContent) -> None:
         """The map from above, between the heights of the settings; nothing of an empty one.
 
         Raises:

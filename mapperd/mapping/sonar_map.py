@@ -3,10 +3,11 @@
 import hashlib
 import math
 import struct
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from mapperd.errors import ConfigError, MapError
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.geometry.motion import PingMotion
 from mapperd.imaging.ping_image import PingImage
+from mapperd.io import atomic_file
 from mapperd.mapping.core_args import check_size, fan_arguments, load_map, refusals, save_map
 
 __all__ = [
@@ -26,6 +28,7 @@ __all__ = [
     "PingStats",
     "SonarMap",
     "Voxels",
+    "fingerprint",
     "iwlo_params",
     "mounting",
 ]
@@ -68,6 +71,16 @@ class Voxels:
 
     def __len__(self) -> int:
         return len(self.count)
+
+    @property
+    def box_m(self) -> Floats:
+        """(2, 3) float64, lowest and highest centre; zeros without voxels."""
+        centres_m = self.centres_m if len(self) else np.zeros((1, 3))
+        return np.stack([centres_m.min(axis=0), centres_m.max(axis=0)])
+
+    def batches(self) -> Iterator[Self]:
+        """Yield all of them at once."""
+        yield self
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,6 +227,10 @@ class SonarMap:
         probability = 1 / (1 + np.exp(-log_odds.astype(np.float64)))
         return Voxels(centres, probability.astype(np.float32), count)
 
+    def occupied(self) -> Voxels:
+        """Return the occupied voxels."""
+        return self.voxels("occupied")
+
     def counts(self) -> MapCounts:
         """Observed voxels by class."""
         return MapCounts(*self._map.class_counts(self._occupied_log_odds, self._free_log_odds))
@@ -229,20 +246,21 @@ class SonarMap:
         Raises:
             MapError: the map is in tiles (`in_tiles`), as are the files below.
         """
-        self._check_whole()
-        digest = hashlib.sha256(b"mapperd map\0")
-        digest.update(struct.pack("<Id", HASH_VERSION, self.resolution_m))
+        self.check_whole()
+        return fingerprint([self._map], self.resolution_m)
 
-        def add(
-            keys: NDArray[np.int32], units: NDArray[np.int32], count: NDArray[np.uint16]
-        ) -> None:
-            for i in np.flatnonzero((count > 0).any(axis=1)):
-                known = np.where(count[i] > 0, units[i], 0)
-                for array, kind in ((keys[i], "<i4"), (known, "<i4"), (count[i], "<u2")):
-                    digest.update(np.ascontiguousarray(array, dtype=kind).data)
+    def parts(self) -> Iterator[_core.VoxelMap]:
+        """Yield a copy of the map, for what takes long to read."""
+        self.check_whole()
+        yield self._map.with_rule(iwlo_params(self.config))
 
-        self._map.visit_blocks(add, BLOCKS_AT_ONCE)
-        return digest.hexdigest()
+    @property
+    def bricks_lost(self) -> int:
+        """Always 0: damage is found in files."""
+        return 0
+
+    def close(self) -> None:
+        """Do nothing: there is no file."""
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the map into a file, without loss, whole or not at all; `.map` is customary.
@@ -252,7 +270,7 @@ class SonarMap:
         Raises:
             ExportError: the file cannot be written.
         """
-        self._check_whole()
+        self.check_whole()
         save_map(self._map, Path(path))
 
     def load(self, path: str | PathLike[str]) -> None:
@@ -262,8 +280,19 @@ class SonarMap:
             MapError: the file cannot be read, is damaged, or was saved with another resolution,
                 other clamps or another learning rate. The map is as before.
         """
-        self._check_whole()
+        self.check_whole()
         load_map(self._map, Path(path))
+
+    def save_octomap(self, path: Path) -> None:
+        """Write OctoMap's tree: `.bt` with classes by the thresholds, `.ot` with log-odds.
+
+        Raises:
+            MapError: a voxel lies farther than `octomap_reach_m` from the origin.
+            ExportError: the file cannot be written.
+        """
+        data = self.octomap_bt() if path.suffix == ".bt" else self.octomap_ot()
+        with atomic_file(path) as file:
+            file.write(data)
 
     def octomap_bt(self) -> bytes:
         """The map as an OctoMap binary tree, classes by the thresholds of the settings.
@@ -271,7 +300,7 @@ class SonarMap:
         Raises:
             MapError: a voxel lies farther than `octomap_reach_m` from the origin.
         """
-        self._check_whole()
+        self.check_whole()
         try:
             return self._map.octomap_bt(self._occupied_log_odds, self._free_log_odds)
         except (ValueError, IndexError, OverflowError) as error:
@@ -283,7 +312,7 @@ class SonarMap:
         Raises:
             MapError: a voxel lies outside OctoMap's reach of 32768 voxels from the origin.
         """
-        self._check_whole()
+        self.check_whole()
         try:
             return self._map.octomap_ot()
         except IndexError as error:
@@ -300,7 +329,7 @@ class SonarMap:
             MapError: not a whole tree of this map's resolution, or one too large; the text states
                 what and at which byte. The map is as before.
         """
-        self._check_whole()
+        self.check_whole()
         try:
             self._map.load_octomap(data)
         except ValueError as error:
@@ -314,10 +343,35 @@ class SonarMap:
     def _free_log_odds(self) -> float:
         return _log_odds(self.config.mapping.free_threshold)
 
-    def _check_whole(self) -> None:
-        """Refuse to take a part for the whole; `mapperd.store.reader` has the whole."""
+    def check_whole(self) -> None:
+        """Refuse to take a part for the whole; `mapperd.store.stored_map` has the whole.
+
+        Raises:
+            MapError: the map is in tiles (`in_tiles`).
+        """
         if self._map.is_in_tiles:
             raise MapError("the map is in tiles: read it from its file", "in_tiles")
+
+
+def fingerprint(parts: Iterable[_core.VoxelMap], resolution_m: float) -> str:
+    """Return `SonarMap.sha256` of a map.
+
+    Args:
+        parts: of the map, in its fixed order, without common blocks.
+        resolution_m: edge of a voxel.
+    """
+    digest = hashlib.sha256(b"mapperd map\0")
+    digest.update(struct.pack("<Id", HASH_VERSION, resolution_m))
+
+    def add(keys: NDArray[np.int32], units: NDArray[np.int32], count: NDArray[np.uint16]) -> None:
+        for i in np.flatnonzero((count > 0).any(axis=1)):
+            known = np.where(count[i] > 0, units[i], 0)
+            for array, kind in ((keys[i], "<i4"), (known, "<i4"), (count[i], "<u2")):
+                digest.update(np.ascontiguousarray(array, dtype=kind).data)
+
+    for part in parts:
+        part.visit_blocks(add, BLOCKS_AT_ONCE)
+    return digest.hexdigest()
 
 
 def iwlo_params(config: Config) -> _core.IwloParams:

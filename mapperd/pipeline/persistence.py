@@ -1,9 +1,10 @@
 """Interface of the map's persistence, and the one that keeps the map in memory only."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from mapperd.localization.session import LocalizationSession
+from mapperd.mapping.content import MapContent
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.decoder import SessionDecoder, Work
 from mapperd.pipeline.watchdog import Worker
@@ -12,19 +13,7 @@ from mapperd.store.position import RecordingOffsets
 if TYPE_CHECKING:
     from mapperd.store.tile_store import TileStore
 
-__all__ = ["MapPersistence", "MemoryPersistence", "WholeMap"]
-
-
-class WholeMap(NamedTuple):
-    """A whole map in memory.
-
-    Attributes:
-        sonar_map: the map.
-        bricks_lost: bricks of the map file that are damaged: their space is unknown in the map.
-    """
-
-    sonar_map: SonarMap
-    bricks_lost: int = 0
+__all__ = ["MapPersistence", "MemoryPersistence"]
 
 
 class MapPersistence(Protocol):
@@ -81,8 +70,8 @@ class MapPersistence(Protocol):
             StoreError: the file cannot be written.
         """
 
-    def whole(self) -> WholeMap:
-        """Return the whole map, as last saved, in memory. Blocks.
+    def whole(self) -> MapContent:
+        """Return the whole map, as last saved; the caller closes it. Blocks.
 
         Raises:
             StoreError: the file cannot be read.
@@ -136,9 +125,9 @@ class MemoryPersistence:
         """Return None: there is no file."""
         return None
 
-    def whole(self) -> WholeMap:
+    def whole(self) -> MapContent:
         """Return the map itself."""
-        return WholeMap(self._map)
+        return self._map
 
     def worker(self) -> Worker:
         """Return an idle worker."""

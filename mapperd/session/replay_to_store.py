@@ -22,7 +22,7 @@ from mapperd.session.replay import Run, Window
 from mapperd.session_log import SESSION
 from mapperd.store.maintenance import rebuild_lost
 from mapperd.store.position import Position, RecordingOffset, position_in
-from mapperd.store.reader import StoreReader
+from mapperd.store.stored_map import StoredMap
 from mapperd.store.tile_store import TileStore
 from oculus_driver.recording import open_recording
 
@@ -39,7 +39,7 @@ def map_into_store(
     on_chunk: Callable[[PipelineCounters], None] = lambda _: None,
     *,
     damaged: DamagedData | None = None,
-) -> tuple[SonarMap, FixedPose | OdometryPoses, PipelineCounters]:
+) -> tuple[StoredMap, FixedPose | OdometryPoses, PipelineCounters]:
     """Map a recording into a file, from its resume point; the file keeps its other content.
 
     Args:
@@ -51,7 +51,7 @@ def map_into_store(
         damaged: data that fail their checksum; by default they are not mapped.
 
     Returns:
-        the whole map in memory, the poses, and the counters of this run.
+        the whole map, which the caller closes, the poses, and the counters of this run.
 
     Raises:
         ReplayError: the file holds a part of another recording, or of this one with other settings.
@@ -86,11 +86,10 @@ def map_into_store(
             for _ in map_rest(stored, poses, tail, None, confirm=confirm, counters=counters):
                 on_chunk(counters)
     _rebuild(path, paths, config, pose, damaged)
-    whole = SonarMap(config)
-    with StoreReader(path) as reader:
-        lost = reader.load(whole).lost
-    if lost:
-        text = f"{path}: {len(lost)} bricks are damaged, and this recording does not restore them"
+    whole = StoredMap(path, config)
+    if lost := whole.bricks_lost:
+        whole.close()
+        text = f"{path}: {lost} bricks are damaged, and this recording does not restore them"
         raise StoreError(text, "bricks_lost")
     return whole, poses, counters
 

@@ -20,12 +20,11 @@ from mapperd.errors import StoreError
 from mapperd.localization.session import LocalizationSession, saved_state
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.decoder import SessionDecoder, Work
-from mapperd.pipeline.persistence import WholeMap
 from mapperd.pipeline.pose_lookup import FixedPose, origin_of
 from mapperd.pipeline.watchdog import Worker
 from mapperd.store.checkpoint import encode_state
 from mapperd.store.position import Position, RecordingOffset, RecordingOffsets
-from mapperd.store.reader import StoreReader
+from mapperd.store.stored_map import StoredMap
 from mapperd.store.tile_store import TileStore
 from mapperd.store.transfer import Snapshot
 
@@ -224,21 +223,23 @@ class SqlitePersistence:
                 self.store.write(self._request_snapshot())
             return self.store.bytes_written - before
 
-    def whole(self) -> WholeMap:
-        """Return the whole map, as last saved, in memory; after the end, what is unsaved as well.
+    def whole(self) -> StoredMap:
+        """Return the whole map, as last saved; after the end, with what could not be saved.
+
+        The caller closes it.
 
         Raises:
             StoreError: the file cannot be read.
         """
-        whole = SonarMap(self._map.config)
-        with StoreReader(self.store.path) as reader:
-            lost = reader.load(whole).lost
-        self.store.suspect(lost)
-        if self._loss is not None:
-            unsaved = self.store.unsaved()
-            whole.core.put_bricks([(key, brick) for key, _, brick in unsaved])
-            lost -= {key for key, _, _ in unsaved} - self._lost_before  # they are in this map
-        return WholeMap(whole, len(lost))
+        unsaved = [] if self._loss is None else self.store.unsaved()
+        whole = StoredMap(
+            self.store.path,
+            self._map.config,
+            unsaved={key: brick for key, _, brick in unsaved},
+            incomplete=self._lost_before,
+        )
+        self.store.suspect(whole.lost)
+        return whole
 
     def worker(self) -> Worker:
         """Return the progress of the saving thread for the watchdog."""

@@ -13,9 +13,11 @@ from mapperd.config.changes import with_values
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, MapError
 from mapperd.geometry.geodesy import Origin
+from mapperd.mapping.content import MapContent
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.position import position_in
 from mapperd.store.reader import StoreReader
+from mapperd.store.stored_map import StoredMap
 
 __all__ = ["SourcedMap", "holds_map", "map_in"]
 
@@ -34,12 +36,12 @@ class SourcedMap:
     """A map as its file has it.
 
     Attributes:
-        map: in memory as a whole, with the settings that its voxels came about by.
+        map: with the settings that its voxels came about by; the caller closes it.
         origin: geographic position of the map's origin, if the file has one.
         bricks_lost: damaged bricks, whose space is unknown in the map.
     """
 
-    map: SonarMap
+    map: MapContent
     origin: Origin | None
     bricks_lost: int = 0
 
@@ -116,17 +118,18 @@ def _stored(
     path: Path, config: Config, values: Mapping[str, Any], *, allow_damaged: bool
 ) -> SourcedMap:
     with StoreReader(path) as reader:
-        sonar_map = SonarMap(_settings(path, config, reader.kind(), values))
-        loaded = reader.load(sonar_map)
-    lost = len(loaded.lost)
+        kind = reader.kind()
+    stored = StoredMap(path, _settings(path, config, kind, values))
+    lost = stored.bricks_lost
     if lost and not allow_damaged:
+        stored.close()
         raise MapError(
             f"{path}: {lost} bricks of it are damaged; holes would look like water", "bricks_lost"
         )
-    position = position_in(loaded.position)
+    position = position_in(stored.position)
     if position is None or position.origin_deg is None:
-        return SourcedMap(sonar_map, None, lost)
-    return SourcedMap(sonar_map, Origin.of_degrees(*position.origin_deg), lost)
+        return SourcedMap(stored, None, lost)
+    return SourcedMap(stored, Origin.of_degrees(*position.origin_deg), lost)
 
 
 def _kind_of_map(path: Path, begin: bytes) -> dict[str, Any]:

@@ -15,11 +15,13 @@ from mapperd import _core
 
 __all__ = [
     "COLUMNS",
+    "LAYERS",
     "BrickRow",
     "DamagedBrickError",
     "Key",
     "ResidentTiles",
     "check_row",
+    "layer_of",
     "pack",
     "rows_of",
     "rows_of_tile",
@@ -36,6 +38,14 @@ MAX_BYTES = 1 + (_core.BRICK_VOXELS // _core.BLOCK_EDGE) ** 3 * (
 )
 """Of a brick with every voxel observed, in the largest form that was ever written: form 2 of
 cpp/map/include/mapperd/map/block_codec.hpp. Forms 3 to 5 are smaller."""
+
+LAYERS = _core.BRICK_VOXELS // _core.BLOCK_EDGE
+"""Layers of blocks in a brick."""
+
+BLOCK_HEADER_BYTES = 1 + 8
+"""Place in the brick, and revision."""
+
+CELL_VOXELS = 64
 
 COLUMNS = "x, y, z, revision, size, crc, data"
 
@@ -98,6 +108,47 @@ def unpack(decompressor: zstandard.ZstdDecompressor, row: BrickRow) -> bytes:
     if len(brick) != row.size:
         raise DamagedBrickError("shorter than its header states")
     return brick
+
+
+def layer_of(brick: bytes, layer: int) -> bytes:
+    """Return a brick's bytes with its blocks of one layer only.
+
+    Args:
+        brick: as the core encodes it, see cpp/map/include/mapperd/map/brick.hpp.
+        layer: place of the blocks along x, below `LAYERS`.
+
+    Raises:
+        ValueError: the bytes are not a brick's.
+    """
+    kept = [b""]
+    at = 1
+    for _ in range(brick[0]):
+        end = at + BLOCK_HEADER_BYTES + _block_bytes(brick, at + BLOCK_HEADER_BYTES)
+        if end > len(brick):
+            raise ValueError("a brick that ends too early")
+        if brick[at] % LAYERS == layer:
+            kept.append(brick[at:end])
+        at = end
+    return bytes([len(kept) - 1]) + b"".join(kept)
+
+
+def _block_bytes(brick: bytes, at: int) -> int:
+    """Length of a block's voxels; see cpp/map/include/mapperd/map/block_codec.hpp."""
+    voxels = _core.BLOCK_EDGE**3
+    match brick[at : at + 1]:
+        case b"\1":
+            return 7
+        case b"\2":
+            observed = int.from_bytes(brick[at + 1 : at + 1 + voxels // 8], "little")
+            return 1 + voxels // 8 + 6 * observed.bit_count()
+        case b"\3":
+            return 6
+        case b"\4" | b"\5":
+            alike = int.from_bytes(brick[at + 2 : at + 10], "little").bit_count()
+            mixed = int.from_bytes(brick[at + 10 : at + 18], "little").bit_count()
+            return 18 + 4 * alike + CELL_VOXELS * (2 + brick[at] - 3) * mixed
+        case _:
+            raise ValueError("a block in a form that this version does not know")
 
 
 def rows_of_tile(connection: sqlite3.Connection, tile: Key, edge: int) -> Iterator[BrickRow]:

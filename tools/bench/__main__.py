@@ -11,6 +11,7 @@ BENCHMARKS = {
     "image-filters": "bench.image_filters",
     "integrators": "bench.integrators",
     "localization": "bench.localization",
+    "map-size": "bench.map_size",
     "odometry-cost": "bench.odometry_cost",
     "open-water": "bench.open_water",
     "ping-motion": "bench.ping_motion",

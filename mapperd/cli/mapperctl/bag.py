@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -48,9 +49,9 @@ def bag_of_map(
     """
     found = map_in(source, config, values, allow_damaged=allow_damaged)
     stamp_ns = source.stat().st_mtime_ns
-    with open_bag(path, found.map.config, storage) as bag:
-        bag.cloud(stamp_ns, found.map)
-        bag.grid(stamp_ns, found.map)
+    with closing(found.map) as whole, open_bag(path, whole.config, storage) as bag:
+        bag.cloud(stamp_ns, whole)
+        bag.grid(stamp_ns, whole)
     if found.bricks_lost:
         yield missing(found.bricks_lost)
     yield from _report(path, bag)

@@ -11,7 +11,7 @@ from mapperd.export.calibration import Calibration
 from mapperd.export.cells import Heights
 from mapperd.export.formats import FORMATS, crs_of, write_map
 from mapperd.geometry.geodesy import Origin
-from mapperd.mapping.sonar_map import SonarMap
+from mapperd.mapping.content import MapContent
 
 __all__ = ["MapOutput", "check_suffix", "make_files", "missing", "origin_among"]
 
@@ -65,7 +65,7 @@ def check_suffix(path: Path, others: tuple[str, ...] = ()) -> None:
 
 
 def make_files(
-    sonar_map: SonarMap,
+    sonar_map: MapContent,
     path: Path,
     origin: Origin | None,
     calibration: Calibration | None = None,

@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -48,11 +49,11 @@ def convert(
     check_suffix(path)
     check_calibration(path, calibration)
     found = map_in(source, config, values, allow_damaged=allow_damaged)
-    counts = found.map.counts()
-    edge_m = found.map.resolution_m
-    yield f"{source}: {counts.occupied} occupied, {counts.free} free voxels of {edge_m:g} m"
-    place = origin_among(origin, found.origin, config)
-    made = make_files(found.map, path, place, calibration, bricks_lost=found.bricks_lost)
+    with closing(found.map) as whole:
+        counts, edge_m = whole.counts(), whole.resolution_m
+        yield f"{source}: {counts.occupied} occupied, {counts.free} free voxels of {edge_m:g} m"
+        place = origin_among(origin, found.origin, config)
+        made = make_files(whole, path, place, calibration, bricks_lost=found.bricks_lost)
     yield from made.lines()
 
 

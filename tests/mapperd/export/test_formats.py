@@ -3,6 +3,7 @@
 import re
 import subprocess
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from mapperd.errors import ExportError, MapError
 from mapperd.export.formats import FORMATS, write_map
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.store.reader import StoreReader
+from mapperd.store.stored_map import StoredMap
 from mapperd.store.tile_store import TileStore
 from tests.support.maps import COARSE
 
@@ -78,10 +79,8 @@ def test_map_in_tiles_is_refused_and_read_from_its_file(
             write_map(tiled, tmp_path / f"harbour{suffix}")
         assert caught.value.reason == "in_tiles"
         store.save()
-        whole = SonarMap(COARSE)
-        with StoreReader(tmp_path / "dive.map") as reader:
-            reader.load(whole)
-        write_map(whole, tmp_path / f"stored{suffix}")
+        with closing(StoredMap(tmp_path / "dive.map", COARSE)) as stored:
+            write_map(stored, tmp_path / f"stored{suffix}")
     write_map(sonar_map, tmp_path / f"harbour{suffix}")
     written = (tmp_path / f"stored{suffix}").read_bytes()
     assert written == (tmp_path / f"harbour{suffix}").read_bytes()

@@ -43,9 +43,8 @@ def test_any_map_is_a_picture(centres: np.ndarray, resolution_m: float) -> None:
 
 
 def test_highest_voxel_colours_the_pixel() -> None:
-    view = project(
-        np.array([[0.05, 0.05, 1.05], [0.05, 0.05, 3.05], [0.25, 0.05, 2.05]]), 0.1, 0, 1
-    )
+    centres = np.array([[0.05, 0.05, 1.05], [0.05, 0.05, 3.05], [0.25, 0.05, 2.05]])
+    [view] = project(cloud(centres), 0.1, [(0, 1)])
     assert view.height_m.shape == (1, 3)
     assert view.height_m[0, 0] == 3.05
     assert np.isnan(view.height_m[0, 1])
@@ -56,14 +55,14 @@ def test_highest_voxel_colours_the_pixel() -> None:
 def test_every_voxel_falls_on_a_pixel_of_its_own() -> None:
     axis = np.arange(50) * 0.05 + 0.025 - 1e4
     centres = np.stack(np.meshgrid(axis, axis, [0.0]), axis=-1).reshape(-1, 3)
-    view = project(centres, 0.05, 0, 1)
+    [view] = project(cloud(centres), 0.05, [(0, 1)])
     assert view.height_m.shape == (50, 50)
     assert not np.isnan(view.height_m).any()
 
 
 def test_long_map_shares_pixels_along_its_length_only() -> None:
     centres = np.array([[x, y, 0.0] for x in range(10 * MAX_PIXELS) for y in (0.0, 5.0)])
-    view = project(centres, 1.0, 0, 1)
+    [view] = project(cloud(centres), 1.0, [(0, 1)])
     rows, columns = view.height_m.shape
     assert rows == 6
     assert columns <= MAX_PIXELS

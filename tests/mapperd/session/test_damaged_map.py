@@ -89,11 +89,11 @@ def test_without_recordings_every_start_and_every_result_names_what_is_missing(
         status = opening.persistence.status()
         assert status is not None
         assert status["bricks_lost"] == 1
-        whole, lost = opening.persistence.whole()
         opening.close()
-        assert lost == 1
+        whole = opening.persistence.whole()
+        assert whole.bricks_lost == 1
     summary = {
-        "store": {"path": str(path_of(config)), "bricks_lost": lost},
+        "store": {"path": str(path_of(config)), "bricks_lost": whole.bricks_lost},
         "pings_mapped": 3,
         "pings_total": 3,
         "pings_dropped": {},
@@ -104,7 +104,8 @@ def test_without_recordings_every_start_and_every_result_names_what_is_missing(
     }
     for name in ("map.bt", "map.ply"):
         (tmp_path / name).write_bytes(b"of an earlier run")
-    write_results(tmp_path, whole, summary)
+    with closing(whole):
+        write_results(tmp_path, whole, summary)
     assert (tmp_path / "summary.json").exists()
     assert not (tmp_path / "map.bt").exists()
     assert not (tmp_path / "map.ply").exists()

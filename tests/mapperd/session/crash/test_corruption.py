@@ -8,6 +8,7 @@ import os
 import random
 import shutil
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -116,13 +117,14 @@ def outcome(folder: Path) -> tuple[str, set[str]]:
     try:
         opened = open_map(config_of(folder), "new", events, {}, lambda: 1.0)
         try:
-            whole, lost = opened.persistence.whole()
+            with closing(opened.persistence.whole()) as whole:
+                sha256, lost = whole.sha256(), whole.bricks_lost
         finally:
             opened.close()
     except MapperdError as error:
         return "", {str(error)}
     stated = {event.code for event in events.since(0)[0]} & STATED
-    return whole.sha256(), stated | ({"lost"} if lost else set())
+    return sha256, stated | ({"lost"} if lost else set())
 
 
 def test_a_changed_byte_is_repaired_or_stated(scenes: Scenes) -> None:
