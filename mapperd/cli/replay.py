@@ -2,6 +2,7 @@
 
 import os
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,6 +19,7 @@ from mapperd.geometry.frames import Pose
 from mapperd.mapping.content import MapContent
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.persistence import MapPersistence, TilePersistence
 from mapperd.session.recordings import DamagedData, RecordedSession, files_in, sessions_of
 from mapperd.session.replay import (
     Run,
@@ -29,6 +31,8 @@ from mapperd.session.replay import (
     not_empty,
 )
 from mapperd.session.replay_to_store import map_into_store
+from mapperd.store.stored_map import StoredMap
+from mapperd.store.tile_store import TileStore
 from oculus_driver.errors import RecordingError
 
 __all__ = ["map_recordings", "unreadable"]
@@ -91,18 +95,46 @@ def map_recordings(
     ready()
     if arguments.store is not None:
         return _stored(sessions, sonar_map.config, arguments.pose, arguments.store)
-    return sonar_map, _mapped(runs, sonar_map, Window(arguments.start_s, arguments.duration_s))
+    window = Window(arguments.start_s, arguments.duration_s)
+    if sonar_map.config.outofcore.use:
+        return _mapped_on_disk(runs, sonar_map, window, arguments.out)
+    return sonar_map, _mapped(runs, sonar_map, window)
+
+
+def _mapped_on_disk(
+    runs: Sequence[Run], sonar_map: SonarMap, window: Window, folder: Path
+) -> tuple[MapContent, dict[str, Any]]:
+    """Map into a temporary file, of which at most `outofcore.cache_size` tiles are in memory."""
+    settings = sonar_map.config.outofcore
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".map-") as name:
+        path = Path(name) / "mapperd.map"
+        with TileStore(
+            path, sonar_map, tile_size_m=settings.tile_size, cache_tiles=settings.cache_size
+        ) as store:
+            summary = _replayed(runs, sonar_map, window, TilePersistence(store, sonar_map))
+        whole = StoredMap(path, sonar_map.config)  # stays readable without its name
+    return whole, summary(whole)
 
 
 def _mapped(runs: Sequence[Run], sonar_map: SonarMap, window: Window) -> dict[str, Any]:
-    """Run the replays, one after the other into one map; returns the summary."""
+    """Map in memory; return the summary."""
+    return _replayed(runs, sonar_map, window)(sonar_map)
+
+
+def _replayed(
+    runs: Sequence[Run],
+    sonar_map: SonarMap,
+    window: Window,
+    persistence: MapPersistence | None = None,
+) -> Callable[[MapContent], dict[str, Any]]:
+    """Run the replays, one after the other into one map; return what makes the summary of it."""
     counters = PipelineCounters()
     size_bytes = sum(run.session.size_bytes for run in runs)
     bar = ProgressBar(sys.stderr, time.perf_counter)
     began_s = time.perf_counter()
     done_bytes = 0
     for run in runs:
-        replay = run.replay(sonar_map, window, counters)
+        replay = run.replay(sonar_map, window, counters, persistence)
         for _ in replay.run(run.session):
             bar.show((done_bytes + run.session.bytes_read) / size_bytes, counters.pings_mapped)
         done_bytes += run.session.bytes_read
@@ -111,7 +143,7 @@ def _mapped(runs: Sequence[Run], sonar_map: SonarMap, window: Window) -> dict[st
     facts = recording_facts([run.session for run in runs])
     if runs[-1].localization is not None:
         facts |= localization_summary(runs[-1].localization.onboard.facts())
-    return summary_of(facts, sonar_map, runs[-1].poses, counters, wall_s)
+    return lambda whole: summary_of(facts, whole, runs[-1].poses, counters, wall_s)
 
 
 def _stored(

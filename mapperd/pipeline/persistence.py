@@ -13,7 +13,7 @@ from mapperd.store.position import RecordingOffsets
 if TYPE_CHECKING:
     from mapperd.store.tile_store import TileStore
 
-__all__ = ["MapPersistence", "MemoryPersistence"]
+__all__ = ["MapPersistence", "MemoryPersistence", "TilePersistence"]
 
 
 class MapPersistence(Protocol):
@@ -136,3 +136,24 @@ class MemoryPersistence:
     def status(self) -> dict[str, Any] | None:
         """Return None: there is no file."""
         return None
+
+
+class TilePersistence(MemoryPersistence):
+    """A map in tiles whose file is needed only while the program runs.
+
+    Args:
+        store: the file, open.
+        sonar_map: its map.
+    """
+
+    def __init__(self, store: "TileStore", sonar_map: SonarMap) -> None:
+        super().__init__(sonar_map)
+        self._tiles = store
+
+    def done(self, work: Work) -> None:  # noqa: ARG002 each may have changed the map
+        """Allow the tiles to leave memory as they are now."""
+        self._tiles.advance(b"")
+
+    def reset(self) -> None:
+        """Empty the map and its file."""
+        self._tiles.reset()

@@ -19,6 +19,7 @@ from mapperd.odometry.bridge import ENCODING_PREFIX
 from mapperd.pipeline.build import build_pipeline
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import PingStream, PosedPing, Work
+from mapperd.pipeline.persistence import MapPersistence
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.session.recordings import RecordedSession
 from mapperd.session_log import Remarks, Session, remarks_in, without_skipped
@@ -92,6 +93,7 @@ class Replay:
         remarks: of a session of the daemon, whose recorded decisions are then repeated.
         counters: to continue; new ones by default.
         localization: corrects the poses; None where it is off.
+        persistence: of the map; None keeps it in memory.
 
     Attributes:
         pipeline: that maps the recording.
@@ -109,6 +111,7 @@ class Replay:
         remarks: Remarks | None = None,
         counters: PipelineCounters | None = None,
         localization: LocalizationStage | None = None,
+        persistence: MapPersistence | None = None,
     ) -> None:
         self.on_posed: Callable[[PosedPing], None] = lambda _: None
         self._config = sonar_map.config
@@ -120,6 +123,7 @@ class Replay:
             sonar_map,
             poses,
             localization=localization,
+            persistence=persistence,
             remarks=remarks,
             confirm=confirm,
             within=self._is_within,
@@ -244,7 +248,11 @@ class Run:
         self.localization = localization
 
     def replay(
-        self, sonar_map: SonarMap, window: Window, counters: PipelineCounters | None = None
+        self,
+        sonar_map: SonarMap,
+        window: Window,
+        counters: PipelineCounters | None = None,
+        persistence: MapPersistence | None = None,
     ) -> Replay:
         """Return the replay into a map, which takes over the session's settings now."""
         sonar_map.reconfigure(self.config)
@@ -257,6 +265,7 @@ class Run:
             remarks=self.remarks,
             counters=counters,
             localization=None if localization is None else localization.onboard,
+            persistence=persistence,
         )
 
 

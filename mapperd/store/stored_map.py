@@ -39,8 +39,8 @@ from mapperd.store.tiles import (
 
 __all__ = ["StoredMap"]
 
-BRICKS_AT_ONCE = 64
-"""Bricks of a part that is in memory: with every voxel observed, they take 1 MB each."""
+BRICKS_AT_ONCE = 16
+"""Bricks of a part that is in memory: with lists of their voxels, they may take 10 MB each."""
 
 DECODED_AT_ONCE = 8
 """Bricks decoded before they are put into a part."""

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from mapperd.cli.mapperd import DaemonExit, main
+from mapperd.store.tile_store import TileStore
 
 Write = Callable[..., list[int]]
 Survey = Callable[..., list[Any]]
@@ -89,6 +90,35 @@ def test_two_runs_give_one_fingerprint_and_integrators_two(
     assert prints[0] == prints[1]
     assert prints[2][0] != prints[0][0]
     assert prints[2][1] == "rays"
+
+
+@pytest.mark.usefixtures("no_picture")
+def test_replay_with_the_map_on_disk_gives_the_same_results(
+    recording: Path, quick_config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[Path] = []
+
+    class Opened(TileStore):
+        def __init__(self, path: Path, *args: object, **more: object) -> None:
+            opened.append(path)
+            super().__init__(path, *args, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("mapperd.cli.replay.TileStore", Opened)
+    config = tmp_path / "disk.yaml"
+    text = quick_config.read_text(encoding="utf-8")
+    config.write_text(f"{text}outofcore: {{use: true, cache_size: 1}}\n", encoding="utf-8")
+    for name, settings in (("memory", quick_config), ("disk", config)):
+        words = ["--replay", str(recording), "--config", str(settings)]
+        assert main([*words, "--out", str(tmp_path / name)]) == DaemonExit.OK
+    assert [path.parent.parent for path in opened] == [tmp_path / "disk"]
+    memory, disk = summary_in(tmp_path / "memory"), summary_in(tmp_path / "disk")
+    assert memory.keys() == disk.keys()
+    for key in ("map_sha256", "voxels_occupied", "voxels_free", "pings_mapped"):
+        assert disk[key] == memory[key]
+    names = [sorted(path.name for path in (tmp_path / at).iterdir()) for at in ("memory", "disk")]
+    assert names[0] == names[1]
+    for name in ("map.bt", "map.ply"):
+        assert (tmp_path / "disk" / name).read_bytes() == (tmp_path / "memory" / name).read_bytes()
 
 
 @pytest.mark.usefixtures("no_picture")
