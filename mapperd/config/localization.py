@@ -263,7 +263,8 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
         float,
         rule(
             "Distance after which particles drawn anywhere by the scan are compared with the "
-            "estimate; needs search_poses and likelihood_field_prob; 0 never.",
+            "estimate, and 0.3 of it until they have confirmed a searched pose; needs search_poses "
+            "and likelihood_field_prob; 0 never.",
             "m",
             live=True,
             ge=0,

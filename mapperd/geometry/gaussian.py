@@ -44,6 +44,7 @@ class BeliefState(NamedTuple):
     elsewhere: float
     effective_size: float
     fits: bool
+    confirmed: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +101,7 @@ class Belief:
         effective_size: effective sample size.
         fits: recent scans lie on the map where the particles are. Where they do not, the vehicle
             is elsewhere, even if no particle is.
+        confirmed: the pose was given, or independent searches agree with it.
     """
 
     best: PlanarGaussian
@@ -108,6 +110,7 @@ class Belief:
     elsewhere: float
     effective_size: float
     fits: bool = True
+    confirmed: bool = True
 
     def state(self) -> BeliefState:
         """Its parts."""
@@ -118,6 +121,7 @@ class Belief:
             self.elsewhere,
             self.effective_size,
             self.fits,
+            self.confirmed,
         )
 
     @classmethod
@@ -130,12 +134,13 @@ class Belief:
             state.elsewhere,
             state.effective_size,
             state.fits,
+            state.confirmed,
         )
 
     @property
     def ambiguous(self) -> bool:
         """The vehicle may as well be somewhere else."""
-        return self.elsewhere > AMBIGUOUS_SHARE or not self.fits
+        return self.elsewhere > AMBIGUOUS_SHARE or not (self.fits and self.confirmed)
 
 
 def _mended(covariance: Floats) -> Floats:

@@ -39,11 +39,13 @@ class Start:
         new_map: take the state's map first.
         at: begin with particles around this pose; None with `anywhere` False leaves them.
         anywhere: begin with particles anywhere on the map.
+        given: the pose was given; else it is the last estimate, no more certain than before.
     """
 
     new_map: bool = False
     at: PlanarGaussian | None = None
     anywhere: bool = False
+    given: bool = True
 
     @property
     def is_start(self) -> bool:
@@ -88,7 +90,7 @@ class Lifecycle:
             return Reject("first_map_only", "a map is in use and amcl.first_map_only holds it")
         at = self.waiting or self._pose_for_map(amcl)
         if at is not None:
-            return self._at(at, new, new_map=True)
+            return self._at(at, new, new_map=True, given=at is not self.last)
         if self.mode == "global" or self.running:
             publishing = self.publishing or self.mode == "global"
             return self._anywhere(new, new_map=True, publishing=publishing)
@@ -143,10 +145,10 @@ class Lifecycle:
         return parameter_pose(amcl) if amcl.set_initial_pose else None
 
     def _at(
-        self, pose: PlanarGaussian, known: LocalizationMap, *, new_map: bool
+        self, pose: PlanarGaussian, known: LocalizationMap, *, new_map: bool, given: bool = True
     ) -> "tuple[Lifecycle, Start]":
         started = Lifecycle(self.mode, known, running=True, publishing=True, last=pose)
-        return started, Start(new_map=new_map, at=pose)
+        return started, Start(new_map=new_map, at=pose, given=given)
 
     def _anywhere(
         self, known: LocalizationMap, *, new_map: bool, publishing: bool

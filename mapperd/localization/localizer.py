@@ -27,8 +27,13 @@ class PoseFilter(Protocol):
     def take_map(self, known: LocalizationMap) -> None:
         """Use another map from now on; the particles are as they were."""
 
-    def start_at(self, pose: PlanarGaussian) -> None:
-        """Draw new particles around a pose; averages and counters restart."""
+    def start_at(self, pose: PlanarGaussian, *, given: bool = True) -> None:
+        """Draw new particles around a pose; averages and counters restart.
+
+        Args:
+            pose: mean and covariance.
+            given: it is certain; else as certain as the last estimate.
+        """
 
     def start_anywhere(self) -> None:
         """Draw new particles on the map's free cells."""
@@ -234,7 +239,7 @@ class Localizer:
         if start.new_map and life.map is not None:
             self._filter.take_map(life.map)
         if start.at is not None:
-            self._filter.start_at(start.at)
+            self._filter.start_at(start.at, given=start.given)
         elif start.anywhere:
             self._filter.start_anywhere()
         self.life = life

@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 
 from mapperd.config.tree import Config
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
-from mapperd.localization.hypothesis import AlternativeHypothesis, FitWatch, same_place, spread_m
+from mapperd.localization.hypothesis import (
+    AlternativeHypothesis,
+    FitWatch,
+    has_one_place,
+    same_place,
+    spread_m,
+)
 from mapperd.localization.maps import LocalizationMap
 from mapperd.localization.models import filter_rule
 from mapperd.localization.particle_filter import (
@@ -33,6 +39,12 @@ SPREAD_M = 0.5
 HURRY_M = 1.0
 """Of way between rivals, where scans do not lie on the map."""
 
+CONFIRM_SHARE = 0.3
+"""Of the way between rivals, while a searched pose is not confirmed: scans are others by then."""
+
+SEARCH_INTERVALS = 2.0
+"""Of the way between rivals that a search has to find one place, before its odds decide."""
+
 
 class FilterState(NamedTuple):
     """All that changes in a filter, but for the map and the settings.
@@ -45,6 +57,9 @@ class FilterState(NamedTuple):
         rivals: how many there have been.
         blind: particles are anywhere, and no scan was searched by yet.
         alone_m: way since the last rival.
+        recent_share, unsupported, scans: of the last scans, as in `FitWatch`.
+        confirmed: as of `MapFilter`.
+        independent: the rival was drawn after the first cloud.
     """
 
     cloud: CloudState
@@ -54,6 +69,11 @@ class FilterState(NamedTuple):
     rivals: int
     blind: bool
     alone_m: float
+    recent_share: float | None = None
+    unsupported: int = 0
+    scans: int = 0
+    confirmed: bool = True
+    independent: bool = True
 
 
 class MapFilter:
@@ -67,6 +87,7 @@ class MapFilter:
         watch: how well scans lie on the map.
         rival: the cloud that is tried against `particles`; None most of the time.
         rivals: how many there have been.
+        confirmed: the pose was given, or an independent search has found it again.
     """
 
     def __init__(self, config: Config) -> None:
@@ -74,6 +95,7 @@ class MapFilter:
         self.watch = FitWatch()
         self.rival: AlternativeHypothesis | None = None
         self.rivals = 0
+        self.confirmed = True
         self._config = config
         self._particles = self._cloud()
         self._map: MapWeighing | None = None
@@ -97,16 +119,20 @@ class MapFilter:
         if weighing is not None and not weighing.is_product:
             # Without evidence about hits an earlier verdict must not stay.
             self.watch, self.rival = FitWatch(), None
+        if not self._has_rivals():
+            self.confirmed = True
 
     def take_map(self, known: LocalizationMap) -> None:
         """As `PoseFilter.take_map`; on any error all is as before."""
         self._map = MapWeighing(known, self._config)
         self.rival = None
 
-    def start_at(self, pose: PlanarGaussian) -> None:
+    def start_at(self, pose: PlanarGaussian, *, given: bool = True) -> None:
         """As `PoseFilter.start_at`."""
         self._particles.start_about(np.array([pose.x_m, pose.y_m, pose.yaw_rad]), pose.covariance)
         self._begin(blind=False)
+        if given:
+            self.confirmed = True
 
     def start_anywhere(self) -> None:
         """As `PoseFilter.start_anywhere`.
@@ -133,6 +159,11 @@ class MapFilter:
             self.rivals,
             self._blind,
             self._alone_m,
+            self.watch.recent,
+            self.watch.unsupported,
+            self.watch.scans,
+            self.confirmed,
+            self.rival is None or self.rival.independent,
         )
 
     def restore(self, state: FilterState) -> None:
@@ -143,11 +174,12 @@ class MapFilter:
         """
         restore_cloud(self._particles, state.cloud)
         self._stamp_ns, self.rivals = state.stamp_ns, state.rivals
-        self.watch = FitWatch(state.hit_share)
+        self.watch = FitWatch(state.hit_share, state.recent_share, state.unsupported, state.scans)
+        self.confirmed = state.confirmed
         self._blind, self._alone_m, self.rival = state.blind, state.alone_m, None
         if state.rival is not None:
             cloud, log_odds, way_m = state.rival
-            self.rival = AlternativeHypothesis(self._cloud(), log_odds, way_m)
+            self.rival = AlternativeHypothesis(self._cloud(), log_odds, way_m, state.independent)
             restore_cloud(self.rival.particles, cloud)
 
     def update(
@@ -162,8 +194,10 @@ class MapFilter:
                 self._map.draw(self._particles, scan, base_height_m)
             self._blind = False
         self.weighed = self._weigh(self._map, self._particles, scan, base_height_m)
-        share = self._map.hit_share(self.weighed)
-        self.watch = self.watch if share is None else self.watch.after(share)
+        if self._map.is_product:
+            self.watch = self.watch.after(self._map.hit_share(self.weighed), len(scan))
+        if self.watch.denies(self._config.localization.min_hit_share):
+            self.confirmed = not self._has_rivals()
         if self.rival is not None:
             self._try(self._map, self.rival.driven(way_m), scan, base_height_m)
         else:
@@ -177,6 +211,20 @@ class MapFilter:
     def _begin(self, *, blind: bool) -> None:
         self._stamp_ns, self._blind = None, blind
         self.watch, self.rival, self._alone_m = FitWatch(), None, 0.0
+        if blind:
+            self.confirmed = not self._has_rivals()
+
+    def _has_rivals(self) -> bool:
+        """Whether clouds are tried against the first; without them nothing can confirm a pose."""
+        return (
+            self._config.localization.rival_interval > 0.0
+            and self._map is not None
+            and self._map.is_product
+            and self._map.searches
+        )
+
+    def _fits(self) -> bool:
+        return self.watch.fits(self._config.localization.min_hit_share)
 
     def _cloud(self) -> ParticleFilter:
         """A new one; each rival has random numbers of its own."""
@@ -225,30 +273,37 @@ class MapFilter:
         ours = self._config.localization
         weighed, first = self._weigh(weighing, rival.particles, scan, height_m), self.weighed
         votes = ours.tempering * ours.rival_tempering * len(scan)
-        self.rival = rival.weighed(weighed.fit, first.fit if first else 0.0, votes)
+        confirms = rival.independent and self._fits() and not self.confirmed
+        in_time = rival.way_m < SEARCH_INTERVALS * ours.rival_interval
+        searching = confirms and in_time and not has_one_place(rival.particles.estimate())
+        first_fit = first.fit if first else 0.0
+        self.rival = rival.weighed(weighed.fit, first_fit, votes, searching=searching)
 
     def _challenge(self, weighing: MapWeighing, way_m: float, scan: Scan, height_m: float) -> None:
         """Begin a rival, where it is time."""
         ours = self._config.localization
         self._alone_m += way_m
-        fits = self.watch.fits(ours.min_hit_share)
-        due_m = ours.rival_interval if fits else min(HURRY_M, ours.rival_interval)
-        wanted = ours.rival_interval > 0.0 and weighing.is_product and self._alone_m >= due_m
+        due_m = ours.rival_interval
+        if not self._fits():
+            due_m = min(HURRY_M, due_m)
+        elif not self.confirmed:
+            due_m *= CONFIRM_SHARE
+        wanted = self._has_rivals() and self._alone_m >= due_m
         if wanted and not self._blind and weighing.can_search(scan):
             self.rivals += 1
             self.rival = AlternativeHypothesis(self._cloud())
             weighing.draw(self.rival.particles, scan, height_m)
 
     def _belief(self) -> Belief:
-        fits = self.watch.fits(self._config.localization.min_hit_share)
+        fits = self.watch.supports(self._config.localization.min_hit_share)
         if self.rival is None:
-            return belief(self._particles, fits=fits)
+            return belief(self._particles, fits=fits, confirmed=self.confirmed)
         both = ParticleFilter(filter_rule(self._config), 0)
         poses = [particles.poses for particles in self._clouds()]
         shares = (1.0 - self.rival.share, self.rival.share)
         weights = [s * p.weights for s, p in zip(shares, self._clouds(), strict=True)]
         both.start_with(np.concatenate(poses), np.concatenate(weights))
-        return belief(both, fits=fits)
+        return belief(both, fits=fits, confirmed=self.confirmed)
 
     def _decide(self) -> None:
         """The rival goes, or leads, or stays on trial."""
@@ -257,11 +312,13 @@ class MapFilter:
         rival = self.rival
         same = same_place(self._particles.estimate(), rival.particles.estimate())
         if same or rival.hopeless:
+            self.confirmed |= same and rival.independent
             self.rival, self._alone_m = None, 0.0
         elif rival.leads:
             self.rival = rival.changed(self._particles)
             self._particles = rival.particles
             self.watch = FitWatch()
+            self.confirmed = False
 
 
 def _array(pose: PlanarPose) -> Floats:

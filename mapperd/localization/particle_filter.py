@@ -50,6 +50,7 @@ def belief(
     particles: ParticleFilter,
     *,
     fits: bool = True,
+    confirmed: bool = True,
     bucket_xy_m: float = 0.2,
     bucket_yaw_rad: float = 0.524,
 ) -> Belief:
@@ -66,6 +67,7 @@ def belief(
         float(particles.weights[off].sum()),
         particles.effective_size(),
         fits,
+        confirmed,
     )
 
 

@@ -115,7 +115,12 @@ class MapWeighing:
     def can_search(self, scan: Scan) -> bool:
         """Whether a cloud can be drawn from the scan."""
         least = min(MIN_BEAMS, self._config.amcl.max_beams)
-        return self._broad is not None and len(scan) >= least
+        return self.searches and len(scan) >= least
+
+    @property
+    def searches(self) -> bool:
+        """Whether clouds are drawn from scans at all."""
+        return self._broad is not None
 
     def draw(self, particles: ParticleFilter, scan: Scan, base_height_m: float) -> None:
         """A new cloud from a scan that can be searched by."""

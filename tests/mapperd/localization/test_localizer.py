@@ -26,6 +26,7 @@ class Particles:
         self.asked: list[str] = []
         self.beams = 0
         self.x_m = 0.0
+        self.given: bool | None = None
 
     def reconfigure(self, config: Config) -> None:
         self.asked.append(f"settings {config.amcl.max_beams}")
@@ -34,8 +35,9 @@ class Particles:
         assert isinstance(known, GridMap)
         self.asked.append(f"map {len(known.occupancy)}")
 
-    def start_at(self, pose: PlanarGaussian) -> None:
+    def start_at(self, pose: PlanarGaussian, *, given: bool = True) -> None:
         self.asked.append("at")
+        self.given = given
         self.x_m = pose.x_m
 
     def start_anywhere(self) -> None:
@@ -160,8 +162,8 @@ def test_services_reach_the_filter() -> None:
 
 def test_filter_that_fails_leaves_the_rules_state() -> None:
     class Failing(Particles):
-        def start_at(self, pose: PlanarGaussian) -> None:
-            raise MemoryError(pose.x_m)
+        def start_at(self, pose: PlanarGaussian, *, given: bool = True) -> None:
+            raise MemoryError(pose.x_m, given)
 
     localizer = Localizer(Failing(), TRACK)
     localizer.take_map(GRID)
@@ -190,3 +192,13 @@ def test_saved_estimate_is_where_it_goes_on() -> None:
     localizer.take_map(GRID)
     assert particles.asked == ["map 3", "at"]
     assert particles.x_m == 6
+
+
+def test_estimate_of_a_search_is_not_given_to_the_next_map() -> None:
+    localizer, particles = started()
+    assert particles.given
+    localizer.take_scan(scan(1), odom(0))
+    assert localizer.take_map(GRID) is None
+    assert particles.given is False
+    assert localizer.take_pose(pose(7), "map") is None
+    assert particles.given

@@ -198,6 +198,65 @@ def find(
     return judged(moments, world.place.right_m, off_s or 0.0)
 
 
+CERTAINTY_M, CERTAINTY_OFF_S = 50.0, 20.0
+"""Of way that certainty is judged over (a fifth in the tank); a vehicle is carried off then."""
+
+
+@dataclass(frozen=True, slots=True)
+class Certainty:
+    """How far the reports of dives that begin anywhere, or are carried off, can be trusted.
+
+    Attributes:
+        wrong, wrong_and_sure: updates at a wrong place, and those of them not ambiguous.
+        right, right_and_sure: the others likewise.
+        sure_after_m: of way until the first right and certain one; infinite without one.
+    """
+
+    wrong: int
+    wrong_and_sure: int
+    right: int
+    right_and_sure: int
+    sure_after_m: float
+
+
+def certainty(
+    world: DiveWorld, known: VolumeMap, seed: int, *, carried_off: bool = False
+) -> Certainty:
+    """Dive from anywhere, or be carried off, over a fixed way."""
+    off_s = CERTAINTY_OFF_S if carried_off else None
+    way_m = CERTAINTY_M * world.place.step_m / WORLDS["harbour"].step_m
+    duration_s = way_m / world.place.speed_mps + (off_s or 0.0)
+    what = LocalizationDive("known" if carried_off else "anywhere", duration_s, seed, off_s)
+    moments = [
+        moment
+        for moment in dive(world, known, what, settings(world.place, seed))
+        if moment.time_s >= (off_s or 0.0)
+    ]
+    right = np.array(
+        [m.error_m < world.place.right_m and m.turn_error_rad < TURN_RAD for m in moments]
+    )
+    sure = np.array([not m.belief.ambiguous for m in moments])
+    ways = [m.way_m - moments[0].way_m for m, one in zip(moments, right & sure, strict=True) if one]
+    return Certainty(
+        wrong=int((~right).sum()),
+        wrong_and_sure=int((~right & sure).sum()),
+        right=int(right.sum()),
+        right_and_sure=int((right & sure).sum()),
+        sure_after_m=min(ways, default=math.inf),
+    )
+
+
+def certainty_line(name: str, found: list[Certainty]) -> str:
+    """One line."""
+    wrong, bad = sum(one.wrong for one in found), sum(one.wrong_and_sure for one in found)
+    right, good = sum(one.right for one in found), sum(one.right_and_sure for one in found)
+    after_m = sorted(one.sure_after_m for one in found)[len(found) // 2]
+    return (
+        f"{name}: {bad} of {wrong} wrong and {good} of {right} right updates are certain; half of "
+        f"the runs are right and certain after {after_m:.0f} m"
+    )
+
+
 def draw_finding(path: Path, world: DiveWorld, known: VolumeMap, seed: int) -> None:
     """Particles of a dive that begins anywhere."""
     what = LocalizationDive("anywhere", FINDING_S[-1] + 2.0, seed)
@@ -247,6 +306,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=30.0, help="of following; 0 for none")
     parser.add_argument("--runs", type=int, default=0, help="that begin anywhere")
     parser.add_argument("--carried-off", type=int, default=0, help="runs")
+    parser.add_argument("--certainty", type=int, default=0, help="runs of each of both kinds")
     parser.add_argument("--seed", type=int, default=1, help="of the first run")
     parser.add_argument("--pings", action="store_true", help="follow with scans of simulated pings")
     parser.add_argument("--out", type=Path, default=Path("out/dives"))
@@ -271,6 +331,11 @@ def main() -> int:
         if seeds:
             found = [find(world, known, k, carried_off=True) for k in seeds]
             print(finding_line(f"{scene}, carried off", found), flush=True)
+        seeds = range(args.seed, args.seed + args.certainty)
+        for off in (False, True) if seeds else ():
+            claims = [certainty(world, known, k, carried_off=off) for k in seeds]
+            name = f"{scene}, {'carried off' if off else 'anywhere'}"
+            print(certainty_line(name, claims), flush=True)
     return 0
 
 

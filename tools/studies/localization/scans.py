@@ -59,11 +59,8 @@ class Shares:
     elsewhere: float = 0.01
 
 
-SHARES = {
-    "harbour": Shares(),
-    "pile_field": Shares(),
-    "tank": Shares(1.0, 1.0, 0.03, 0.0, 0.01),
-}
+SHARES = {"tank": Shares(1.0, 1.0, 0.03, 0.0, 0.01)}
+"""Of scenes that differ from the harbour."""
 
 
 def cast_scan(world: DiveWorld, place: Floats, stamp_ns: int, random: np.random.Generator) -> Scan:
@@ -75,7 +72,11 @@ def cast_scan(world: DiveWorld, place: Floats, stamp_ns: int, random: np.random.
         stamp_ns: of the scan.
         random: draws the errors.
     """
-    sonar, where, shares = world.scenario.sonar, world.place, SHARES[world.place.scene]
+    sonar, where, shares = (
+        world.scenario.sonar,
+        world.place,
+        SHARES.get(world.place.scene, Shares()),
+    )
     bearing = np.arcsin(np.linspace(-1, 1, BEAMS) * math.sin(sonar.half_aperture_rad))
     map_R_sonar = rotation_of(*place[3:])  # noqa: N806 frames are named
     row_m = sonar.range_m / sonar.rows

@@ -102,7 +102,26 @@ TANK = DiveArea(
     3.0,
     right_m=0.3,
 )
-WORLDS = {place.scene: place for place in (HARBOUR, PILES, TANK)}
+UNTUNED = (
+    DiveArea(
+        "wreck", (-17, -12), (17, 12), -14.2, 20.0, 0.5, (-22, -16, -19), (22, 16, -11), -18.0
+    ),
+    DiveArea(
+        "ship_hull", (-17, -10), (17, 10), -3.8, 20.0, 0.5, (-22, -14, -10.5), (22, 14, 0.3), -10.0
+    ),
+    DiveArea("pipeline", (-20, -7), (20, 7), -28.4, 20.0, 0.5, (-24, -9, -31), (24, 9, -26), -30.0),
+    DiveArea("basin", (-13, -8), (9, 5), -3.0, 20.0, 0.5, (-16, -11, -6.5), (16, 11, 0.3), -6.0),
+    DiveArea("boulders", (-18, -13), (18, 13), -5.6, 20.0, 0.5, (-24, -18, -9), (24, 18, -4), -8.0),
+    DiveArea("marina", (-10, -12), (10, 7), -2.4, 20.0, 0.5, (-22, -16, -5.5), (22, 10, 0.3), -5.0),
+    DiveArea(
+        "jacket", (-13, -13), (13, 13), -10.0, 20.0, 0.5, (-16, -16, -14), (16, 16, -6), -24.0
+    ),
+)
+"""Scenes that the settings of the profile were not chosen on."""
+
+WORLDS = {place.scene: place for place in (HARBOUR, PILES, TANK, *UNTUNED)}
+SCENES = Path(__file__).parent / "scenes"
+"""Of the study alone; the others are the simulator's."""
 
 
 class DiveWorld:
@@ -118,7 +137,8 @@ class DiveWorld:
     @cached_property
     def scenario(self) -> Scenario:
         """The place's scene and sonar."""
-        scenario = load_scenario(self.place.scene)
+        file = SCENES / f"{self.place.scene}.yaml"
+        scenario = load_scenario(file if file.exists() else self.place.scene)
         sonar = dataclasses.replace(scenario.sonar, demanded_range_m=self.place.range_m)
         return dataclasses.replace(scenario, sonar=sonar)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from studies.localization.dives import WITHIN_M, judged
+from studies.localization.dives import WITHIN_M, Certainty, certainty_line, judged
 from studies.localization.runs import FilterUpdate, settings
 from studies.localization.world import WORLDS, DiveTrack, OdometryDrift, drifted, track_of
 
@@ -101,3 +101,8 @@ def test_being_carried_off_counts_from_then() -> None:
     ways = np.arange(0.0, 200.0, 5.0)
     found = judged((moment(w, 0.1 if w < 50 or w >= 100 else 9.0) for w in ways), 1.0, 100.0)
     assert found.after_m == 50.0
+
+
+def test_certainty_counts_wrong_and_right_updates() -> None:
+    line = certainty_line("tank", [Certainty(10, 1, 20, 15, 3.0), Certainty(5, 0, 7, 0, math.inf)])
+    assert line.startswith("tank: 1 of 15 wrong and 15 of 27 right updates are certain;")
