@@ -57,7 +57,7 @@ def test_wheel_holds_four_import_names_and_their_commands() -> None:
     packages = project["tool"]["scikit-build"]["wheel"]["packages"]
     assert set(packages) == {"mapperd", "oculus_driver", "sonar_sim", "mapper_survey"}
     commands = project["project"]["scripts"].values()
-    assert {command.partition(".")[0] for command in commands} == set(packages)
+    assert {re.split("[.:]", command)[0] for command in commands} == set(packages)
     checkout_only = {path.name for path in (ROOT / "tools").iterdir()} - set(packages)
     assert {"bench", "studies"} <= checkout_only
     for folder in packages.values():

@@ -266,7 +266,7 @@ def test_a_recovery_leaves_altered_pings_out_unless_asked(
         persistence = StoredSession(store, sonar_map, "one").persistence()
         persistence.begin(decoder, nothing, lambda: None)
         persistence.stop()  # as a kill does: nothing is mapped yet
-        position = position_in(store.position)
+        position = position_in(store.saved_position)
         assert position is not None
         recovered = recover(store, sonar_map, position, folder, damaged)
     assert recovered is not None

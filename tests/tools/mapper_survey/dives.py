@@ -71,10 +71,12 @@ def write_dive(
     begin_s: float = 0.0,
     y: float = 0.0,
     never: Container[int] = (),
+    synced: int = 0,
 ) -> list[int]:
     """A vehicle that goes along x, a metre between two pings; returns the sizes after each.
 
-    Pings of some numbers never come.
+    Pings of some numbers never come. The file is synced after every `synced` pings; damage costs
+    what lies between two syncs.
     """
     sizes = []
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -86,6 +88,8 @@ def write_dive(
             writer.write(vehicle, odometry_of(1.0 * k, y, 0.05 * k), t_ns)
             if k < pings and k not in never:
                 writer.write(sonar, ping_of(k, dive), t_ns + SECOND // 10)
+            if synced and k % synced == 0:
+                writer.sync()
             sizes.append(writer.size_bytes)
     return sizes
 

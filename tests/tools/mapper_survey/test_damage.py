@@ -38,7 +38,7 @@ def test_a_cut_recording_counts_up_to_the_cut(tmp_path: Path) -> None:
 
 
 def test_turned_bits_cost_what_they_hit(tmp_path: Path) -> None:
-    sizes = write_dive(tmp_path / "a.mcap", 1)
+    sizes = write_dive(tmp_path / "a.mcap", 1, synced=5)
     data = bytearray((tmp_path / "a.mcap").read_bytes())
     part = slice(sizes[9], sizes[11])
     data[part] = bytes(value ^ 0xFF for value in data[part])
