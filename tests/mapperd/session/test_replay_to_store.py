@@ -46,4 +46,5 @@ def test_counts_of_a_run_that_resumes_add_up(
     assert len(runs) > 1
     last = runs[-1]
     assert last.pings_total == last.pings_mapped + last.pings_dropped.total()
-    assert 0 < last.pings_mapped < 30
+    assert last.pings_mapped < 30
+    assert any(0 < run.pings_mapped < 30 for run in runs)

@@ -21,6 +21,8 @@ from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
 from tests.tools.mapper_survey.maps import RESOLUTION_M, centres, map_of, store_of
 
+pytestmark = pytest.mark.slow
+
 TOLERANCE_M = 0.2
 PICTURES = ("coverage.png", "overlap.png", "disagreement.png", "distances.png")
 AREA_M2 = RESOLUTION_M**2

@@ -23,6 +23,8 @@ from studies.adaptive_ratio import (
     reclassification_table,
 )
 
+pytestmark = pytest.mark.slow
+
 PAGE = (Path(__file__).resolve().parents[3] / "docs/reports/mapping.md").read_text(encoding="utf-8")
 
 
