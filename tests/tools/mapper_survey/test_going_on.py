@@ -27,14 +27,14 @@ from tests.tools.mapper_survey.dives import (
     write_survey,
 )
 
+pytestmark = pytest.mark.slow
+
 KILLED = """
 import os, signal, sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[3])
 from mapper_survey.folder import Folder
 from tests.tools.mapper_survey.dives import run_here
-
-pytestmark = pytest.mark.slow
 left = int(sys.argv[4])
 put = Folder.put
 def counted(self, path, name):
