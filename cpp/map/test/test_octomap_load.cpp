@@ -294,9 +294,9 @@ TEST_CASE("an inner node of a .bt must have children") {
 }
 
 TEST_CASE("log-odds that are not a number are refused, at leaves and above") {
-  check_refused(header(false, "17") + ot_chain(16) + ot_record(0x7FC00000, 0), "no number");
+  check_refused(header(false, "17") + ot_chain(16) + ot_record(0x7FC00000, 0), "not a number");
   check_refused(header(false, "17") + ot_chain(15) + ot_record(0xFF800001, 1) + ot_record(kOne, 0),
-                "no number");
+                "not a number");
 }
 
 // Any mutation of a file is read or refused; sanitizers watch the rest.
