@@ -113,27 +113,32 @@ async def _log(
     from oculus_driver.recording import BackgroundLog  # noqa: PLC0415 - slow to import
 
     log = watch.log
-    async with BackgroundLog(log) as writer:
-        tap = _Tap(writer, output)
-        sonar = open_sonar(
-            args,
-            settings,
-            keep_pinging=args.keep_pinging,
-            on_chunk=tap.take,
-            on_status=writer.write_status,
-            on_state=tap.link_changed,
-        )
-        watch.sonar, watch.writer = sonar, writer
-        try:
-            async with asyncio.timeout(args.duration), sonar, asyncio.TaskGroup() as tasks:
-                tasks.create_task(watch.run())
-                tasks.create_task(_report_periodically(args.every, output, sonar, log))
-                async for _ in sonar.pings():
-                    pass  # `tap` has recorded the bytes
-        except TimeoutError:
-            pass
-        finally:
-            _report(output, sonar, log, "end")
+    end: dict[str, Any] = {}
+    try:
+        async with BackgroundLog(log) as writer:
+            tap = _Tap(writer, output)
+            sonar = open_sonar(
+                args,
+                settings,
+                keep_pinging=args.keep_pinging,
+                on_chunk=tap.take,
+                on_status=writer.write_status,
+                on_state=tap.link_changed,
+            )
+            watch.sonar, watch.writer = sonar, writer
+            try:
+                async with asyncio.timeout(args.duration), sonar, asyncio.TaskGroup() as tasks:
+                    tasks.create_task(watch.run())
+                    tasks.create_task(_report_periodically(args.every, output, sonar, log))
+                    async for _ in sonar.pings():
+                        pass  # `tap` has recorded the bytes
+            except TimeoutError:
+                pass
+            finally:
+                end = _state_of(log)
+    finally:  # the thread that writes has ended: the counters are final
+        if watch.sonar is not None:
+            _report(output, watch.sonar, log, "end", end)
 
 
 class _Watch:
@@ -237,23 +242,24 @@ async def _report_periodically(
 ) -> None:
     while True:
         await asyncio.sleep(every_s)
-        _report(output, sonar, log, "log")
+        _report(output, sonar, log, "log", _state_of(log))
 
 
-def _report(output: Output, sonar: OculusSonar, log: SonarLog, event: str) -> None:
+def _state_of(log: SonarLog) -> dict[str, Any]:
+    return {"log_state": log.state, "log_reason": log.reason, "file": log.path}
+
+
+def _report(
+    output: Output, sonar: OculusSonar, log: SonarLog, event: str, state: dict[str, Any]
+) -> None:
     counters = log.counters
-    fields: dict[str, Any] = {
-        "event": event,
-        "log_state": log.state,
-        "log_reason": log.reason,
-        "file": log.path,
-    }
+    fields = {"event": event} | state
     fields |= {name: getattr(counters, name) for name in counters.__slots__}
     fields |= {"sonar": counter_fields(sonar.counters)}
-    words = [f"{log.state}: {counters.bytes_written / _MEGABYTE:.1f} MB"]
+    words = [f"{state['log_state']}: {counters.bytes_written / _MEGABYTE:.1f} MB"]
     words.append(f"{counters.files_opened} files")
     if counters.bytes_dropped:
-        words.append(f"{counters.bytes_dropped} bytes not recorded ({log.reason})")
+        words.append(f"{counters.bytes_dropped} bytes not recorded ({state['log_reason']})")
     output.report(fields, f"{line_of(sonar)}; {', '.join(words)}")
 
 

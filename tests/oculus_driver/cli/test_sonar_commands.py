@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ import cv2
 import pytest
 
 from oculus_driver import Faults
-from oculus_driver.recording import open_recording
+from oculus_driver.recording import SonarLog, open_recording
 from tests.oculus_driver.cli.sonar_thread import free_udp_port, played
 
 if TYPE_CHECKING:
@@ -80,6 +81,26 @@ def test_log_records_all_that_comes_and_starts_new_files(
     assert all(info["bytes_rejected"] == 0 for info in infos)
     ids = [ping["id"] for info in infos for ping in info["ping_list"]]
     assert ids == [*range(415323, 415323 + sent)]
+
+
+def test_the_report_at_the_end_counts_what_a_slow_disk_wrote_last(
+    oculus: Oculus, capture_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = SonarLog.write
+
+    def write_slowly(log: SonarLog, *args: Any, **options: Any) -> bool:
+        time.sleep(0.01)
+        return write(log, *args, **options)
+
+    monkeypatch.setattr(SonarLog, "write", write_slowly)
+    with played(capture_path, speed=50.0) as (sonar, status_port):
+        words = ("--out", tmp_path, "--duration", "1", "--free-mb", "0", "--json")
+        result = oculus("log", *where(sonar, status_port), *words)
+    end = result.facts[-1]
+    assert end["event"] == "end"
+    (info,) = oculus("info", *tmp_path.iterdir(), "--json").facts
+    recorded = sum(link["bytes"] for link in info["links"].values())
+    assert end["bytes_written"] == recorded > 0
 
 
 def test_a_log_goes_on_after_the_link_was_cut(
