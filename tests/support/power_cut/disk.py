@@ -10,6 +10,7 @@ to an instant, and writes what a power cut at that instant may leave:
 """
 
 import enum
+import os
 import random
 import struct
 import subprocess
@@ -27,6 +28,12 @@ PAGES = 0.9
 """Part of the writes whose pages survive as a whole or not at all."""
 
 FOLDER_OPENED = 2
+
+OWN_HANDLE = (1 << 32) - 1
+"""Of changes that no process logged."""
+
+SHARED_MEMORY = "-shm"
+"""End of the names of files that are changed in memory, without a call."""
 
 
 class What(enum.IntEnum):
@@ -69,6 +76,24 @@ class DiskLog:
             "DISK_LOG": str(self.path),
         }
 
+    def complete(self) -> None:
+        """Complete the log after a kill: the last change may lack its record, or a part of it."""
+        disk, size = Disk(), 0
+        for change in read_changes(self.path):
+            disk.apply(change)
+            size += RECORD.size + len(change.data)
+        os.truncate(self.path, size)
+        known, found = disk.contents(), dict(self._contents())
+        with self.path.open("ab") as log:
+            for change in _differences(known, found):
+                log.write(RECORD.pack(*change[:3], len(change.data)) + change.data)
+
+    def _contents(self) -> Iterator[tuple[str, bytes]]:
+        root = Path(self.environ["DISK_ROOT"])
+        for path in root.rglob("*"):
+            if path.is_file() and not path.name.endswith(SHARED_MEMORY):
+                yield str(path.relative_to(root)), path.read_bytes()
+
 
 class Change(NamedTuple):
     """A record of the log."""
@@ -77,6 +102,28 @@ class Change(NamedTuple):
     handle: int
     offset: int
     data: bytes
+
+
+def _differences(known: dict[str, bytes], found: dict[str, bytes]) -> Iterator[Change]:
+    """Yield changes that make files of known content those that were found."""
+    for name in known.keys() - found.keys():
+        new = [other for other in found if found[other] == known[name] != known.get(other)]
+        end = f"\0{new[0]}" if new else "\0"
+        yield Change(
+            What.RENAME if new else What.UNLINK, 0, len(name.encode()), f"{name}{end}".encode()
+        )
+        if new:
+            known[new[0]] = known[name]
+    for name, content in found.items():
+        old = known.get(name)
+        if content == old:
+            continue
+        yield Change(What.OPEN, OWN_HANDLE, 0, name.encode())
+        if old is not None and len(old) > len(content):
+            yield Change(What.TRUNCATE, OWN_HANDLE, len(content), b"")
+        for at in range(0, len(content), PAGE):
+            if old is None or content[at : at + PAGE] != old[at : at + PAGE]:
+                yield Change(What.WRITE, OWN_HANDLE, at, content[at : at + PAGE])
 
 
 def read_changes(path: Path) -> Iterator[Change]:
@@ -143,6 +190,15 @@ class Disk:
                 raise ValueError(change.data.decode())
             case _:
                 self._name(change)
+
+    def contents(self) -> dict[str, bytes]:
+        """Return the content of each file, as a process sees it."""
+        chance = random.Random(0)  # noqa: S311 nothing is left to it
+        return {
+            name: _content_left(file, chance, Survival.ALL)
+            for name, file in self._files.items()
+            if not name.endswith(SHARED_MEMORY)
+        }
 
     def _open(self, change: Change) -> None:
         name = change.data.decode()

@@ -133,7 +133,7 @@ def test_a_changed_byte_is_repaired_or_stated(scenes: Scenes) -> None:
     for name in names:
         scenes.lay(name)
         assert outcome(scenes.work) == (scenes.expected, set())
-    silent, right = [], 0
+    silent, right, named = [], 0, 0
     for number in range(CORRUPTIONS):
         name = names[number % len(names)]
         scenes.lay(name)
@@ -146,6 +146,9 @@ def test_a_changed_byte_is_repaired_or_stated(scenes: Scenes) -> None:
         if fingerprint != scenes.expected and not stated:
             silent.append(f"{number}, {name}, {place}: another map, and nothing is stated")
         right += fingerprint == scenes.expected
+        named += bool(stated)
+    counts = f"{right} right maps, {named} with a statement, {len(silent)} silent"
+    print(f"{CORRUPTIONS} changed bytes: {counts}")  # noqa: T201
     assert silent == []
     assert right > CORRUPTIONS / 3
 

@@ -58,6 +58,7 @@ def dive(world: World, folder: Path, chance: random.Random) -> list[Change]:
         end = signal.SIGKILL if chance.random() < 0.7 else signal.SIGTERM
         os.kill(process, end)
         assert daemons.ended() == (-end if end is signal.SIGKILL else 0)
+        log.complete()
     daemons.close()
     shutil.move(disk, folder / "uncut")
     return list(read_changes(log.path))
