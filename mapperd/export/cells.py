@@ -36,7 +36,11 @@ BLOCKS_AT_ONCE = 256
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 
-NO_TOP = np.iinfo(np.int64).min
+NO_TOP = np.iinfo(np.int32).min
+"""Index in z of a column without an occupied voxel."""
+
+SQUARE = 256
+"""Cells along an edge of the squares of which a grid of unknown extent is made."""
 
 Ints = NDArray[np.int64]
 
@@ -110,8 +114,7 @@ class KnownCells:
         # Log-odds are whole units: above a limit is above its floor, below it below its ceiling.
         self._occupied = math.floor(occupied_log_odds / _core.LOG_ODDS_UNIT)
         self._free = math.ceil(free_log_odds / _core.LOG_ODDS_UNIT)
-        self._columns: list[Ints] = []
-        self._known: list[NDArray[np.uint8]] = []
+        self._squares: dict[tuple[int, int], NDArray[np.uint8]] = {}
 
     def add(
         self, keys: NDArray[np.int32], units: NDArray[np.int32], count: NDArray[np.uint16]
@@ -129,8 +132,15 @@ class KnownCells:
         free = np.asarray((seen & (units < self._free)).any(axis=1))
         block, column = np.nonzero(occupied | free)
         y, x = np.divmod(column, edge)
-        self._columns.append(keys[block, :2].astype(np.int64) * edge + np.stack((x, y), axis=1))
-        self._known.append(np.where(occupied[block, column], OCCUPIED, FREE).astype(np.uint8))
+        columns = keys[block, :2].astype(np.int64) * edge + np.stack((x, y), axis=1)
+        known = np.where(occupied[block, column], OCCUPIED, FREE).astype(np.uint8)
+        corners, which = np.unique(columns // SQUARE, axis=0, return_inverse=True)
+        for number, corner in enumerate(corners.tolist()):
+            inside = which.reshape(-1) == number
+            x, y = (columns[inside] - np.multiply(corner, SQUARE)).T
+            empty = np.full((SQUARE, SQUARE), UNKNOWN, dtype=np.uint8)
+            square = self._squares.setdefault((corner[0], corner[1]), empty)
+            np.maximum.at(square, (y, x), known[inside])  # blocks lie over each other
 
     def cells(self) -> GridLayer | None:
         """The grid of all blocks that were added; None where nothing is known.
@@ -138,14 +148,25 @@ class KnownCells:
         Raises:
             ExportError: it is too large.
         """
-        columns = np.concatenate([np.empty((0, 2), dtype=np.int64), *self._columns])
-        if not len(columns):
+        if not self._squares:
             return None
-        window = window_of(columns)
+        window = window_of(np.concatenate([_ends(*item) for item in self._squares.items()]))
         grid = np.full((window.height, window.width), UNKNOWN, dtype=np.uint8)
-        place = columns[:, 1] - window.y, columns[:, 0] - window.x
-        np.maximum.at(grid, place, np.concatenate(self._known))  # blocks lie over each other
+        for corner, square in self._squares.items():
+            (x, y), (last_x, last_y) = _ends(corner, square) - (window.x, window.y)
+            from_x, from_y = np.multiply(corner, SQUARE) - (window.x, window.y)
+            rows, columns = (
+                slice(y - from_y, last_y - from_y + 1),
+                slice(x - from_x, last_x - from_x + 1),
+            )
+            grid[y : last_y + 1, x : last_x + 1] = square[rows, columns]
         return GridLayer(grid, window)
+
+
+def _ends(corner: tuple[int, int], square: NDArray[np.uint8]) -> Ints:
+    """Return the lowest and the highest (x, y) of the known cells of a square."""
+    y, x = np.nonzero(square)
+    return np.array([(x.min(), y.min()), (x.max(), y.max())]) + np.multiply(corner, SQUARE)
 
 
 def known_cells(sonar_map: MapContent, heights: Heights) -> GridLayer | None:
@@ -174,13 +195,13 @@ class Tops:
 
     Attributes:
         window: which columns.
-        z: (height, width) int64, index of the voxel in z, `NO_TOP` for empty cells; row 0 is the
+        z: (height, width) int32, index of the voxel in z, `NO_TOP` for empty cells; row 0 is the
             south.
         count: (height, width) uint16, number of pings that observed it.
     """
 
     window: GridWindow
-    z: Ints
+    z: NDArray[np.int32]
     count: NDArray[np.uint16]
 
 
@@ -206,7 +227,7 @@ def top_voxels(sonar_map: MapContent, heights: Heights) -> Tops | None:
     if not corners:
         return None
     window = window_of(np.concatenate(corners).reshape(-1, 3)[:, :2])
-    z = np.full((window.height, window.width), NO_TOP, dtype=np.int64)
+    z = np.full((window.height, window.width), NO_TOP, dtype=np.int32)
     count = np.zeros(z.shape, dtype=np.uint16)
     for places, observed in chosen():
         cells = places[:, 1] - window.y, places[:, 0] - window.x
@@ -217,7 +238,7 @@ def top_voxels(sonar_map: MapContent, heights: Heights) -> Tops | None:
 
 
 def top_cells(sonar_map: MapContent, heights: Heights) -> GridLayer | None:
-    """Index in z of the highest occupied voxel of each column that counts, int64, or `NO_TOP`.
+    """Index in z of the highest occupied voxel of each column that counts, int32, or `NO_TOP`.
 
     Raises:
         ExportError: the grid is too large.

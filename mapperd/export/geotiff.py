@@ -1,5 +1,6 @@
 """Grids as GeoTIFF: the top of the map, with how often it was seen, or tiles of any numbers."""
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO
@@ -31,6 +32,9 @@ HOW = {
     "software": "mapperd",
 }
 """What all our files have of TIFF."""
+
+TILE_CELLS = 256
+"""Cells along an edge of a tile of a map's grid."""
 
 MAX_BYTES = 4_000_000_000
 """Of cells in a plain TIFF, packed or not: places in it have 32 bits."""
@@ -84,13 +88,9 @@ def write_geotiff(
     Raises:
         ExportError: the library is not there, or there is nothing to write.
     """
-    write = _library()
     if tops is None:
         raise ExportError("no occupied voxel: there is no surface to write")
-    window, known = tops.window, tops.z != NO_TOP
-    values = np.full((2, *known.shape), NO_DATA, dtype=np.float32)
-    values[0][known] = (tops.z[known] + 0.5) * resolution_m
-    values[1][known] = tops.count[known]
+    window = tops.window
     place = GridPlace(
         window.x * resolution_m,
         (window.y + window.height) * resolution_m,
@@ -98,14 +98,23 @@ def write_geotiff(
         window.width,
         window.height,
     )
-    write(
-        file,
-        values[:, ::-1],
-        bigtiff=False,
-        planarconfig="separate",
-        **HOW,
-        extratags=_tags(place, TOPS, origin),
-    )
+    write_tiles(file, _tiles(tops, resolution_m), place, TOPS, origin, edge=TILE_CELLS)
+
+
+def _tiles(tops: Tops, resolution_m: float) -> Iterator[Floats32 | None]:
+    """Yield tiles (edge, edge, 2) of heights and counts as `write_tiles` takes them."""
+    z_from_north, count_from_north = tops.z[::-1], tops.count[::-1]
+    for row, column in itertools.product(
+        range(0, tops.window.height, TILE_CELLS), range(0, tops.window.width, TILE_CELLS)
+    ):
+        at = slice(row, row + TILE_CELLS), slice(column, column + TILE_CELLS)
+        z, count = z_from_north[at], count_from_north[at]
+        known = z != NO_TOP
+        tile = np.full((TILE_CELLS, TILE_CELLS, len(TOPS)), NO_DATA, dtype=np.float32)
+        inside = tile[: z.shape[0], : z.shape[1]]
+        inside[known, 0] = (z[known] + 0.5) * resolution_m
+        inside[known, 1] = count[known]
+        yield tile if known.any() else None
 
 
 def write_tiles(
