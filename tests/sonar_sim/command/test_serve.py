@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from sonar_sim.command import main
 
+from mapperd.config.odometry import OdometryFusionConfig
 from mapperd.odometry.native import decode_native
 from mapperd.odometry.records import Odometry
 from oculus_driver import Ping, decode_ping
@@ -87,6 +88,26 @@ def test_serve_ends_with_the_time(scene: Path, capsys: pytest.CaptureFixture[str
     words = ["--port", str(port), "--status-port", str(status_port), "--duration", "0.3"]
     assert main(["serve", str(scene), *words]) == 0
     assert "statuses 1" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "sends"),
+    [
+        ([], ["native@udp:127.0.0.1:52200"]),
+        (["--odometry", "nmea@udp:127.0.0.1:9"], ["nmea@udp:127.0.0.1:9"]),
+        (["--no-odometry"], []),
+    ],
+)
+def test_serve_sends_odometry_to_the_daemon_by_default(
+    scene: Path, words: list[str], sends: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    ports = [str(port) for port in free_ports()]
+    words = ["--port", ports[0], "--status-port", ports[1], "--duration", "0.3", *words]
+    assert main(["serve", str(scene), *words]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    found = [line.split()[1] for line in lines if line.startswith("odometry ")]
+    assert found == sends
+    assert OdometryFusionConfig().sources[0].link == "udp://127.0.0.1:52200"
 
 
 @pytest.mark.parametrize(

@@ -127,6 +127,12 @@ def test_mavlink_of_a_vehicle_without_odometry_message(fix: Fix) -> None:
     assert "HEARTBEAT" not in decoded(form.encode(fix)[0])  # one a second
 
 
+def test_mavlink_of_a_vehicle_without_a_dvl_has_no_position(fix: Fix) -> None:
+    form = format_named("mavlink-attitude")
+    form.encode(fix)  # with the heartbeat
+    assert set(decoded(form.encode(fix)[0])) == {"ATTITUDE", "SCALED_PRESSURE2"}
+
+
 def test_dvl_json(fix: Fix) -> None:
     form = format_named("waterlinked")
     velocity, reckoned = (json.loads(line) for line in form.encode(fix))

@@ -17,13 +17,16 @@ from sonar_sim.device.server import ROUTE_ENDS, ServedScenario, ServeSettings
 from sonar_sim.effects.plan import AUTO
 from sonar_sim.errors import OK
 from sonar_sim.navigation.formats import FORMATS
-from sonar_sim.navigation.odometry_output import output_named
+from sonar_sim.navigation.odometry_output import OdometryOutput, output_named
 from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene.sonar import sonar_preset
 from sonar_sim.scene_file import load_scenario
 
 NAME = "serve"
 HELP = "serve a scene as an Oculus sonar on the network, with its vehicle's odometry"
+
+DAEMON = "native@udp:127.0.0.1:52200"
+"""The odometry that the daemon expects by default."""
 
 _FAULT_HELP = {
     "cut": "pings that end in the middle, with the connection",
@@ -66,14 +69,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--duration", metavar="S", type=positive, help="stop after S seconds")
     add("--seed", type=seed, default=0, help="seed of all random numbers")
     add("--effects", default=AUTO, help='auto, all, or a list, such as "auto,-noise"')
-    add(
+    odometry = parser.add_mutually_exclusive_group()
+    odometry.add_argument(
         "--odometry",
         metavar="FORMAT@LINK",
         action="append",
         default=[],
-        help=f"may be repeated; formats: {', '.join(FORMATS)}; links: udp:HOST:PORT, "
-        "tcp:HOST:PORT, serial:PATH, pty",
+        help=f"may be repeated (default: {DAEMON}, where the daemon listens); formats: "
+        f"{', '.join(FORMATS)}; links: udp:HOST:PORT, tcp:HOST:PORT, serial:PATH, pty",
     )
+    odometry.add_argument("--no-odometry", action="store_true", help="send no odometry")
     faults = parser.add_argument_group("faults; SHARE is 0 to 1 of all pings")
     for name in SHARES:
         option = "--" + name.replace("_", "-")
@@ -119,7 +124,7 @@ async def _serve(scenario: Scenario, args: argparse.Namespace) -> None:
         standby=args.standby,
         ends=args.ends,
         faults=_faults(args),
-        outputs=[output_named(text) for text in args.odometry],
+        outputs=_outputs(args),
         seed=args.seed,
         effects=args.effects,
     )
@@ -135,6 +140,11 @@ async def _serve(scenario: Scenario, args: argparse.Namespace) -> None:
             await served.run()
     finally:
         _report(f"served: {_counted(served)}")
+
+
+def _outputs(args: argparse.Namespace) -> list[OdometryOutput]:
+    texts = [] if args.no_odometry else args.odometry or [DAEMON]
+    return [output_named(text) for text in texts]
 
 
 def _counted(served: ServedScenario) -> str:

@@ -30,6 +30,7 @@ FORMATS = (
     "native",
     "mavlink-odometry",
     "mavlink-ardusub",
+    "mavlink-attitude",
     "waterlinked",
     "waterlinked-serial",
     "nmea",
@@ -42,10 +43,12 @@ def format_named(name: str) -> Format:
     Raises:
         SonarSimError: there is no such format.
     """
-    if name in ("mavlink-odometry", "mavlink-ardusub"):
+    if name.startswith("mavlink-") and name in FORMATS:
         from sonar_sim.navigation import mavlink  # noqa: PLC0415 takes half a second to import
 
-        return mavlink.Px4() if name == "mavlink-odometry" else mavlink.ArduSub()
+        if name == "mavlink-odometry":
+            return mavlink.Px4()
+        return mavlink.ArduSub(positions=name == "mavlink-ardusub")
     if name == "native":
         return Native()
     if name == "nmea":

@@ -40,21 +40,24 @@ class UdpLink:
     def __init__(self, host: str, port: int) -> None:
         self.name = f"udp:{host}:{port}"
         self._where = host, port
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)  # noqa: FBT003 the socket's own argument
+        self._socket: socket.socket | None = None
 
     async def open(self) -> None:
-        """Allow broadcasts."""
+        """Open a socket that may broadcast."""
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)  # noqa: FBT003 the socket's own argument
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
 
     def send(self, data: bytes) -> None:
         """Send a datagram; one that the network refuses is lost, as on any network."""
+        assert self._socket is not None, "send before open"  # noqa: S101
         with suppress(OSError):
             self._socket.sendto(data, self._where)
 
     async def close(self) -> None:
         """Close the socket."""
-        self._socket.close()
+        if self._socket is not None:
+            self._socket.close()
 
 
 class TcpLink:

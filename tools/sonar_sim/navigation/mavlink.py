@@ -75,10 +75,15 @@ class Px4(_Autopilot):
 
 
 class ArduSub(_Autopilot):
-    """What a BlueROV2 sends: position, attitude, global position and pressure; no covariance."""
+    """What a BlueROV2 sends: position, attitude, global position and pressure; no covariance.
 
-    def __init__(self) -> None:
+    Args:
+        positions: False omits both positions, as a vehicle without a DVL does.
+    """
+
+    def __init__(self, *, positions: bool = True) -> None:
         super().__init__(dialect.MAV_AUTOPILOT_ARDUPILOTMEGA)
+        self._positions = positions
 
     def encode(self, fix: Fix) -> list[bytes]:
         """Return one datagram."""
@@ -96,7 +101,9 @@ class ArduSub(_Autopilot):
             1e3 * (fix.pressure_bar - ATMOSPHERE_BAR),
             round(100.0 * fix.water.temperature_c),
         )
-        messages = (position, attitude, _global_position(fix, boot_ms, velocity), pressure)
+        messages = [attitude, pressure]
+        if self._positions:
+            messages = [position, attitude, _global_position(fix, boot_ms, velocity), pressure]
         return [self._signs_of_life(fix) + b"".join(map(self._packed, messages))]
 
 
