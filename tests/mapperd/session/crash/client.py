@@ -28,16 +28,19 @@ class World:
     Args:
         pings: that are played again and again.
         place: x and y of the vehicle's k-th record.
+        speed: at which the pings are played.
     """
 
     def __init__(
         self,
         pings: list[bytes] | None = None,
         place: Callable[[int], tuple[float, float]] = to_and_fro,
+        speed: float = 3.0,
     ) -> None:
         self.sonar_port = 0
         self._pings = pings or [make_ping(k, start_time=100 + 0.02 * k) for k in range(1, 200)]
         self._place = place
+        self._speed = speed
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
             self.odometry_port = int(probe.getsockname()[1])
@@ -54,7 +57,7 @@ class World:
         self._loop.close()
 
     async def _go(self) -> None:
-        async with PlaybackSonar(self._pings, standby=True, loops=None, speed=3.0) as sonar:
+        async with PlaybackSonar(self._pings, standby=True, loops=None, speed=self._speed) as sonar:
             self.sonar_port = sonar.port
             self._ready.set()
             driving = asyncio.create_task(self._drive())
