@@ -152,6 +152,19 @@ class FireSettings:
         """Return the same settings in standby: no pings, not even triggered ones."""
         return replace(self, ping_rate=PingRate.STANDBY, network_trigger=False)
 
+    def check_model(self, model: Model) -> None:
+        """Check the settings against the model's limits; an unknown model has none.
+
+        Raises:
+            SettingsError: the model does not have the mode, or the range is beyond the mode's.
+        """
+        limited = self.limited_to(model)
+        if limited != self:
+            raise SettingsError(
+                f"a range of {self.range_m:g} m: {model.name} reaches {limited.range_m:g} m in "
+                f"mode {int(self.mode)}"
+            )
+
     def limited_to(self, model: Model) -> FireSettings:
         """Return the settings with the range limited to the model's maximum in this mode.
 

@@ -144,6 +144,11 @@ class OculusSonar:
         return self._requested
 
     @property
+    def limited(self) -> FireSettings:
+        """The settings as sent: the requested ones with the range limited to the model's."""
+        return self._requested if self._model is None else self._requested.limited_to(self._model)
+
+    @property
     def status(self) -> Status | None:
         """The sonar's last status, None if its address was given."""
         return None if self._search is None else self._search.status

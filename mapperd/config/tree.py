@@ -25,6 +25,7 @@ from mapperd.config.daemon import (
     TopicsConfig,
     VisualizationConfig,
 )
+from mapperd.config.device import DeviceConfig, WaterConfig
 from mapperd.config.field import rule
 from mapperd.config.filters import CrosstalkConfig, RobotDetectionConfig, TerrainDetectionConfig
 from mapperd.config.localization import LocalizationConfig, ScanExtractionConfig
@@ -67,6 +68,7 @@ __all__ = [
     "TimeSyncConfig",
     "TopicsConfig",
     "VisualizationConfig",
+    "WaterConfig",
     "WorldInitConfig",
 ]
 
@@ -74,10 +76,6 @@ MAX_COUNT = 65535  # observations that a voxel can count
 
 MIN_TILE_VOXELS = 8
 """Edge of a block, which no tile divides."""
-
-
-IPV4 = r"((25[0-5]|2[0-4]\d|1?\d?\d)\.){3}(25[0-5]|2[0-4]\d|1?\d?\d)"
-"""Pattern of an address in dotted decimals."""
 
 
 class SonarConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -315,48 +313,6 @@ class ProcessingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 1
 
 
-class DeviceConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """The sonar on the network and what it is asked for; a recording needs none of it."""
-
-    address: Annotated[
-        str,
-        rule(
-            "Address of the sonar; empty discovers it by its status broadcasts.",
-            "an IPv4 address or nothing",
-            pattern=f"^({IPV4})?$",
-        ),
-    ] = ""
-    port: Annotated[int, rule("TCP port of the sonar.", ge=1, le=65535)] = 52100
-    serial: Annotated[
-        int,
-        rule(
-            "Serial number of the sonar to use; 0 selects the first one discovered.",
-            ge=0,
-            le=2**32 - 1,
-        ),
-    ] = 0
-    mode: Annotated[
-        Literal[1, 2], rule("1 is low frequency, wide and far; 2 is high, narrow and near.")
-    ] = 1
-    ping_rate: Annotated[
-        Literal["normal", "high", "highest", "low", "lowest"],
-        rule("At most 10, 15, 40, 5 or 2 pings a second; long ranges allow fewer."),
-    ] = "normal"
-    range: Annotated[float, rule("Range of the pings.", "m", ge=0.1, le=200)] = 10.0
-    gain: Annotated[float, rule("Gain of the receiver.", "%", ge=0, le=100)] = 50.0
-    beams: Annotated[Literal[256, 512], rule("Number of beams.")] = 512
-    latency_sec: Annotated[
-        float,
-        rule(
-            "Minimum latency from the last echo to the first byte's arrival. The stream does "
-            "not contain it; ping times are corrected by it.",
-            "s",
-            ge=0,
-            le=1,
-        ),
-    ] = 0.0
-
-
 class Config(Struct, frozen=True, forbid_unknown_fields=True):
     """The whole tree; `Config()` is a working default."""
 
@@ -379,6 +335,7 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     localization: LocalizationConfig = LocalizationConfig()
     amcl: AmclConfig = AmclConfig()
     device: DeviceConfig = DeviceConfig()
+    water: WaterConfig = WaterConfig()
     recording: RecordingConfig = RecordingConfig()
     service: ServiceConfig = ServiceConfig()
     behind: BacklogConfig = BacklogConfig()

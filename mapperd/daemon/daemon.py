@@ -17,6 +17,7 @@ from mapperd.config.tree import Config
 from mapperd.daemon.localization_service import LocalizationRequests
 from mapperd.daemon.map_folder import MapFolder
 from mapperd.daemon.session import Live
+from mapperd.daemon.sonar_control import SonarControl
 from mapperd.daemon.status import Watch, status_of
 from mapperd.errors import ConfigError, MapError, Reject, StoreError
 from mapperd.events import EventLog, Severity
@@ -77,7 +78,8 @@ class Daemon:
         self._numbers = count(1)
         self._localization = LocalizationRequests(settings, events, folder, self._ask)
         self._resets: dict[int, asyncio.Future[StoreError | None]] = {}
-        settings.follow(PingExecutor.FOLLOWS, self._take, _check)
+        follows = {*PingExecutor.FOLLOWS, *SonarControl.FOLLOWS}
+        settings.follow(follows, self._take, self._check)
 
     @property
     def settings(self) -> ConfigStore:
@@ -235,6 +237,12 @@ class Daemon:
             raise MapError(f"{lost} bricks of the map are damaged and not rebuilt", "bricks_lost")
         return whole
 
+    def _check(self, config: Config) -> None:
+        """Check whether mapping and the sonar can follow; raises `ConfigError`."""
+        check_filters(config)
+        check_localization(config)
+        self._live.control.check(config)
+
     def _take(self, config: Config) -> None:
         """Follow the settings, and log changes."""
         before, self._config = self._config, config
@@ -252,12 +260,6 @@ class Daemon:
         for done in self._resets.values():
             if not done.done():
                 done.set_result(StoreError("mapping has ended", "closed"))
-
-
-def _check(config: Config) -> None:
-    """Whether the way of a ping can follow; raises `ConfigError`."""
-    check_filters(config)
-    check_localization(config)
 
 
 def _in_loop(loop: asyncio.AbstractEventLoop, what: Callable[[], None]) -> None:

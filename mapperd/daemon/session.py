@@ -15,8 +15,9 @@ import msgspec
 from mapperd import __version__
 from mapperd.config.changes import changes_between
 from mapperd.config.link_address import parse_address
-from mapperd.config.tree import Config, DeviceConfig
+from mapperd.config.tree import Config
 from mapperd.daemon.localization_service import Requests
+from mapperd.daemon.sonar_control import SonarControl, fire_settings
 from mapperd.errors import ConfigError, Reject
 from mapperd.events import EventLog, Severity
 from mapperd.localization.session import LocalizationSession, numbers_of, poses_depend_on
@@ -35,11 +36,10 @@ from mapperd.pipeline.worker import MappingThread
 from mapperd.session_log import LINK, ClockSet, Remarks, Request, Session, Settings
 from oculus_driver.link.state import LinkState, LinkStatus
 from oculus_driver.recording.sonar_log import MAX_CLOCK_ERROR_NS
-from oculus_driver.settings import FireSettings, Mode, PingRate
 from oculus_driver.sonar import OculusSonar
 from oculus_driver.stream import MessageBounds
 
-__all__ = ["Live", "fire_settings", "host_clock"]
+__all__ = ["Live", "host_clock"]
 
 
 CLOCK_INTERVAL_S = 1.0
@@ -58,21 +58,6 @@ def host_clock() -> Callable[[], int]:
 def unix_offset_ns() -> int:
     """Return the offset from the monotonic clock to Unix time; it changes if the clock is set."""
     return time.time_ns() - time.monotonic_ns()
-
-
-def fire_settings(device: DeviceConfig) -> FireSettings:
-    """Return the sonar settings to request.
-
-    Raises:
-        SettingsError: the sonar does not support a setting.
-    """
-    return FireSettings(
-        mode=Mode(device.mode),
-        ping_rate=PingRate[device.ping_rate.upper()],
-        range_m=device.range,
-        gain_percent=device.gain,
-        beams=device.beams,
-    )
 
 
 class Live:
@@ -97,6 +82,7 @@ class Live:
         counters: of the pings.
         links: odometry links.
         recorder, ingest, queue: of all input.
+        control: applies changed settings to the sonar.
     """
 
     def __init__(
@@ -131,7 +117,7 @@ class Live:
         self.links = self._odometry_links()
         self._sonar = OculusSonar(
             config.device.address or None,
-            fire_settings(config.device),
+            fire_settings(config),
             serial=config.device.serial or None,
             port=config.device.port,
             on_chunk=self._receive_sonar,
@@ -140,6 +126,7 @@ class Live:
             clock=self._clock,
             max_pings=1,  # nobody reads them: the mapping thread decodes the bytes, as in a replay
         )
+        self.control = SonarControl(self._sonar, config, events)
 
     async def run(self, until: Awaitable[Any]) -> None:
         """Map until `until` is done, then put the sonar into standby.
@@ -169,7 +156,8 @@ class Live:
             mapping.start()
             try:
                 async with self._sonar:
-                    await _first_of(end, self._watch(), asyncio.shield(ended), *links)
+                    works = (self._watch(), self.control.run())
+                    await _first_of(end, *works, asyncio.shield(ended), *links)
             finally:
                 for link in links:
                     link.cancel()
@@ -184,13 +172,15 @@ class Live:
         """Map with other settings from the next bytes on; any thread.
 
         Args:
-            config: differs from the present settings only in those of `PingExecutor.FOLLOWS`, and
-                has passed `check_filters`.
+            config: differs from the present settings only in those of `PingExecutor.FOLLOWS` and
+                `SonarControl.FOLLOWS`, and has passed `check_filters` and `control.check`.
         """
         values = changes_between(self._config, config)
         self._config = config
         if values:
             self.ingest.order(Settings(values))
+        if values.keys() & {*SonarControl.FOLLOWS}:
+            self.control.request(config)
 
     async def request(self, request: Request) -> Reject | None:
         """Record a request and pass it to localization; return why it was refused.

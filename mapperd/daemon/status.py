@@ -63,6 +63,7 @@ def _sonar(live: Live, facts: StatusSnapshot) -> dict[str, Any]:
         "placed_by": facts.clocks["placed"],
         "restarts": facts.clocks["restarts"],
         **facts.sonar,
+        **live.control.status(),
     }
 
 

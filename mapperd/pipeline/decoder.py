@@ -12,6 +12,7 @@ from typing import NamedTuple
 from mapperd.config.changes import with_values
 from mapperd.config.tree import Config
 from mapperd.errors import Reject
+from mapperd.imaging.sound_speed import corrected_ranges
 from mapperd.odometry.bridge import ENCODING_PREFIX
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.counters import PipelineCounters
@@ -461,7 +462,10 @@ class SessionDecoder:
         self._offer_all(arrivals, chunk.arrival_ns)
 
     def _offer_all(self, arrivals: Iterable[Arrival], complete_ns: int | None) -> None:
-        for arrival_ns, ping, damaged in arrivals:
+        for arrival_ns, received, damaged in arrivals:
+            ping = received
+            if isinstance(received, Ping):
+                ping = corrected_ranges(received, self.config.water)
             if self._within is not None and not self._within(arrival_ns):
                 self.counters.pings_outside += 1
             else:

@@ -51,6 +51,7 @@ class PingExecutor:
         "robot_detection",
         "amcl",
         "localization",
+        "water",
         *ODOMETRY_FOLLOWS,
     )
     """Settings that the pipeline follows while it runs."""

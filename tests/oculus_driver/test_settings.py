@@ -151,6 +151,16 @@ def test_a_range_beyond_the_model_is_cut_to_what_it_has() -> None:
     assert percent.limited_to(model_of(M1200D)) is percent
 
 
+def test_a_range_beyond_the_model_is_named() -> None:
+    far = FireSettings(mode=Mode.HIGH_FREQUENCY, range_m=100.0)
+    with pytest.raises(SettingsError, match="a range of 100 m: M750d reaches 40 m in mode 2"):
+        far.check_model(model_of(M750D))
+    FireSettings(range_m=100.0).check_model(model_of(M750D))
+    with pytest.raises(SettingsError, match="M370s has no mode 2"):
+        FireSettings(mode=Mode.HIGH_FREQUENCY).check_model(model_of(M370S))
+    far.check_model(model_of(1))
+
+
 def test_no_model_is_refused_for_its_part_number() -> None:
     # quirk 24: what one model has is no reason to refuse another.
     far = FireSettings(range_m=200.0)

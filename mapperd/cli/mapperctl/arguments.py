@@ -9,6 +9,7 @@ from typing import Any, Literal, NoReturn
 from mapperd import __version__
 from mapperd.api import STD_XY_M, STD_YAW_RAD
 from mapperd.cli.mapperctl.errors import CtlError, CtlExit
+from mapperd.cli.mapperctl.sonar import add_sonar
 from mapperd.config.catalog import parameters
 from mapperd.config.loader import YamlProblem, parse_yaml
 from mapperd.errors import ConfigError
@@ -491,6 +492,8 @@ def parser() -> _Parser:
     get.add_argument("names", metavar="NAME", nargs="+", type=_name, help="a setting or a section")
     change = _command(commands, "set", "change settings of the running daemon, all or none")
     change.add_argument("changes", metavar="NAME=VALUE", nargs="+", type=_change)
+    about = "show and change the settings of the sonar, while it maps"
+    add_sonar(_command(commands, "sonar", about))
     save = _command(commands, "save", "write the map into the daemon's maps folder")
     save.add_argument(
         "name", metavar="FILE", help="name without a folder; the suffix selects the format"

@@ -13,6 +13,7 @@ from typing import Any
 from mapperd.cli.mapperctl.arguments import pose_from_args
 from mapperd.cli.mapperctl.connection import ControlConnection, DaemonTarget
 from mapperd.cli.mapperctl.errors import CtlError, CtlExit, plain
+from mapperd.cli.mapperctl.sonar import run_sonar
 from mapperd.cli.mapperctl.views import event_line, localization_lines, params_lines, status_lines
 
 __all__ = ["run"]
@@ -36,6 +37,9 @@ def run(args: argparse.Namespace, target: DaemonTarget) -> Lines:
         return
     if args.command == "localization" and args.watch:
         yield from _watch(args, target)
+        return
+    if args.command == "sonar":
+        yield from run_sonar(args, target)
         return
     slow = args.command in SLOW
     if args.command == "reset" and not args.yes:

@@ -9,6 +9,7 @@ from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore
 from mapperd.config.loader import config_from_text
 from mapperd.daemon.map_folder import MapFolder
+from mapperd.daemon.sonar_control import SonarControl
 from mapperd.errors import ConfigError
 from mapperd.imaging.filter_chain import check_filters
 from mapperd.mapping.sonar_map import SonarMap
@@ -134,6 +135,6 @@ def test_published_defaults_load() -> None:
 
 def test_every_live_setting_has_a_follower() -> None:
     ours = (*PingExecutor.FOLLOWS, *Telemetry.FOLLOWS, *MapFolder.FOLLOWS, *MapWorker.FOLLOWS)
-    followed = (*ours, "visualization")
+    followed = (*ours, *SonarControl.FOLLOWS, "visualization")
     live = [name for name, one in parameters().items() if one.dynamic]
     assert [name for name in live if not name.startswith(followed)] == []

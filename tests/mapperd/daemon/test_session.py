@@ -15,7 +15,8 @@ import pytest
 from mapperd.cli.mapperd import DaemonExit, main
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
-from mapperd.daemon.session import Live, fire_settings, host_clock
+from mapperd.daemon.session import Live, host_clock
+from mapperd.daemon.sonar_control import fire_settings
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog
 from mapperd.geometry.frames import pose_from_rpy
@@ -190,7 +191,7 @@ def test_the_settings_report_what_the_sonar_is_asked_for() -> None:
     config = config_from_text(
         "device: {mode: 2, ping_rate: low, range: 4.5, gain: 33, beams: 256, address: 10.0.0.7}"
     )
-    settings = fire_settings(config.device)
+    settings = fire_settings(config)
     assert (settings.mode, settings.ping_rate) == (2, PingRate.LOW)
     assert (settings.range_m, settings.gain_percent, settings.beams) == (4.5, 33, 256)
 
