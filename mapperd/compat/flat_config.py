@@ -1,8 +1,8 @@
 """The published mapper's flat dictionary of settings, as the library class took it.
 
 Every key is one setting of `mapperd.config.tree` under its own name (`adaptive.*` carries its
-section: `adaptive_threshold`), so that ranges and defaults stand in one place. Keys of functions
-that do not exist yet are accepted only with the value "off": no setting is silently ignored.
+section: `adaptive_threshold`), so that ranges and defaults stand in one place. A key without effect
+takes only the value that describes the behaviour: no setting is silently ignored.
 """
 
 import difflib
@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from mapperd.config.catalog import rule_text
+from mapperd.config.daemon import OutOfCoreConfig
 from mapperd.config.tree import (
     AdaptiveConfig,
     Config,
@@ -36,11 +37,14 @@ _SECTIONS: dict[str, type[msgspec.Struct]] = {
     "iwlo": IwloConfig,
     "adaptive": AdaptiveConfig,
     "crosstalk": CrosstalkConfig,
+    "outofcore": OutOfCoreConfig,
 }
 
-_OWN_KEYS = {("crosstalk", "enabled"): "crosstalk_enabled"} | {
-    ("adaptive", field): f"adaptive_{field}" for field in AdaptiveConfig.__struct_fields__
-}
+_OWN_KEYS = {
+    (section, field): f"{section}_{field}"
+    for section, kind in (("adaptive", AdaptiveConfig), ("outofcore", OutOfCoreConfig))
+    for field in kind.__struct_fields__
+} | {("crosstalk", "enabled"): "crosstalk_enabled", ("outofcore", "use"): "use_outofcore"}
 """Keys that are not the field's name."""
 
 _PLACES = {
@@ -59,16 +63,8 @@ _ONLY = {
     "frame_skip": (1, "leave out calls instead"),
     "dynamic_expansion": (True, "the map always grows"),
     "use_cpp_backend": (True, "the core is in C++"),
-    "use_outofcore": (False, "maps on disk are not there yet"),
 }
 """The only accepted value, which describes the behaviour, and why there is no other."""
-
-_RESTING = {
-    "outofcore_map_path": "use_outofcore",
-    "outofcore_tile_size": "use_outofcore",
-    "outofcore_cache_size": "use_outofcore",
-}
-"""Details of a function, accepted if the same dictionary turns the function off."""
 
 
 def config_from_flat(flat: Mapping[str, Any]) -> Config:
@@ -81,8 +77,8 @@ def config_from_flat(flat: Mapping[str, Any]) -> Config:
         flat: keys and values, NumPy's numbers as good as Python's.
 
     Raises:
-        ConfigError: a key that is unknown, belongs to a function that is not there, or has a
-            value that is not allowed; its `path` is the key.
+        ConfigError: a key that is unknown or has a value that is not allowed; its `path` is the
+            key.
     """
     tree: dict[str, Any] = {}
     for key, given in flat.items():
@@ -95,7 +91,7 @@ def config_from_flat(flat: Mapping[str, Any]) -> Config:
             numbers = _vector(key, value)
             tree.setdefault("mounting", {})[part] = dict(zip(names, numbers, strict=True))
         else:
-            _check_fixed(key, value, flat)
+            _check_fixed(key, value)
     _lower(tree, "mapping", "free_threshold", "occupied_threshold")
     _lower(tree, "adaptive", "min_ratio", "max_ratio")
     try:
@@ -121,20 +117,14 @@ def _vector(key: str, value: object) -> list[float]:
     return [float(number) for number in numbers]
 
 
-def _check_fixed(key: str, value: object, flat: Mapping[str, Any]) -> None:
+def _check_fixed(key: str, value: object) -> None:
     """Accept a key without effect only with its neutral value."""
-    switch = _RESTING.get(key)
-    if switch is not None and flat.get(switch) is False:
-        return
     if key in _ONLY:
         only, reason = _ONLY[key]
         if value is not only and not (type(value) is int and value == only):
             raise ConfigError(f"{key}: only {only} is allowed: {reason}", key)
         return
-    if switch is not None:
-        reason = _ONLY[switch][1]
-        raise ConfigError(f"{key}: {reason}; leave it out, or set {switch} to False", key)
-    known = [*_PLACES, *_VECTORS, *_ONLY, *_RESTING]
+    known = [*_PLACES, *_VECTORS, *_ONLY]
     near = difflib.get_close_matches(str(key), known, n=1)
     hint = f"did you mean {near[0]}?" if near else f"allowed: {', '.join(known)}"
     raise ConfigError(f"{key}: there is no such setting; {hint}", str(key))
@@ -157,6 +147,10 @@ def _explained(message: str) -> ConfigError:
     for key, (part, _) in _VECTORS.items():
         if section == "mounting" and field.startswith(part):
             return ConfigError(f"{key}: {field}: {what}; allowed: {rule_text(path)}", key)
+    if not section:  # settings that contradict each other
+        for (part, field), key in keys.items():
+            what = what.replace(f"{part}.{field}", key)
+        return ConfigError(what, "")
     named = keys.get((section, field))
     if named is None:
         return ConfigError(f"{section}: {what}", section)

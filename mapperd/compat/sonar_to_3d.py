@@ -1,29 +1,35 @@
 """`SonarTo3DMapper`: images of a sonar and poses of a robot become a 3D map.
 
 The names are the published mapper's. The map beneath is that of
-`mapperd.mapping.sonar_map.SonarMap`, kept in memory.
+`mapperd.mapping.sonar_map.SonarMap`, in memory, or with `use_outofcore` in tiles of which some are.
 """
 
+import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict
+from types import TracebackType
+from typing import Any, NotRequired, Self, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapperd.compat.flat_config import config_from_flat
+from mapperd.config.paths import MAP_NAME, map_path
 from mapperd.config.tree import Config
-from mapperd.errors import MapError
-from mapperd.export.clouds import write_ply
+from mapperd.errors import MapError, StoreError
+from mapperd.export.formats import write_map
 from mapperd.geometry.frames import rigid_transform
 from mapperd.imaging.filter_chain import check_filters, filter_ping_image
 from mapperd.imaging.ping_image import ping_image_of_array
-from mapperd.io import atomic_file
+from mapperd.mapping.content import MapContent
 from mapperd.mapping.queries import MapQueries, memory_stats
-from mapperd.mapping.sonar_map import SonarMap
+from mapperd.mapping.sonar_map import SonarMap, Voxels
+from mapperd.store.stored_map import StoredMap
+from mapperd.store.tile_store import TileStore
 
 __all__ = ["FrameStats", "PointCloud", "SonarTo3DMapper", "robot_pose"]
 
@@ -93,6 +99,10 @@ class PointCloud(TypedDict):
 class SonarTo3DMapper:
     """A map that images of a sonar are added to.
 
+    With `use_outofcore` the map is the content of the file `outofcore_map_path`, which `mapperctl`
+    also reads; without a path it is temporary. At most `outofcore_cache_size` tiles are in
+    memory, and one thread uses the mapper. Its context (`with`) and `close` save.
+
     Args:
         config: the published mapper's flat keys, such as `voxel_resolution`, listed in
             docs/reference/library.md. Each key has a default.
@@ -101,6 +111,7 @@ class SonarTo3DMapper:
     Raises:
         ConfigError: an unknown key, a value that is not allowed, or a filter that is on without
             its library.
+        StoreError: the map's file cannot be used, or holds a map of other settings.
     """
 
     def __init__(
@@ -112,7 +123,79 @@ class SonarTo3DMapper:
         self._config = config_from_flat(config or {})
         check_filters(self._config)
         self._clock = clock
-        self.reset_map()
+        self._frames = self._processed = 0
+        self._seconds = 0.0
+        self._map = SonarMap(self._config)
+        self._open = ExitStack()
+        self._store = self._opened_store() if self._config.outofcore.use else None
+
+    def _opened_store(self) -> TileStore:
+        with ExitStack() as opening:
+            path = map_path(self._config, {})
+            if not self._config.outofcore.map_path:
+                folder = tempfile.TemporaryDirectory(prefix="mapperd-")
+                path = Path(opening.enter_context(folder)) / MAP_NAME
+            settings = self._config.outofcore
+            store = TileStore(
+                path, self._map, tile_size_m=settings.tile_size, cache_tiles=settings.cache_size
+            )
+            opening.callback(store.close)
+            store.check()
+            self._open = opening.pop_all()
+        return store
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close, even after an error: the map holds whole images only."""
+        self.close()
+
+    def close(self) -> None:
+        """Save a map on disk and close its file.
+
+        Raises:
+            StoreError: it cannot be saved; the file holds the map of the last save.
+        """
+        try:
+            if self._store is not None:
+                self._store.save()
+        finally:
+            self._store = None
+            self._open.close()
+
+    def flush_map(self) -> bool:
+        """Write all that changed into the file of a map on disk, durably.
+
+        Returns:
+            True; False for a map in memory, which has no file.
+
+        Raises:
+            StoreError: it cannot be saved; the map is still in memory.
+        """
+        if self._store is None:
+            return False
+        self._store.save()
+        self._store.sync()
+        return True
+
+    @contextmanager
+    def _whole(self) -> Iterator[MapContent]:
+        """Open the whole map: it may be larger than memory."""
+        if self._store is None:
+            yield self._map
+            return
+        self._store.save()
+        with closing(StoredMap(self._store.path, self._config)) as stored:
+            if stored.bricks_lost:
+                text = f"{self._store.path}: {stored.bricks_lost} bricks are damaged"
+                raise StoreError(text, "bricks_lost")
+            yield stored
 
     @property
     def config(self) -> Config:
@@ -152,7 +235,11 @@ class SonarTo3DMapper:
         echo = ping_image_of_array(polar_image, max_range, bearings, self._config.sonar)
         echo, _ = filter_ping_image(echo, self._config)
         map_T_base = robot_pose(robot_position, robot_orientation)  # noqa: N806 frames are named
-        changed = self._map.integrate(echo, map_T_base @ self._map.base_T_sonar)
+        try:
+            changed = self._map.integrate(echo, map_T_base @ self._map.base_T_sonar)
+        finally:
+            if self._store is not None:  # tiles may leave memory as they are now
+                self._store.advance(self._store.position)
         self._processed += 1
         known = self._map.core.known_count()
         elapsed = self._clock() - start
@@ -173,24 +260,36 @@ class SonarTo3DMapper:
         Occupied: above `occupied_threshold`. Free: observed and below `free_threshold`. Points are
         voxel CENTRES (the published mapper's were the lowest corners).
         """
-        occupied = self._map.voxels("occupied")
-        cloud = PointCloud(
-            points=occupied.centres_m,
-            probabilities=occupied.probability,
-            num_occupied=len(occupied),
-            frame_count=self._frames,
-            processed_count=self._processed,
-        )
-        if include_free:
-            free = self._map.voxels("free")
-            cloud["free_points"] = free.centres_m
-            cloud["free_probabilities"] = free.probability
-            cloud["num_free"] = len(free)
+        with self._whole() as whole:
+            occupied = _together(whole.occupied().batches())
+            cloud = PointCloud(
+                points=occupied.centres_m,
+                probabilities=occupied.probability,
+                num_occupied=len(occupied),
+                frame_count=self._frames,
+                processed_count=self._processed,
+            )
+            if include_free:
+                free = _together(self._free(whole))
+                cloud["free_points"] = free.centres_m
+                cloud["free_probabilities"] = free.probability
+                cloud["num_free"] = len(free)
         return cloud
+
+    def _free(self, whole: MapContent) -> Iterator[Voxels]:
+        if isinstance(whole, StoredMap):
+            yield from whole.free()
+        else:
+            yield self._map.voxels("free")
 
     @property
     def queries(self) -> MapQueries:
-        """Points, boxes, rays and distances, by the thresholds of the settings."""
+        """Points, boxes, rays and distances, by the thresholds of the settings.
+
+        Raises:
+            MapError: the map is on disk (`in_tiles`).
+        """
+        self._map.check_whole()
         mapping = self._config.mapping
         return MapQueries(
             self._map.core,
@@ -206,20 +305,33 @@ class SonarTo3DMapper:
         Raises:
             ValueError: other resolutions, clamps or learning rates, or the map itself; nothing is
                 changed.
+            MapError: one of the maps is on disk (`in_tiles`); nothing is changed.
         """
+        for one in (self, *others):
+            one._map.check_whole()  # noqa: SLF001 same class
         self._map.core.merge(*(other._map.core for other in others))  # noqa: SLF001 same class
 
     def reset_map(self) -> None:
-        """Forget all voxels and counters; the settings stay."""
-        self._map = SonarMap(self._config)
+        """Forget all voxels, also those on disk, and counters; the settings stay.
+
+        Raises:
+            StoreError: the map's file cannot be written; nothing is changed.
+        """
+        if self._store is not None:
+            self._store.reset()
+        else:
+            self._map = SonarMap(self._config)
         self._frames = self._processed = 0
         self._seconds = 0.0
 
     def get_memory_stats(self) -> dict[str, Any]:
-        """Fields of `MemoryStats`, with `backend` ("memory"), `resolution` and `memory_bytes`."""
+        """Fields of `MemoryStats`, with `backend`, `resolution` and `memory_bytes`.
+
+        `backend` is "memory" or "outofcore", where the counts are those of the tiles in memory.
+        """
         core = self._map.core
         return {
-            "backend": "memory",
+            "backend": "memory" if self._store is None else "outofcore",
             "resolution": core.resolution_m,
             "memory_bytes": core.memory_bytes,
             **asdict(memory_stats(core)),
@@ -238,6 +350,7 @@ class SonarTo3DMapper:
             MapError: the name ends in something else than `.bt`, or a voxel lies beyond OctoMap's
                 reach.
             ExportError: the file cannot be written.
+            StoreError: the map's file cannot be used, or is damaged.
         """
         if Path(filename).suffix != ".bt":
             raise MapError(f"{filename}: a name that ends in .bt was expected", "bad_file_name")
@@ -255,21 +368,13 @@ class SonarTo3DMapper:
         Raises:
             MapError: another suffix, or a voxel lies beyond OctoMap's reach.
             ExportError: the file cannot be written.
+            StoreError: the map's file cannot be used, or is damaged.
         """
         path = Path(filename)
-        forms = {".bt": self._map.octomap_bt, ".ot": self._map.octomap_ot}
-        if path.suffix not in (*forms, ".ply", ".map"):
+        if path.suffix not in (".bt", ".ot", ".ply", ".map"):
             raise MapError(f"{path}: .map, .bt, .ot or .ply was expected", "bad_file_name")
-        if path.suffix == ".map":
-            self._map.save(path)
-            return True
-        if path.suffix == ".ply":
-            with atomic_file(path) as file:
-                write_ply(file, self._map.voxels("occupied"), self._map.resolution_m)
-            return True
-        data = forms[path.suffix]()
-        with atomic_file(path) as file:
-            file.write(data)
+        with self._whole() as whole:
+            write_map(whole, path)
         return True
 
     def load_map(self, filename: str | PathLike[str]) -> bool:
@@ -280,7 +385,19 @@ class SonarTo3DMapper:
 
         Raises:
             MapError: the file cannot be read, is no whole map, or was saved with another
-                resolution, other clamps or another learning rate.
+                resolution, other clamps or another learning rate; or this map is on disk.
         """
         self._map.load(filename)
         return True
+
+
+def _together(batches: Iterable[Voxels]) -> Voxels:
+    """Concatenate voxels."""
+    some = list(batches)
+    if not some:
+        return Voxels(np.empty((0, 3)), np.empty(0, np.float32), np.empty(0, np.uint16))
+    return Voxels(
+        np.concatenate([one.centres_m for one in some]),
+        np.concatenate([one.probability for one in some]),
+        np.concatenate([one.count for one in some]),
+    )

@@ -42,11 +42,15 @@ def pose_path(config: Config, environ: Mapping[str, str]) -> Path:
     return state_folder(config, environ) / "localization-pose.json"
 
 
+MAP_NAME = "mapperd.map"
+
+
 def map_path(config: Config, environ: Mapping[str, str]) -> Path:
-    """Of the map's file."""
+    """Path of the map's file; in a folder of that name if there is one."""
     if config.outofcore.map_path:
-        return Path(config.outofcore.map_path)
-    return state_folder(config, environ) / "mapperd.map"
+        path = Path(config.outofcore.map_path)
+        return path / MAP_NAME if path.is_dir() else path
+    return state_folder(config, environ) / MAP_NAME
 
 
 MAX_BYTES = 4096

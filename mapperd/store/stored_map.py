@@ -128,6 +128,11 @@ class StoredMap:
         survey = self._survey
         return _StoredVoxels(self._in_order, survey.counts.occupied, survey.box_m)
 
+    def free(self) -> Iterator[Voxels]:
+        """Yield the free voxels of each part."""
+        for part in self._in_order():
+            yield part.voxels("free")
+
     def parts(self) -> Iterator[_core.VoxelMap]:
         """Yield parts in the map's fixed order, each valid until the next."""
         for part in self._in_order():

@@ -46,7 +46,7 @@ PUBLISHED: dict[str, Any] = {
 
 
 def test_the_published_defaults_are_ours_but_for_the_aperture() -> None:
-    ours = config_from_flat(PUBLISHED | {"vertical_aperture": 14.0})
+    ours = config_from_flat(PUBLISHED | {"vertical_aperture": 14.0, "outofcore_map_path": ""})
     assert ours == config_from_flat({}) == Config()
     assert config_from_flat(PUBLISHED).sonar.vertical_aperture == 20.0
 
@@ -105,15 +105,15 @@ def test_low_max_ratio_takes_the_min_ratio_along() -> None:
         ({"sonar_position": [0, 0, math.nan]}, "sonar_position: three finite numbers"),
         ({"sonar_position": [0, 0, 1e9]}, "sonar_position: position.z: .*<= 100"),
         ({"sonar_orientation": "down"}, "sonar_orientation: three finite numbers"),
-        ({"use_outofcore": True}, "use_outofcore: only False is allowed: .*not there yet"),
+        ({"use_outofcore": 1}, "use_outofcore: .*true or false"),
         ({"crosstalk_enabled": 0.0}, "crosstalk_enabled: .*true or false"),
         ({"morpho_kernel_size": 1}, "morpho_kernel_size: .*>= 2"),
         ({"morpho_kernel_shape": "star"}, "morpho_kernel_shape: .*rect or ellipse or cross"),
         ({"use_cpp_backend": False}, "use_cpp_backend: only True is allowed"),
         ({"dynamic_expansion": False}, "dynamic_expansion: only True is allowed"),
         ({"frame_skip": 5}, "frame_skip: only 1"),
-        ({"outofcore_cache_size": 16}, "outofcore_cache_size: .*set use_outofcore to False"),
-        ({"outofcore_cache_size": 16, "use_outofcore": True}, "use_outofcore"),
+        ({"outofcore_cache_size": 0}, "outofcore_cache_size: .*>= 1"),
+        ({"outofcore_tile_size": 0.1, "use_outofcore": True}, "^outofcore_tile_size 0.1 is less"),
     ],
 )
 def test_wrong_keys_and_values_are_named(flat: dict[str, Any], message: str) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from mapperd import SonarTo3DMapper
 from mapperd.config.tree import SonarConfig
-from mapperd.errors import ConfigError, ExportError, MapError
+from mapperd.errors import ConfigError, ExportError, MapError, StoreError
 from mapperd.geometry.frames import Pose
 from mapperd.imaging.ping_image import PingImage, ping_image_of_array, uniform_bearings
 from mapperd.mapping.queries import FREE, OCCUPIED
@@ -43,6 +43,53 @@ def test_image_becomes_voxels_as_the_map_itself_would() -> None:
     assert (cloud["points"] == occupied.centres_m).all()
     assert (cloud["probabilities"] == occupied.probability).all()
     assert "free_points" not in cloud
+
+
+def test_map_on_disk_is_that_in_memory_with_one_tile_of_it_in_memory(tmp_path: Path) -> None:
+    on_disk = {
+        "use_outofcore": True,
+        "outofcore_map_path": str(tmp_path / "dive.map"),
+        "outofcore_tile_size": 2.0,
+        "outofcore_cache_size": 1,
+    }
+    in_memory = SonarTo3DMapper(COARSE)
+    places = [[3.0 * k, 0.5 * k, 0.0] for k in range(40)]
+    with SonarTo3DMapper(COARSE | on_disk) as mapper:
+        for number, place in enumerate(places):
+            for one in (mapper, in_memory):
+                one.process_sonar_image(wall(), place, HOME[1], max_range=5.0)
+            if number == 20:
+                assert mapper.flush_map()
+        cloud, expected = (one.get_point_cloud(include_free=True) for one in (mapper, in_memory))
+        for name in ("points", "probabilities", "free_points", "free_probabilities"):
+            assert (cloud[name] == expected[name]).all()
+        assert mapper.get_memory_stats()["backend"] == "outofcore"
+        assert (
+            mapper.get_memory_stats()["num_leaf_nodes"] < cloud["num_occupied"] + cloud["num_free"]
+        )
+        for suffix in ("map", "bt", "ot", "ply"):
+            for name, one in (("disk", mapper), ("memory", in_memory)):
+                assert one.save_map(tmp_path / f"{name}.{suffix}")
+            both = [(tmp_path / f"{name}.{suffix}").read_bytes() for name in ("disk", "memory")]
+            assert both[0] == both[1]
+        for refused in (lambda: mapper.queries, lambda: in_memory.merge(mapper)):
+            with pytest.raises(MapError, match="in tiles"):
+                refused()
+    with SonarTo3DMapper(COARSE | on_disk) as again:
+        assert (again.get_point_cloud()["points"] == expected["points"]).all()
+        again.reset_map()
+        assert again.get_point_cloud()["num_occupied"] == 0
+    with pytest.raises(StoreError, match="voxel_resolution"):
+        SonarTo3DMapper(COARSE | on_disk | {"voxel_resolution": 0.1})
+
+
+def test_map_on_disk_without_a_path_is_temporary() -> None:
+    with SonarTo3DMapper(COARSE | {"use_outofcore": True}) as mapper:
+        mapper.process_sonar_image(wall(), *HOME, max_range=5.0)
+        folder = Path(mapper._store.path).parent if mapper._store else Path()
+        assert (folder / "mapperd.map").exists()
+        assert len(mapper.get_point_cloud()["points"]) == len(mapped().get_point_cloud()["points"])
+    assert not folder.exists()
 
 
 def test_statistics_report_what_happened() -> None:
