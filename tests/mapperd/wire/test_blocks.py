@@ -1,5 +1,7 @@
 """Blocks as bytes and back, and malformed bytes."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import hypothesis.extra.numpy as arrays
 import numpy as np
 import pytest
@@ -93,6 +95,19 @@ def test_frame_that_lies_about_its_size_is_not_unpacked() -> None:
     assert len(bomb) < 1 << 16
     with pytest.raises(StreamError, match="bytes"):
         decode_blocks(bomb, counts=False)
+
+
+def test_threads_encode_and_decode_at_once() -> None:
+    def is_unchanged(seed: int) -> bool:
+        random = np.random.default_rng(seed)
+        keys = random.integers(-99, 99, (400, 3), dtype=np.int32)
+        cells = random.integers(-128, 127, (400, CELLS), dtype=np.int8)
+        blocks = BlockSet(keys, np.zeros(400, np.uint32), cells, None)
+        decoded = decode_blocks(encode_blocks(blocks), counts=False)
+        return bool((decoded.cells == cells).all() and (decoded.keys == keys).all())
+
+    with ThreadPoolExecutor(4) as pool:
+        assert all(pool.map(is_unchanged, range(64)))
 
 
 def test_largest_body_is_taken() -> None:
