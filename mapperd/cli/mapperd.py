@@ -35,6 +35,7 @@ from mapperd.errors import (
     missing_extra,
 )
 from mapperd.export.picture import can_draw
+from mapperd.export.trajectory import Trajectory
 from mapperd.imaging.filter_chain import check_filters
 from mapperd.io import make_folder
 from mapperd.odometry.formats import check_libraries
@@ -115,11 +116,16 @@ def _live(arguments: Arguments) -> DaemonExit:
     _check_picture()
     again = partial(_settings, arguments)
     notifier = Notifier(os.environ)
-    run = LiveRun(store, partial(_poses, arguments), arguments.duration_s, _print, again, notifier)
-    with contextlib.closing(notifier), graceful_stop():
+    with (
+        contextlib.closing(notifier),
+        contextlib.closing(Trajectory(arguments.out)) as trajectory,
+        graceful_stop(),
+    ):
+        poses = partial(_poses, arguments)
+        run = LiveRun(store, poses, arguments.duration_s, _print, again, notifier, trajectory)
         sonar_map, summary = map_live(run)
         with notifier.patience(process_progress), contextlib.closing(sonar_map):
-            write_results(arguments.out, sonar_map, summary)
+            write_results(arguments.out, sonar_map, summary, trajectory)
     return _verdict(arguments, summary)
 
 
@@ -135,12 +141,13 @@ def _replay(arguments: Arguments) -> DaemonExit:
     def settings() -> Config:
         return _settings(arguments).config
 
-    try:
-        sonar_map, summary = map_recordings(arguments, settings, ready)
-    except KeyboardInterrupt:
-        return _fail(DaemonExit.INTERRUPTED, "interrupted; nothing was written")
-    with contextlib.closing(sonar_map):
-        write_results(arguments.out, sonar_map, summary)
+    with contextlib.closing(Trajectory(arguments.out)) as trajectory:
+        try:
+            sonar_map, summary = map_recordings(arguments, settings, ready, trajectory)
+        except KeyboardInterrupt:
+            return _fail(DaemonExit.INTERRUPTED, "interrupted; nothing was written")
+        with contextlib.closing(sonar_map):
+            write_results(arguments.out, sonar_map, summary, trajectory)
     return _verdict(arguments, summary)
 
 

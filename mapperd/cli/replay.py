@@ -15,6 +15,7 @@ from mapperd.cli.progress import ProgressBar
 from mapperd.config.tree import Config
 from mapperd.daemon.map_folder import localization_summary, recording_facts, summary_of
 from mapperd.errors import ReplayError
+from mapperd.export.trajectory import Trajectory
 from mapperd.geometry.frames import Pose
 from mapperd.mapping.content import MapContent
 from mapperd.mapping.sonar_map import SonarMap
@@ -63,7 +64,10 @@ def _bag_in(folder: Path) -> str:
 
 
 def map_recordings(
-    arguments: Arguments, settings: Callable[[], Config], ready: Callable[[], None]
+    arguments: Arguments,
+    settings: Callable[[], Config],
+    ready: Callable[[], None],
+    trajectory: Trajectory,
 ) -> tuple[MapContent, dict[str, Any]]:
     """Check everything that can be checked, then map; return the map, open, and the summary.
 
@@ -71,6 +75,7 @@ def map_recordings(
         arguments: with the recordings.
         settings: the user's.
         ready: called when nothing speaks against mapping.
+        trajectory: receives the poses of the mapped pings.
 
     Raises:
         ConfigError: the settings are wrong, or those of the sessions make no common map.
@@ -94,15 +99,15 @@ def map_recordings(
             _require_reach(sessions, arguments.pose, sonar_map)
     ready()
     if arguments.store is not None:
-        return _stored(sessions, sonar_map.config, arguments.pose, arguments.store)
+        return _stored(sessions, sonar_map.config, arguments.pose, arguments.store, trajectory)
     window = Window(arguments.start_s, arguments.duration_s)
     if sonar_map.config.outofcore.use:
-        return _mapped_on_disk(runs, sonar_map, window, arguments.out)
-    return sonar_map, _mapped(runs, sonar_map, window)
+        return _mapped_on_disk(runs, sonar_map, window, arguments.out, trajectory)
+    return sonar_map, _mapped(runs, sonar_map, window, trajectory)
 
 
 def _mapped_on_disk(
-    runs: Sequence[Run], sonar_map: SonarMap, window: Window, folder: Path
+    runs: Sequence[Run], sonar_map: SonarMap, window: Window, folder: Path, trajectory: Trajectory
 ) -> tuple[MapContent, dict[str, Any]]:
     """Map into a temporary file, of which at most `outofcore.cache_size` tiles are in memory."""
     settings = sonar_map.config.outofcore
@@ -111,20 +116,24 @@ def _mapped_on_disk(
         with TileStore(
             path, sonar_map, tile_size_m=settings.tile_size, cache_tiles=settings.cache_size
         ) as store:
-            summary = _replayed(runs, sonar_map, window, TilePersistence(store, sonar_map))
+            persistence = TilePersistence(store, sonar_map)
+            summary = _replayed(runs, sonar_map, window, trajectory, persistence)
         whole = StoredMap(path, sonar_map.config)  # stays readable without its name
     return whole, summary(whole)
 
 
-def _mapped(runs: Sequence[Run], sonar_map: SonarMap, window: Window) -> dict[str, Any]:
+def _mapped(
+    runs: Sequence[Run], sonar_map: SonarMap, window: Window, trajectory: Trajectory
+) -> dict[str, Any]:
     """Map in memory; return the summary."""
-    return _replayed(runs, sonar_map, window)(sonar_map)
+    return _replayed(runs, sonar_map, window, trajectory)(sonar_map)
 
 
 def _replayed(
     runs: Sequence[Run],
     sonar_map: SonarMap,
     window: Window,
+    trajectory: Trajectory,
     persistence: MapPersistence | None = None,
 ) -> Callable[[MapContent], dict[str, Any]]:
     """Run the replays, one after the other into one map; return what makes the summary of it."""
@@ -135,7 +144,9 @@ def _replayed(
     done_bytes = 0
     for run in runs:
         replay = run.replay(sonar_map, window, counters, persistence)
+        replay.pipeline.executor.on_mapped = trajectory.add
         for _ in replay.run(run.session):
+            trajectory.flush()
             bar.show((done_bytes + run.session.bytes_read) / size_bytes, counters.pings_mapped)
         done_bytes += run.session.bytes_read
     bar.close(counters.pings_mapped)
@@ -147,7 +158,11 @@ def _replayed(
 
 
 def _stored(
-    sessions: Sequence[RecordedSession], config: Config, pose: Pose | None, path: Path
+    sessions: Sequence[RecordedSession],
+    config: Config,
+    pose: Pose | None,
+    path: Path,
+    trajectory: Trajectory,
 ) -> tuple[MapContent, dict[str, Any]]:
     """Map a recording into a file; the counts are of this time, the map is the whole one."""
     if len(sessions) > 1:
@@ -155,7 +170,13 @@ def _stored(
     began_s = time.perf_counter()
     [session] = sessions
     whole, poses, counters = map_into_store(
-        session.paths, config, pose, path, damaged=session.damaged
+        session.paths,
+        config,
+        pose,
+        path,
+        lambda _: trajectory.flush(),
+        damaged=session.damaged,
+        on_mapped=trajectory.add,
     )
     wall_s = time.perf_counter() - began_s
     return whole, summary_of(recording_facts(sessions), whole, poses, counters, wall_s)

@@ -1,4 +1,4 @@
-"""Folders of results: saved maps, map.bt, map.ply, map.png and summary.json."""
+"""Folders of results: saved maps, map.bt, map.ply, map.png, trajectory and summary.json."""
 
 import contextlib
 import json
@@ -21,6 +21,7 @@ from mapperd.export.cells import Heights
 from mapperd.export.clouds import write_ply
 from mapperd.export.formats import FORMATS, crs_of, write_map
 from mapperd.export.picture import can_draw, write_picture
+from mapperd.export.trajectory import Trajectory
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.geometry.geodesy import Origin
 from mapperd.io import atomic_file, make_folder, remove
@@ -130,12 +131,14 @@ class MapFolder:
         return Heights(export.min_z, export.max_z)
 
 
-def write_results(folder: Path, sonar_map: MapContent, summary: dict[str, Any]) -> None:
+def write_results(
+    folder: Path, sonar_map: MapContent, summary: dict[str, Any], trajectory: Trajectory
+) -> None:
     """Write the summary, then the map in every form; each file is whole or as it was.
 
     Without matplotlib there is no picture. What the map cannot give is removed from the folder,
     so that no result of an earlier run stands beside the new ones. Of a map with lost bricks only
-    the summary is written: holes would look like water.
+    the summary and the trajectory are written: holes would look like water.
 
     Raises:
         ExportError: files cannot be written, or the map does not fit into OctoMap's format; the
@@ -145,11 +148,13 @@ def write_results(folder: Path, sonar_map: MapContent, summary: dict[str, Any]) 
         for name in ("map.bt", "map.ply", "map.png"):
             remove(folder / name)
         _write_summary(folder / "summary.json", summary)
+        trajectory.write(sonar_map.config.frames)
         return
     occupied = sonar_map.occupied()
     resolution_m = sonar_map.resolution_m
     problems = [
         *_problem(partial(_write_summary, folder / "summary.json", summary)),
+        *_problem(partial(trajectory.write, sonar_map.config.frames)),
         *_problem(partial(_write_octomap, folder / "map.bt", sonar_map)),
         *_problem(partial(_write_cloud, folder / "map.ply", occupied, resolution_m)),
         *_problem(partial(_write_picture, folder / "map.png", occupied, resolution_m, summary)),

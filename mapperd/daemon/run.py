@@ -28,6 +28,7 @@ from mapperd.daemon.supervisor import is_main_thread, supervised
 from mapperd.daemon.systemd import Notifier, inherited_sockets, watchdog_s
 from mapperd.errors import ConfigError, MapError, StoreError
 from mapperd.events import EventLog, Severity
+from mapperd.export.trajectory import Trajectory
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.report import state_of
 from mapperd.localization.saved_pose import load_pose
@@ -65,6 +66,7 @@ class LiveRun:
         print_line: prints status lines, in addition to events.
         read: the settings' files again; raises `ConfigError`.
         notifier: of the service manager.
+        trajectory: receives the poses of the mapped pings.
     """
 
     settings: ConfigStore
@@ -73,6 +75,7 @@ class LiveRun:
     print_line: Printer
     read: Callable[[], Layered]
     notifier: Notifier
+    trajectory: Trajectory
 
 
 def map_live(run: LiveRun) -> tuple[MapContent, dict[str, Any]]:
@@ -177,8 +180,9 @@ async def _served(
             print_line=run.print_line,
         )
         await stack.enter_async_context(feeding)
-        printing = asyncio.create_task(_print_status(live, run.print_line))
-        stack.callback(printing.cancel)
+        live.mapping.pipeline.executor.on_mapped = run.trajectory.add
+        for task in (_print_status(live, run.print_line), _keep_trajectory(run.trajectory)):
+            stack.callback(asyncio.create_task(task).cancel)
         await stack.enter_async_context(_poses_kept(run.settings, live, events, clock))
         began_s = time.perf_counter()
         await daemon.run(_until(stop, run.duration_s))
@@ -302,6 +306,13 @@ def _same(one: Path, other: Path) -> bool:
     return one.absolute() == other.absolute() or (
         one.exists() and other.exists() and one.samefile(other)
     )
+
+
+async def _keep_trajectory(trajectory: Trajectory) -> NoReturn:
+    """Move the poses out of memory now and then."""
+    while True:
+        await asyncio.sleep(STATUS_PERIOD_S)
+        await asyncio.to_thread(trajectory.flush)
 
 
 async def _print_status(live: Live, print_line: Printer) -> None:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from mapperd.config.tree import Config
 from mapperd.errors import Reject
@@ -13,6 +14,9 @@ from mapperd.pipeline.persistence import MapPersistence
 from mapperd.pipeline.pose_lookup import ODOMETRY_FOLLOWS
 from mapperd.pipeline.step import PingResult, Stages, process_ping
 from mapperd.session_log import Remarks, Request, Reset
+
+if TYPE_CHECKING:
+    from mapperd.geometry.frames import Pose
 
 __all__ = ["PingExecutor"]
 
@@ -38,6 +42,7 @@ class PingExecutor:
         stages, counters: as given.
         sightings: robots that were seen lately.
         on_ping: called with each result; it neither waits nor raises.
+        on_mapped: called with the time and the pose of each mapped ping, likewise.
     """
 
     FOLLOWS = (
@@ -69,6 +74,7 @@ class PingExecutor:
         self.counters = counters or PipelineCounters()
         self.sightings = Sightings()
         self.on_ping: Callable[[PingResult], None] = lambda _: None
+        self.on_mapped: Callable[[int | None, Pose], None] = lambda *_: None
         self._persistence = persistence
         self._remarks = remarks or Remarks()
         self._clock = clock
@@ -169,10 +175,11 @@ class PingExecutor:
         result = process_ping(posed, self.stages)
         if not isinstance(result.pose, Reject):
             self.counters.add_time(self._clock() - began_s)
-        if result.reject is None:
-            self.counters.pings_mapped += 1
-        else:
+        if result.reject is not None:
             self.counters.drop(result.reject)
+        elif not isinstance(result.pose, Reject):
+            self.counters.pings_mapped += 1
+            self.on_mapped(posed.t_ns, result.pose.pose)
         self._remember_robots(result)
         return result
 

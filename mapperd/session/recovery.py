@@ -4,7 +4,7 @@ Lost parts of the file are restored from the recordings of all its sessions.
 """
 
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -247,6 +247,7 @@ def map_rest(
     *,
     confirm: bool = False,
     counters: PipelineCounters | None = None,
+    on_mapped: Callable[[int | None, Pose], None] = lambda *_: None,
 ) -> Generator[None, None, None]:
     """Map the rest of a session to its end; yield after every chunk.
 
@@ -257,6 +258,7 @@ def map_rest(
         remarks: recorded decisions to repeat; None ignores them.
         confirm: hold each ping back until the next bytes confirm it.
         counters: to continue; new ones by default.
+        on_mapped: as of `PingExecutor`.
 
     Raises:
         StoreError: the file cannot be written.
@@ -274,6 +276,7 @@ def map_rest(
         confirm=confirm,
         counters=counters,
     )
+    pipeline.executor.on_mapped = on_mapped
     if stored.position is not None:
         restore_decoder(pipeline.decoder, stored.position)
     persistence.begin(pipeline.decoder, tail, lambda: None, localization)

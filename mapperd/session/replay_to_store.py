@@ -39,6 +39,7 @@ def map_into_store(
     on_chunk: Callable[[PipelineCounters], None] = lambda _: None,
     *,
     damaged: DamagedData | None = None,
+    on_mapped: Callable[[int | None, Pose], None] = lambda *_: None,
 ) -> tuple[StoredMap, FixedPose | OdometryPoses, PipelineCounters]:
     """Map a recording into a file, from its resume point; the file keeps its other content.
 
@@ -49,6 +50,7 @@ def map_into_store(
         path: of the map's file.
         on_chunk: called after every chunk.
         damaged: data that fail their checksum; by default they are not mapped.
+        on_mapped: as of `PingExecutor`.
 
     Returns:
         the whole map, which the caller closes, the poses, and the counters of this run.
@@ -83,7 +85,15 @@ def map_into_store(
             start = RecordingOffset() if resumed is None else resumed.place
             tail = Tail(dict(enumerate(paths, 1)), start, damaged)
             confirm = _is_foreign(paths[0])
-            for _ in map_rest(stored, poses, tail, None, confirm=confirm, counters=counters):
+            for _ in map_rest(
+                stored,
+                poses,
+                tail,
+                None,
+                confirm=confirm,
+                counters=counters,
+                on_mapped=on_mapped,
+            ):
                 on_chunk(counters)
     _rebuild(path, paths, config, pose, damaged)
     whole = StoredMap(path, config)

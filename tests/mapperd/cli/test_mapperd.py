@@ -60,6 +60,8 @@ def test_recording_becomes_a_folder_of_results(
         "map.bt",
         "map.ply",
         "map.png",
+        "trajectory.csv",
+        "trajectory.tum",
         "summary.json",
     }
     summary = summary_in(out)
@@ -204,7 +206,13 @@ def test_broken_matplotlib_costs_the_picture_only(
     )
     assert done.returncode == DaemonExit.OK, done.stderr
     assert "`topside`" in done.stderr
-    assert {path.name for path in out.iterdir()} == {"map.bt", "map.ply", "summary.json"}
+    assert {path.name for path in out.iterdir()} == {
+        "map.bt",
+        "map.ply",
+        "summary.json",
+        "trajectory.csv",
+        "trajectory.tum",
+    }
 
 
 def test_interrupt_writes_nothing_and_is_reported(

@@ -20,6 +20,7 @@ from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.errors import StoreError
 from mapperd.events import EventLog
+from mapperd.export.trajectory import Trajectory
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.session.recordings import files_in, sessions_of
 from mapperd.session.replay import Run, Window
@@ -73,7 +74,8 @@ def as_recorded(folder: Path) -> tuple[str, int]:
     begun = [session for session in sessions_of(files_in([folder])) if any(True for _ in session)]
     runs = [run_as_recorded(session) for session in begun]
     sonar_map = SonarMap(runs[0].config)
-    summary = _mapped(runs, sonar_map, Window())
+    with contextlib.closing(Trajectory(folder)) as trajectory:
+        summary = _mapped(runs, sonar_map, Window(), trajectory)
     return sonar_map.sha256(), summary["pings_mapped"]
 
 
@@ -268,7 +270,9 @@ def kill_replays(folder: Path, daemons: Daemons, least: int) -> None:
     config = config_from_text((folder / "dive.yaml").read_text(encoding="utf-8"))
     (session,) = sessions_of([dive])
     truth = SonarMap(config)
-    assert _mapped([Run(session, config, None, None)], truth, Window())["pings_mapped"] > 40
+    with contextlib.closing(Trajectory(folder)) as trajectory:
+        whole = _mapped([Run(session, config, None, None)], truth, Window(), trajectory)
+    assert whole["pings_mapped"] > 40
     words = ("--replay", dive, "--config", folder / "dive.yaml", "--store", store)
     kills = mid = ends = 0
     while kills < least or not ends:

@@ -9,6 +9,7 @@ import random
 import shutil
 import signal
 from collections.abc import Iterator
+from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from mapperd.cli.replay import _mapped
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.errors import ReplayError
+from mapperd.export.trajectory import Trajectory
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.session.recordings import files_in, sessions_of
 from mapperd.session.replay import Window, as_recorded
@@ -76,7 +78,8 @@ def recorded(folder: Path, config: Config) -> tuple[str, int] | None:
     except (RecordingError, ReplayError):
         return None
     if runs:
-        pings = _mapped(runs, sonar_map, Window())["pings_mapped"]
+        with closing(Trajectory(folder)) as trajectory:
+            pings = _mapped(runs, sonar_map, Window(), trajectory)["pings_mapped"]
     return sonar_map.sha256(), pings
 
 
