@@ -144,18 +144,18 @@ class ViewerProxy:
         """Connect a viewer with the server behind, until one of them ends."""
         server_reader, server_writer = await asyncio.open_connection(*self.target)
         _, _, fields = head.partition(b"\r\n")
-        server_writer.write(b"GET / HTTP/1.1\r\n" + fields)  # without the token
-        pumps = (
-            asyncio.create_task(_pump(reader, server_writer)),
-            asyncio.create_task(_pump(server_reader, writer)),
-        )
-        try:
-            await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            for pump in pumps:
-                pump.cancel()
-            await asyncio.gather(*pumps, return_exceptions=True)
-            server_writer.close()
+        with contextlib.closing(server_writer):  # also where the wait for the pumps is cancelled
+            server_writer.write(b"GET / HTTP/1.1\r\n" + fields)  # without the token
+            pumps = (
+                asyncio.create_task(_pump(reader, server_writer)),
+                asyncio.create_task(_pump(server_reader, writer)),
+            )
+            try:
+                await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                for pump in pumps:
+                    pump.cancel()
+                await asyncio.gather(*pumps, return_exceptions=True)
 
     def _refusal(self, head: bytes, peer: str) -> tuple[HTTPStatus, str] | None:
         """Return why a viewer is refused, with the status; None admits it."""

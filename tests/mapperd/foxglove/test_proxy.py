@@ -12,7 +12,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidStatus
 
 from mapperd.foxglove import proxy
-from mapperd.foxglove.proxy import ViewerAccess, hidden_host
+from mapperd.foxglove.proxy import ViewerAccess, ViewerProxy, hidden_host
 from mapperd.foxglove.server import serve
 from tests.mapperd.foxglove.foxglove_fakes import FakeClient, until
 
@@ -175,3 +175,55 @@ def test_viewers_are_cut_at_the_end() -> None:
             await links[0].wait_closed()
 
     asyncio.run(run())
+
+
+@pytest.mark.parametrize("steps", range(8))
+def test_a_connection_cut_while_it_ends_leaves_no_socket_open(
+    steps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[asyncio.StreamWriter] = []
+
+    async def run() -> None:
+        behind = asyncio.Event()
+
+        async def server_behind(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            await behind.wait()
+            writer.close()
+
+        server = await asyncio.start_server(server_behind, "127.0.0.1", 0)
+        connect_to = asyncio.open_connection
+
+        async def open_connection(
+            host: str, port: int
+        ) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+            reader, writer = await connect_to(host, port)
+            ended = reader.feed_eof
+
+            def feed_eof() -> None:
+                ended()
+                asyncio.get_running_loop().create_task(cut())
+
+            monkeypatch.setattr(reader, "feed_eof", feed_eof)
+            opened.append(writer)
+            return reader, writer
+
+        async def cut() -> None:
+            for _ in range(steps):
+                await asyncio.sleep(0)
+            leaving.set()
+
+        leaving = asyncio.Event()
+        async with ViewerProxy("127.0.0.1", 0, ViewerAccess()) as served:
+            served.target = server.sockets[0].getsockname()[:2]
+            _, writer = await connect_to("127.0.0.1", served.port)
+            monkeypatch.setattr(asyncio, "open_connection", open_connection)
+            writer.write(b"GET / HTTP/1.1\r\nUpgrade: websocket\r\n\r\n")
+            await until(lambda: opened)
+            behind.set()
+            async with asyncio.timeout(20):
+                await leaving.wait()
+        writer.close()
+        server.close()
+
+    asyncio.run(run())
+    assert opened[0].is_closing()
