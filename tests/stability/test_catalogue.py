@@ -1,9 +1,9 @@
-"""The hard cases read as a catalogue, and the page has all of them."""
+"""The hard cases read as a catalogue, and the page counts all of them."""
 
 from __future__ import annotations
 
 import pytest
-from studies.numerics.catalogue import CASES, case_of, cases, catalogue
+from studies.numerics.catalogue import CASES, case_of, cases, catalogue, listing
 from studies.report import PAGES, section
 
 MIN_CASES = 80
@@ -58,9 +58,10 @@ def test_the_two_parts_are_two_sentences_or_paragraphs(gap: str) -> None:
     assert case.naive == "Naively, it fails."
 
 
-def test_a_case_is_an_item_below_its_area() -> None:
+def test_a_case_is_counted_in_its_area_and_listed_with_both_parts() -> None:
     case = case_of("test_clock_any.py", "test_any", "|q| is 1. Naively it is not.")
-    assert "### Clock (1)\n\n- `test_any`: |q| is 1." in catalogue([case])
+    assert "| clock | 2 |" in catalogue([case, case])
+    assert listing([case]) == "test_clock_any.py: test_any\n  |q| is 1.\n  Naively it is not."
 
 
 @pytest.mark.parametrize("page", ["", "<!-- other: begin, x -->\n<!-- other: end -->"])

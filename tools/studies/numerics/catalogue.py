@@ -1,4 +1,4 @@
-"""Write the catalogue of hard cases into docs/reports/numerical-stability.md."""
+"""Count the hard cases in docs/reports/numerical-stability.md, and print them all."""
 
 import ast
 import re
@@ -69,27 +69,30 @@ def cases(folder: Path = CASES) -> Iterator[HardCase]:
 
 
 def catalogue(found: list[HardCase]) -> str:
-    """Return the lists, a section an area."""
+    """Return a table with a row for each area."""
     rank = {area: (place, "") for place, area in enumerate(AREAS)}
     last = len(AREAS)
     ordered = sorted(found, key=lambda case: rank.get(case.area, (last, case.area)))
-    counted = f"{len(found)} cases, in `tests/stability/`; each docstring adds the naive failure."
-    return "\n".join([counted, *(_section(a, list(c)) for a, c in groupby(ordered, _area_of))])
+    rows = [f"| {a} | {len(list(c))} | `test_{a}_*.py` |" for a, c in groupby(ordered, _area_of)]
+    total = f"| all | {len(found)} | |"
+    return "\n".join(["| area | cases | tests |", "|---|---:|---|", *rows, total])
+
+
+def listing(found: list[HardCase]) -> str:
+    """Return each case with both parts of its docstring."""
+    return "\n\n".join(f"{c.file}: {c.name}\n  {c.guard}\n  {c.naive}" for c in found)
 
 
 def _area_of(case: HardCase) -> str:
     return case.area
 
 
-def _section(area: str, found: list[HardCase]) -> str:
-    items = "\n".join(f"- `{c.name}`: {c.guard}" for c in found)
-    return f"\n### {area.capitalize()} ({len(found)})\n\n{items}"
-
-
 def main() -> None:
-    """Write the catalogue into its page."""
-    text = catalogue(list(cases()))
-    write_section(PAGES["numerical-stability"], "catalogue", text, "python -m studies hard-cases")
+    """Write the table into its page; print all cases."""
+    found = list(cases())
+    table, command = catalogue(found), "python -m studies hard-cases"
+    write_section(PAGES["numerical-stability"], "catalogue", table, command)
+    print(listing(found))
 
 
 if __name__ == "__main__":
