@@ -8,6 +8,7 @@ from mapperd.config.field import rule
 from mapperd.config.link_address import parse_address
 
 __all__ = [
+    "FIXED",
     "NOBODY",
     "DeadReckoningConfig",
     "FormatName",
@@ -55,6 +56,9 @@ NAME_PATTERN = "[A-Za-z0-9_.-]{1,32}"
 
 NOBODY = "none"
 """As an owner: this quantity is taken from no source."""
+
+FIXED = "fixed"
+"""As the owner of the position: the vehicle stays at one spot, x = y = 0."""
 
 Name = Annotated[
     str,
@@ -131,7 +135,15 @@ class SlamQualityConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class OwnersConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Which source each quantity comes from: one each, so that nothing counts twice."""
 
-    position: Name = ""
+    position: Annotated[
+        str,
+        rule(
+            "Source of the position; empty selects the first one that provides it, none disables "
+            "it, fixed maps from one spot: x and y are 0, attitude and depth are measured.",
+            "a name, fixed, none, or nothing",
+            pattern=f"^({NAME_PATTERN})?$",
+        ),
+    ] = ""
     attitude: Name = ""
     depth: Annotated[
         str,
@@ -301,20 +313,28 @@ class OdometryFusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
         """Check what no single field can.
 
         Raises:
-            ValueError: two sources share a name, or an owner is no source.
+            ValueError: two sources share a name, an owner is no source, or a vehicle at a fixed
+                spot has a source of velocity.
         """
         names = [source.name for source in self.sources]
-        if NOBODY in names:
-            raise ValueError(f"a source cannot be called {NOBODY!r}: it would own nothing")
+        for word in (NOBODY, FIXED):
+            if word in names:
+                raise ValueError(f"a source cannot be called {word!r}: the owners have this word")
         if len(set(names)) < len(names):
             raise ValueError(f"two sources share a name: {', '.join(names)}; allowed: one each")
         for quantity in ("position", "attitude", "depth", "velocity"):
             owner = getattr(self.owners, quantity)
-            if owner and owner not in (*names, NOBODY):
+            words = (NOBODY, FIXED) if quantity == "position" else (NOBODY,)
+            if owner and owner not in (*names, *words):
                 raise ValueError(
                     f"owners.{quantity} {owner!r} is no source; allowed: {', '.join(names)}, "
-                    f"{NOBODY}"
+                    f"{', '.join(words)}"
                 )
+        if self.owners.position == FIXED and self.owners.velocity not in ("", NOBODY):
+            raise ValueError(
+                f"owners.position {FIXED} contradicts owners.velocity {self.owners.velocity!r}: a "
+                "vehicle at a fixed spot does not move; allowed: one of them"
+            )
 
 
 class WorldInitConfig(Struct, frozen=True, forbid_unknown_fields=True):

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.config.odometry import (
+    FIXED,
     NOBODY,
     OdometryFusionConfig,
     SlamQualityConfig,
@@ -118,6 +119,7 @@ class Fusion:
     ) -> None:
         self._settings = settings or OdometryFusionConfig()
         time_sync = time_sync or TimeSyncConfig()
+        self._is_fixed = self._settings.owners.position == FIXED
         self._depth_is_named = self._settings.owners.depth not in ("", NOBODY)
         self._reach = Reach.of(time_sync)
         self._max_age_ns = round(time_sync.max_odom_age_sec * 1e9)
@@ -201,6 +203,8 @@ class Fusion:
             depth is None or 0 < t_ns - depth.t_ns <= self._reach.max_gap_ns
         ):
             return False
+        if self._is_fixed:
+            return True
         if position is not None and t_ns - position.t_ns <= self._reach.max_gap_ns:
             return is_settled(self._in.position.series, t_ns, self._reach)
         return way is not None and way.t_ns >= t_ns
@@ -266,7 +270,10 @@ class Fusion:
         )
 
     def _placed(self, t_ns: int) -> _Placed | Reject:
-        """The position: between two, by dead reckoning, or carried on a little."""
+        """The position: between two, by dead reckoning, or carried on a little; or the fixed one."""
+        if self._is_fixed:
+            covariance = self._settings.position_std**2 * np.eye(3)
+            return _Placed(BasePosition(np.zeros(3), np.zeros(3), covariance, has_height=False), 0)
         series = self._in.position.series
         before, after = series.around(t_ns)
         interpolates = self._reach.policy == "interpolate"
@@ -275,6 +282,8 @@ class Fusion:
             if reckoned is not None:
                 return reckoned
         found = value_at(series, t_ns, self._reach, POSITION)
+        if not series and isinstance(found, Reject):
+            return Reject("no_position", "the odometry has neither position nor velocity so far")
         return found if isinstance(found, Reject) else _Placed(found.value, found.segment)
 
     def _reckoned(self, last: "Sample[BasePosition] | None", t_ns: int) -> _Placed | None:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.odometry import OdometryFusionConfig
+from mapperd.config.odometry import FIXED, NOBODY, OdometryFusionConfig
 from mapperd.errors import Reject
 from mapperd.geometry.frames import quaternion_to_matrix, rotation_from_rpy
 from mapperd.geometry.geodesy import Origin
@@ -71,10 +71,13 @@ class Intake:
         if (geo := settings.origin) is not None:
             self._origin = Origin(math.radians(geo.latitude), math.radians(geo.longitude))
         owners = settings.owners
-        self.position: Track[BasePosition] = Track(owners.position, self._too_far)
+        fixed = owners.position == FIXED
+        self.position: Track[BasePosition] = Track(
+            NOBODY if fixed else owners.position, self._too_far
+        )
         self.attitude: Track[Attitude] = Track(owners.attitude, self._too_turned)
         self.depth: Track[Floats] = Track(owners.depth, self._too_far)
-        self.velocity: Track[Floats] = Track(owners.velocity)
+        self.velocity: Track[Floats] = Track(NOBODY if fixed else owners.velocity)
         self.reckoning = DeadReckoning(max_gap_ns, settings.dead_reckoning.noise)
 
     def reconfigure(self, settings: OdometryFusionConfig, max_gap_ns: int) -> None:

@@ -311,3 +311,42 @@ def test_a_compass_and_a_world_of_arbitrary_heading_are_not_mixed(circle: Circle
     alone = Fusion()
     both = record(position_m=np.zeros(3), map_q_base=circle.quaternion(0), north_referenced=False)
     assert alone.take("dvl", both, T0) is None
+
+
+ATTITUDE_AND_DEPTH = OdometryFusionConfig(
+    sources=(OdometrySourceConfig(name="autopilot", format="mavlink"),),
+    owners=OwnersConfig(position="fixed"),
+)
+
+
+def test_attitude_alone_lacks_a_position_and_a_fixed_one_replaces_it(circle: Circle) -> None:
+    for settings in (OdometryFusionConfig(), ATTITUDE_AND_DEPTH):
+        fusion = Fusion(settings)
+        feed(fusion, "autopilot", 50, 2, lambda t: {"map_q_base": circle.quaternion(t)})
+        feed(fusion, "autopilot", 10, 2, lambda t: {"depth_m": 3.0 + t})
+        if settings is ATTITUDE_AND_DEPTH:
+            assert fusion.ready(T0 + round(1.03 * S))
+            fused = fused_at(fusion, 1.03)
+            assert fused.pose.position_m == pytest.approx([0.0, 0.0, -4.03], abs=1e-6)
+            assert yaw_of(fused) == pytest.approx(circle.yaw_rad(1.03), abs=1e-6)
+            assert fused.velocity_mps == pytest.approx([0.0, 0.0, 0.0])
+        else:
+            assert reason_at(fusion, 1.03) == "no_position"
+
+
+def test_a_fixed_position_ignores_positions_and_velocities(circle: Circle) -> None:
+    fusion = Fusion(ATTITUDE_AND_DEPTH)
+    feed(fusion, "autopilot", 50, 2, lambda t: {"map_q_base": circle.quaternion(t)})
+    moved = fusion.take("autopilot", record(position_m=np.ones(3)), T0 + 3 * S)
+    assert moved == Reject("other_source", ANY)
+    assert fused_at(fusion, 1.03).pose.position_m.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_a_fixed_position_contradicts_a_source_of_velocity() -> None:
+    sources = (OdometrySourceConfig(name="dvl"),)
+    with pytest.raises(ValueError, match=r"fixed contradicts owners\.velocity 'dvl'"):
+        OdometryFusionConfig(sources, OwnersConfig(position="fixed", velocity="dvl"))
+    with pytest.raises(ValueError, match="cannot be called 'fixed'"):
+        OdometryFusionConfig((OdometrySourceConfig(name="fixed"),))
+    with pytest.raises(ValueError, match=r"owners\.depth 'fixed' is no source"):
+        OdometryFusionConfig(sources, OwnersConfig(depth="fixed"))
