@@ -66,6 +66,14 @@ class DaemonExit(IntEnum):
     INTERRUPTED = 130
 
 
+REMEDIES = {
+    "no_odometry": "no odometry came: check odometry.sources, or give the --pose of a vehicle that "
+    "stands still",
+    "no_position": "only attitude came: add a DVL or another position, or map from one spot with "
+    "odometry.owners.position: fixed",
+}
+"""By reason why pings were dropped."""
+
 _EXITS = {
     ConfigError: DaemonExit.BAD_CONFIG,
     LiveError: DaemonExit.UNAVAILABLE,
@@ -244,7 +252,8 @@ def _source(arguments: Arguments) -> str:
 
 def _why_empty(summary: dict[str, Any], dropped: str) -> str:
     if summary["pings_total"]:
-        return f"no ping could be mapped: {dropped}"
+        remedies = [text for why, text in REMEDIES.items() if why in summary["pings_dropped"]]
+        return "; ".join([f"no ping could be mapped: {dropped}", *remedies])
     if outside := summary["pings_outside"]:
         return f"no ping lies in the chosen part; {outside} were read outside of it"
     if "live" in summary:

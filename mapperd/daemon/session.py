@@ -202,6 +202,11 @@ class Live:
         return self._poses
 
     @property
+    def config(self) -> Config:
+        """The settings in force."""
+        return self._config
+
+    @property
     def link(self) -> LinkStatus:
         """State of the link to the sonar."""
         return self._sonar.link

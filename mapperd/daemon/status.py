@@ -1,12 +1,14 @@
 """The status of a session in plain values, and events about its changes."""
 
 import asyncio
+import time
 from typing import Any, NoReturn
 
 import numpy as np
 
 from mapperd import __version__
 from mapperd.config.tree import Config
+from mapperd.daemon.problems import Problem, problems_of
 from mapperd.daemon.session import Live
 from mapperd.events import EventLog, Severity
 from mapperd.localization.report import localization_summary, map_name_of, state_of
@@ -23,14 +25,14 @@ def status_of(
 ) -> dict[str, Any]:
     """All keys of `DaemonApi.status` but `phase`."""
     facts = live.mapping.snapshot
+    parts = _parts(live, facts, uptime_s)
     return {
         "reason": live.link.reason,
+        "problems": [{"code": one.code, "text": one.text} for one in problems_of(parts, config)],
         "version": __version__,
         "session": live.session,
-        "uptime_s": uptime_s,
         "progress": facts.progress,
-        "sonar": _sonar(live, facts),
-        "odometry": {**facts.odometry, "connections": {ln.name: _link(ln) for ln in live.links}},
+        **parts,
         "pose": _pose(facts),
         "localization": localization_summary(facts.localization, config),
         "pings": facts.pings,
@@ -42,9 +44,18 @@ def status_of(
             "resolution_m": sonar_map.resolution_m,
         },
         "store": live.persistence.status(),
-        "recording": live.recorder.status(),
         "robots": facts.robots,
         "servers": servers,
+    }
+
+
+def _parts(live: Live, facts: StatusSnapshot, uptime_s: float) -> dict[str, Any]:
+    """The parts by which problems are found."""
+    return {
+        "uptime_s": uptime_s,
+        "sonar": _sonar(live, facts),
+        "odometry": {**facts.odometry, "connections": {ln.name: _link(ln) for ln in live.links}},
+        "recording": live.recorder.status(),
     }
 
 
@@ -159,8 +170,7 @@ class LocalizationWatch:
 
 
 LOOK_S = 1.0
-STATUS_PERIOD_S = 10.0
-"""Between looks at whether odometry still comes."""
+"""Period of looks at what sends no notification."""
 
 
 class Watch:
@@ -178,6 +188,8 @@ class Watch:
         self._dropped = self._refused = 0
         self._recording: object = None
         self._limits: dict[str, str] = {}
+        self._problems: dict[tuple[str, str], Problem] = {}
+        self._suspected: set[tuple[str, str]] = set()
         self._localization = LocalizationWatch(events)
 
     def update(self, facts: StatusSnapshot) -> None:
@@ -209,20 +221,25 @@ class Watch:
 
     async def look(self) -> NoReturn:
         """Poll what sends no notification, until cancelled."""
-        heard, silent_s = self._heard(), 0.0
+        began_s = time.monotonic()
         while True:
             await asyncio.sleep(LOOK_S)
             self._look_at_recording()
             self._look_at_limits()
-            now_heard = self._heard()
-            silent_s = 0.0 if now_heard != heard else silent_s + LOOK_S
-            heard = now_heard
-            if silent_s == STATUS_PERIOD_S and self._live.links:
-                text = f"no odometry for {STATUS_PERIOD_S:g} s; see `mapperd doctor`"
-                self._events.add(Severity.WARNING, "no_odometry", text)
+            parts = _parts(self._live, self._live.mapping.snapshot, time.monotonic() - began_s)
+            parts["recording"] = None  # its own events report it
+            self.look_at_problems(problems_of(parts, self._live.config))
 
-    def _heard(self) -> int:
-        return sum(link.status.bytes_received for link in self._live.links)
+    def look_at_problems(self, problems: list[Problem]) -> None:
+        """Report problems that two looks in a row find, and their end."""
+        found = {(one.code, one.link): one for one in problems}
+        for key in found.keys() & self._suspected - self._problems.keys():
+            self._problems[key] = found[key]
+            self._events.add(Severity.WARNING, found[key].code, found[key].text)
+        for key in self._problems.keys() - found.keys():
+            code = self._problems.pop(key).code
+            self._events.add(Severity.NOTICE, "problem_solved", f"{code} is solved", problem=code)
+        self._suspected = set(found)
 
     def _look_at_limits(self) -> None:
         """Report links that start or stop to bring more than they may."""

@@ -270,7 +270,7 @@ class Fusion:
         )
 
     def _placed(self, t_ns: int) -> _Placed | Reject:
-        """The position: between two, by dead reckoning, or carried on a little; or the fixed one."""
+        """The position: between two, by dead reckoning, or carried on, or the fixed one."""
         if self._is_fixed:
             covariance = self._settings.position_std**2 * np.eye(3)
             return _Placed(BasePosition(np.zeros(3), np.zeros(3), covariance, has_height=False), 0)

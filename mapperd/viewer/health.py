@@ -59,6 +59,7 @@ class Health:
         round_trip_s: round-trip time.
         pose_ns, map_ns: newest stamps, Unix time of the daemon's clock.
         phase: phase of the daemon, one word.
+        problems: what keeps the daemon from mapping, with the remedy.
         page_bytes, page_nodes, page_cells, page_waiting: the map in browsers.
     """
 
@@ -74,6 +75,7 @@ class Health:
     pose_ns: int | None = None
     map_ns: int | None = None
     phase: str = ""
+    problems: tuple[str, ...] = ()
     page_bytes: int = 0
     page_nodes: int = 0
     page_cells: int = 0
@@ -118,6 +120,8 @@ class Health:
             dropped = pings.get("dropped")
             self.dropped = _counts(dropped) if isinstance(dropped, Mapping) else {}
         self.phase = str(status.get("phase", self.phase))
+        problems = status.get("problems", ())
+        self.problems = tuple(str(one["text"]) for one in problems if isinstance(one, Mapping))
         trip = link.get("round_trip_s")
         self.round_trip_s = float(trip) if isinstance(trip, int | float) else None
         left = link.get("left")
@@ -153,7 +157,13 @@ def health_html(health: Health, now_s: float, unix_ns: int) -> str:
     )
     drops = ", ".join(f"{html.escape(k)} {v}" for k, v in sorted(health.dropped.items()) if v)
     waiting = f"drawing, {health.page_waiting} parts to go" if health.page_waiting else ""
-    notes = "".join(f'<div style="opacity:.7">{n}</div>' for n in (reason, drops, waiting) if n)
+    problems = "".join(
+        f'<div style="color:{AMBER};margin:3px 0">&#9888; {html.escape(one)}</div>'
+        for one in health.problems
+    )
+    notes = problems + "".join(
+        f'<div style="opacity:.7">{n}</div>' for n in (reason, drops, waiting) if n
+    )
     return (
         f'<div style="font-size:13px;line-height:1.45;padding:0 10px">'
         f'<div style="font-weight:700;font-size:16px;color:{colour}">&#9679; {state}</div>'

@@ -25,6 +25,8 @@ def status_lines(status: Mapping[str, Any], before: Mapping[str, Any] | None) ->
     reason = status.get("reason")
     head = f"{name}: {reason}" if reason else name
     yield plain(f"{head}, up {_duration(status.get('uptime_s', 0.0))}{_rate(status, before)}")
+    for problem in status.get("problems", ()):
+        yield plain(f"{'problem':<{NAME_LETTERS}} {problem.get('text', '')}")
     for name, part in status.items():
         if isinstance(part, Mapping):
             text = ", ".join(_described("", part))

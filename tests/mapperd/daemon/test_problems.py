@@ -1,0 +1,174 @@
+"""Mistakes of a set-up: each is one line that names the remedy."""
+
+from typing import Any
+
+import pytest
+
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
+from mapperd.daemon.problems import Problem, problems_of
+from mapperd.daemon.status import Watch
+from mapperd.events import EventLog
+
+IN_USE = (
+    "the sonar at 192.168.2.3 is in use by 192.168.2.9: it serves one client at a time, close the "
+    "other one"
+)
+QUANTITIES = ("position", "attitude", "depth", "velocity")
+
+
+def status(
+    *has: str,
+    sonar: tuple[str, str] = ("pinging", ""),
+    links: dict[str, str] | None = None,
+    accepted: int = 10,
+    rejected: dict[str, int] | None = None,
+    **parts: Any,
+) -> dict[str, Any]:
+    quantities = {name: {"newest_ns": 1 if name in has else None} for name in QUANTITIES}
+    connections = {
+        name: {"link": "UDP 127.0.0.1:52200", "state": state, "reason": ""}
+        for name, state in (links or {"odometry": "receiving"}).items()
+    }
+    return {
+        "uptime_s": 60.0,
+        "sonar": {"state": sonar[0], "reason": sonar[1], "address": None},
+        "odometry": {
+            "source": "odometry",
+            "received": 10,
+            "accepted": accepted,
+            "rejected": rejected or {},
+            "quantities": quantities,
+            "sources": {"dvl": {"rejected": rejected or {}}},
+            "connections": connections,
+        },
+        "recording": {"state": "logging", "reason": ""},
+    } | parts
+
+
+def found(state: dict[str, Any], settings: str = "") -> list[tuple[str, str]]:
+    problems = problems_of(state, config_from_text(settings))
+    assert not any("\n" in one.text for one in problems)
+    return [(one.code, one.text) for one in problems]
+
+
+def test_a_session_that_maps_has_no_problem() -> None:
+    assert found(status("attitude", "position")) == []
+    assert found(status("attitude", "velocity", "depth")) == []
+    assert found(status("attitude"), "odometry: {owners: {position: fixed}}") == []
+    fixed_pose = {"source": "fixed", "ignored": 0, "connections": {}}
+    assert found(status(odometry=fixed_pose)) == []
+
+
+def test_nothing_is_missed_in_the_first_seconds() -> None:
+    assert found(status(sonar=("searching", "no status received yet"), uptime_s=2.0)) == []
+
+
+@pytest.mark.parametrize(
+    ("state", "settings", "code", "words"),
+    [
+        (
+            status("attitude", "depth"),
+            "",
+            "no_position",
+            [
+                "neither horizontal position nor velocity",
+                "only attitude and depth",
+                "recorded and shown",
+                "Add a DVL",
+                "odometry.owners.position: fixed",
+            ],
+        ),
+        (
+            status("attitude", rejected={"no_lock": 4}),
+            "odometry: {sources: [{name: dvl}], owners: {velocity: dvl}}",
+            "no_position",
+            ["velocity is expected from dvl, which sent: no_lock 4"],
+        ),
+        (status("depth"), "", "no_attitude", ["only depth", "odometry.sources"]),
+        (
+            status(links={"odometry": "waiting"}),
+            "",
+            "no_odometry",
+            ["UDP 127.0.0.1:52200 (odometry)", "Let the vehicle send there", "`mapperd doctor`"],
+        ),
+        (
+            status("attitude", "position", links={"one": "receiving", "dvl": "backing off"}),
+            "",
+            "odometry_link",
+            ["source dvl", "backing off", "`mapperd doctor`"],
+        ),
+        (
+            status(accepted=0, rejected={"clock_off": 9, "jump": 1}),
+            "",
+            "odometry_rejected",
+            ["clock_off 9, jump 1", "docs/guides/odometry.md"],
+        ),
+        (
+            status("attitude", "position", sonar=("searching", "no status received yet")),
+            "",
+            "no_sonar",
+            ["power and cable", "device.address"],
+        ),
+        (
+            status(
+                "attitude",
+                "position",
+                sonar=("searching", IN_USE),
+            ),
+            "",
+            "sonar_in_use",
+            ["192.168.2.9", "close the other one"],
+        ),
+        (
+            status("attitude", "position", sonar=("backing off", "TCP port 52100 is silent")),
+            "device: {address: 192.168.2.77}",
+            "sonar_unreachable",
+            ["If 192.168.2.77 is wrong, correct device.address", "finds the sonar"],
+        ),
+        (
+            status("attitude", "position", sonar=("silent", "no ping for 3.0 s")),
+            "",
+            "sonar_silent",
+            ["no ping for 3.0 s", "`mapperd doctor`"],
+        ),
+        (
+            status(
+                "attitude",
+                "position",
+                recording={"state": "paused", "reason": "less than 1024 MiB are free"},
+            ),
+            "",
+            "recording_paused",
+            ["less than 1024 MiB are free", "recording.budget"],
+        ),
+    ],
+    ids=lambda value: value if isinstance(value, str) and value.isidentifier() else "",
+)
+def test_a_mistake_is_one_line_with_a_remedy(
+    state: dict[str, Any], settings: str, code: str, words: list[str]
+) -> None:
+    ((problem, text),) = found(state, settings)
+    assert problem == code
+    assert [word for word in words if word not in text] == []
+
+
+def test_a_problem_is_one_event_and_so_is_its_end() -> None:
+    live: Any = None
+    events = EventLog(lambda: 0)
+    watch = Watch(events, live)
+    problem = Problem("no_position", "attitude alone")
+    watch.look_at_problems([problem])
+    assert events.since(0)[0] == []  # the next record may solve it
+    for _ in range(3):
+        watch.look_at_problems([problem])
+    watch.look_at_problems([])
+    reported = [(one.code, one.text) for one in events.since(0)[0]]
+    assert reported == [
+        ("no_position", "attitude alone"),
+        ("problem_solved", "no_position is solved"),
+    ]
+
+
+def test_the_default_settings_give_no_false_alarm() -> None:
+    assert problems_of(status("attitude", "position"), Config()) == []
