@@ -21,9 +21,9 @@ from oculus_driver.link.driver import LinkDriver
 from oculus_driver.link.machine import Link
 from oculus_driver.link.ping_queue import MAX_PINGS, PingQueue
 from oculus_driver.link.state import SECOND_NS, LinkState, LinkStatus, LinkTimeouts
-from oculus_driver.link.thermal import ThermalGuard
 from oculus_driver.models import UNKNOWN, model_of
 from oculus_driver.settings import FireSettings
+from oculus_driver.status import Status, ThermalGuard
 from oculus_driver.wire import TCP_PORT, MessageId, PingRate
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from oculus_driver.link.state import SonarCounters
     from oculus_driver.models import Model
     from oculus_driver.ping import Ping, PingHeader
-    from oculus_driver.status import Status
     from oculus_driver.stream import MessageBounds
 
 _LOG: Final = logging.getLogger(__name__)

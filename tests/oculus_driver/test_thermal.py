@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from oculus_driver import Ping, Status, decode_ping, decode_status, encode_status
-from oculus_driver.link.thermal import ThermalGuard
+from oculus_driver.status import ThermalGuard
 
 if TYPE_CHECKING:
     from collections.abc import Callable
