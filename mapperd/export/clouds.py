@@ -6,8 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.mapping.content import VoxelCloud
+from mapperd.mapping.difference import MapDifference
 
-__all__ = ["POINT", "VERTEX", "write_pcd", "write_ply", "write_points", "write_xyz"]
+__all__ = [
+    "POINT",
+    "VERTEX",
+    "write_difference",
+    "write_pcd",
+    "write_ply",
+    "write_points",
+    "write_xyz",
+]
 
 _PLY_FIELDS = [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("probability", "<f4"), ("count", "<u2")]
 VERTEX = np.dtype(_PLY_FIELDS)
@@ -41,6 +50,58 @@ def _ply_header(count: int, resolution_m: float) -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+_DIFFERENCE_FIELDS = [
+    *[(axis, "<f8") for axis in "xyz"],
+    *[(colour, "u1") for colour in ("red", "green", "blue")],
+    ("class", "u1"),
+    ("distance", "<f4"),
+]
+DIFFERENCE_POINT = np.dtype(_DIFFERENCE_FIELDS)
+"""One voxel of two compared maps."""
+
+DIFFERENCE_CLASSES = {
+    "same": (150, 150, 150),
+    "appeared": (30, 160, 60),
+    "vanished": (210, 40, 40),
+    "not seen before": (120, 200, 250),
+    "not seen again": (250, 190, 90),
+}
+"""Colours by class; the class is its place in this order."""
+
+
+def write_difference(file: BinaryIO, difference: MapDifference) -> None:
+    """Write the voxels of two maps as PLY, coloured by `DIFFERENCE_CLASSES`.
+
+    Voxels that are the same are those of the second map; `distance` is infinite beyond the reach.
+    """
+    colours = np.array(list(DIFFERENCE_CLASSES.values()), dtype=np.uint8)
+    parts = []
+    for way, changed, unseen in ((difference.appeared, 1, 3), (difference.vanished, 2, 4)):
+        kind = np.where(way.same, 0, np.where(way.seen, changed, unseen))
+        kept = kind > 0 if way is difference.vanished else np.ones(len(kind), dtype=np.bool_)
+        points = np.empty(int(kept.sum()), dtype=DIFFERENCE_POINT)
+        for axis, name in enumerate("xyz"):
+            points[name] = way.centres_m[kept, axis]
+        for axis, name in enumerate(("red", "green", "blue")):
+            points[name] = colours[kind[kept], axis]
+        points["class"], points["distance"] = kind[kept], way.distance_m[kept]
+        parts.append(points)
+    classes = ", ".join(f"{at} {name}" for at, name in enumerate(DIFFERENCE_CLASSES))
+    types = {"<f8": "double", "<f4": "float", "u1": "uchar"}
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment mapperd difference within {difference.tolerance_m:.9g} m; class: {classes}",
+        f"element vertex {sum(map(len, parts))}",
+        *[f"property {types[kind]} {name}" for name, kind in _DIFFERENCE_FIELDS],
+        "end_header",
+        "",
+    ]
+    file.write("\n".join(lines).encode("ascii"))
+    for points in parts:
+        file.write(points.data)
 
 
 _PCD_FIELDS = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("count", "<u2")]

@@ -17,6 +17,11 @@ from mapper_survey.errors import SurveyError
 from mapper_survey.tally import Tally
 from mapper_survey.windows import Key, StoredMap
 from mapperd.export.cells import indices_of
+from mapperd.mapping.difference import (
+    MAX_REACH_VOXELS,
+    REACH_TOLERANCES,
+    squares_to_nearest,
+)
 from mapperd.mapping.probability import log_odds_of
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import BRICK_VOXELS
@@ -25,12 +30,6 @@ __all__ = ["Comparison", "Disagreement", "OneWayDifference", "cubes_of", "differ
 
 CUBE_BRICKS = 2
 """Along an edge of what is compared at a time; what lies around it within the reach is read too."""
-
-MAX_REACH_VOXELS = 60
-"""A distance that is looked for: less than a brick, and than the core's field of distances."""
-
-REACH_TOLERANCES = 5
-"""Distances are reported up to this number of tolerances, and beyond as `farther`."""
 
 Ints = NDArray[np.int64]
 
@@ -100,16 +99,7 @@ class Comparison:
             index: (N, 3) of voxels, N at least 1.
             occupied_log_odds: voxels of the other above are occupied.
         """
-        low, high = index.min(axis=0), index.max(axis=0) + 1
-        field_m, _ = other.core.distance_field(
-            low * self.resolution_m,
-            high * self.resolution_m,
-            (self.reach + 1) * self.resolution_m,
-            occupied_log_odds,
-        )
-        to_nearest = field_m[tuple((index - low).T)].astype(np.float64) / self.resolution_m
-        squares: Ints = np.rint(to_nearest**2).astype(np.int64)
-        return np.minimum(squares, self.reach**2 + 1)
+        return squares_to_nearest(other.core, index, self.reach, occupied_log_odds)
 
 
 def cubes_of(stores: Mapping[str, StoredMap]) -> list[Key]:
