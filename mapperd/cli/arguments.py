@@ -2,18 +2,24 @@
 
 import argparse
 import math
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
 
 from mapperd import __version__
 from mapperd.geometry.frames import Pose, pose_from_rpy
+from oculus_driver.command_line import CommandParser, did_you_mean
 
 __all__ = ["Arguments", "parse_arguments"]
 
 MAX_POSITION_M = 1e7
 EPILOG = """\
+examples:
+  mapperd --config vehicle.yaml
+  mapperd --replay dive.mcap --out dive
+  mapperd --replay dive.mcap --view
+
 `mapperd doctor` checks every link and names a remedy for the first failure.
 
 exit codes: 0 the map is written; 2 usage error; 65 not a recording, nothing was mapped, or a part
@@ -49,12 +55,8 @@ class Arguments:
     allow_damaged: bool = False
 
 
-class _Parser(argparse.ArgumentParser):
-    """Reports errors in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        """Exit with code 2."""
-        self.exit(2, f"mapperd: {message} (see mapperd --help)\n")
+COMMANDS = ("doctor",)
+"""The first word of other command lines."""
 
 
 def parse_arguments(argv: Sequence[str]) -> Arguments:
@@ -64,7 +66,9 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
         SystemExit: with code 2 and one line on stderr; with 0 after --help and --version.
     """
     parser = _parser()
-    args = parser.parse_args(_with_joined_pose(argv))
+    args, rest = parser.parse_known_args(_with_joined_pose(argv))
+    if rest:
+        parser.error(_unknown(rest))
     if not args.replay and args.start:
         parser.error("--start needs --replay")
     if args.store is not None and (not args.replay or args.start or args.duration):
@@ -87,6 +91,16 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
     )
 
 
+def _unknown(words: Sequence[str]) -> str:
+    """Return what to do about words that mapperd does not take."""
+    stray = next((word for word in words if not word.startswith("-")), None)
+    if stray is None or words[0] != stray:
+        return f"unrecognized arguments: {' '.join(words)}"
+    if not Path(stray).exists() and (hint := did_you_mean(stray, COMMANDS)):
+        return f"there is no command {stray!r}{hint}"
+    return f"{stray}: to map a recording: mapperd --replay {shlex.quote(stray)}"
+
+
 def _contradiction(args: argparse.Namespace) -> str | None:
     """Return which option contradicts --as-recorded, which takes all from the recording."""
     if not args.replay:
@@ -96,8 +110,8 @@ def _contradiction(args: argparse.Namespace) -> str | None:
     return f"--as-recorded cannot be combined with {', '.join(found)}" if found else None
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+def _parser() -> CommandParser:
+    parser = CommandParser(
         prog="mapperd",
         description="Map the pings of an Oculus sonar in 3D, live or from recordings.",
         epilog=EPILOG,
@@ -162,6 +176,7 @@ def _parser() -> argparse.ArgumentParser:
         help="also map recorded data that fail their checksum",
     )
     add("--version", action="version", version=f"mapperd {__version__}")
+    parser.add_completion()
     return parser
 
 

@@ -20,6 +20,7 @@ from mapperd.errors import ConfigError, Reject
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.formats import make_decoder
 from mapperd.odometry.links import OdometryLink
+from oculus_driver.command_line import CommandParser
 from oculus_driver.discovery.probe import Layer, ProbeOptions, evaluate, probe
 
 __all__ = ["doctor"]
@@ -59,7 +60,7 @@ def doctor(argv: Sequence[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         "mapperd doctor",
         description="Watch every link for a while; name the first layer that fails and what to do.",
         epilog="exit codes: 0 all links work; 1 a link fails; 78 invalid settings; 130 interrupted",

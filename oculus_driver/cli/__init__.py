@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import errno
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 from oculus_driver import __version__
 from oculus_driver.cli import (
@@ -19,6 +19,7 @@ from oculus_driver.cli import (
     watch,
 )
 from oculus_driver.cli.output import Exit, Output, discard_stdout
+from oculus_driver.command_line import CommandParser
 from oculus_driver.errors import OculusError, RecordingError, SettingsError
 
 if TYPE_CHECKING:
@@ -31,14 +32,6 @@ SUBCOMMANDS = (discover, watch, log, info, play, convert, render, fire, doctor)
 EPILOG = """\
 exit codes: 0 success; 1 the sonar or the link failed, see the message; 2 invalid arguments;
 65 the file is not a recording, or a part of it is damaged and left out; 130 interrupted"""
-
-
-class _Parser(argparse.ArgumentParser):
-    """Reports errors in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        """Exit with code 2."""
-        self.exit(Exit.USAGE, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -70,7 +63,7 @@ def _end_of_output(error: OSError, output: Output) -> Exit:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+    parser = CommandParser(
         prog="oculus",
         description="Discover, watch, log, play back and check Oculus multibeam sonars.",
         epilog=EPILOG,
@@ -78,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"oculus {__version__}")
+    parser.add_completion()
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for module in SUBCOMMANDS:
         command = commands.add_parser(

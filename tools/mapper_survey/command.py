@@ -33,6 +33,7 @@ from mapper_survey.surface import CELL_VOXELS, RULES
 from mapperd import __version__
 from mapperd.errors import MapperdError
 from mapperd.export.cells import Heights
+from oculus_driver.command_line import CommandParser
 
 __all__ = ["main"]
 
@@ -40,6 +41,14 @@ __all__ = ["main"]
 FAULT, NOT_ALL, INTERRUPTED = 2, 3, 130
 """Exit codes: something to mend; a dive of which not a ping is in the map, which is made of the
 others; Ctrl-C."""
+
+
+EPILOG = """\
+examples:
+  mapper-survey run survey.yaml --out survey --workers 8 --dives
+  mapper-survey report survey --tolerance 0.2
+
+exit codes: 0 success; 2 an error that you can fix; 3 a dive contributed no ping; 130 interrupted"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -56,9 +65,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="mapper-survey", description="Make one tiled map of many recordings."
+    parser = CommandParser(
+        prog="mapper-survey",
+        description="Make one tiled map of many recordings.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.add_completion()
     parser.add_argument("--version", action="version", version=f"mapper-survey {__version__}")
     does = parser.add_subparsers(required=True, metavar="COMMAND")
     plan = does.add_parser("plan", help="read the recordings and list where each ping was")

@@ -4,7 +4,8 @@ import argparse
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from types import MappingProxyType
+from typing import Any, Literal
 
 from mapperd import __version__
 from mapperd.api import STD_XY_M, STD_YAW_RAD
@@ -14,10 +15,12 @@ from mapperd.config.catalog import parameters
 from mapperd.config.loader import YamlProblem, parse_yaml
 from mapperd.errors import ConfigError
 from mapperd.wire.messages import MAX_LEVEL, WANTS
+from oculus_driver.command_line import CommandParser, GroupedHelp, did_you_mean
 
 __all__ = [
     "add_bag",
     "add_convert",
+    "add_diff",
     "add_export",
     "add_foxglove",
     "add_localization",
@@ -42,6 +45,24 @@ def add_convert(command: argparse.ArgumentParser) -> None:
     _add_origin(command)
     _add_probability(command)
     _add_calibration(command)
+    _add_damaged(command)
+
+
+def add_diff(command: argparse.ArgumentParser) -> None:
+    """Add the arguments of `diff`."""
+    add = command.add_argument
+    kinds = "a daemon's map, .map, .bt, .ot"
+    add("first", metavar="A", type=Path, help=f"the earlier map: {kinds}")
+    add("second", metavar="B", type=Path, help="the later map, likewise")
+    add(
+        "--tolerance",
+        metavar="M",
+        type=_positive_metres,
+        help="voxels within this distance are the same; default: two of the coarser map",
+    )
+    add("--out", metavar="FILE", type=Path, help="write a coloured cloud, .ply")
+    add("--json", action="store_true", help="print one JSON object")
+    _add_probability(command)
     _add_damaged(command)
 
 
@@ -464,22 +485,48 @@ def add_view(command: argparse.ArgumentParser) -> None:
     add("--open", action="store_true", help="open the page in a browser")
 
 
-EPILOG = """exit codes: 0 success; 1 refused by the daemon; 2 usage error; 69 no daemon answers; 73
-cannot write; 75 try again later; 76 protocol mismatch; 77 permission denied; 78 invalid settings;
-130 interrupted"""
+EXIT_CODES = """\
+exit codes: 0 success; 1 refused by the daemon; 2 usage error; 69 no daemon
+answers; 73 cannot write; 75 try again later; 76 protocol mismatch;
+77 permission denied; 78 invalid settings; 130 interrupted"""
+
+EPILOG = f"""examples:
+  mapperctl status
+  mapperctl set filtering.min_range=1.5
+  mapperctl export harbour.ply
+  mapperctl view --open
+  mapperctl diff before.map after.map
+
+{EXIT_CODES}"""
+
+GROUPS = MappingProxyType(
+    {
+        "look": ("status", "view", "events", "foxglove"),
+        "settings": ("params", "get", "set", "reload", "sonar"),
+        "map": ("save", "export", "record", "snapshot", "reset"),
+        "localization": (
+            "localization",
+            "initial_pose",
+            "global_localization",
+            "request_nomotion_update",
+            "set_map",
+        ),
+        "files, without a daemon": ("convert", "diff", "bag"),
+    }
+)
+"""Commands by what they are for, in the order of the help."""
 
 
-class _Parser(argparse.ArgumentParser):
-    """Reports errors in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        """Exit with code 2."""
-        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
-
-
-def parser() -> _Parser:
+def parser() -> CommandParser:
     """Return the parser of all commands."""
-    top = _Parser("mapperctl", description="Observe and control a running mapperd.", epilog=EPILOG)
+    top = CommandParser(
+        "mapperctl",
+        description="Observe and control a running mapperd; look at maps and convert them.",
+        epilog=EPILOG,
+        formatter_class=GroupedHelp,
+    )
+    top.groups = GROUPS
+    top.add_completion()
     top.add_argument("--version", action="version", version=f"mapperctl {__version__}")
     commands = top.add_subparsers(metavar="COMMAND", required=True, dest="command")
     status = _command(commands, "status", "print the state of the daemon")
@@ -508,6 +555,8 @@ def parser() -> _Parser:
     add_record(_command(commands, "record", "record the map stream"))
     add_export(_command(commands, "export", "save the live map as a file on this computer"))
     add_convert(_offline(commands, "convert", "convert a map file to another format"))
+    about = "compare two maps both ways"
+    add_diff(_offline(commands, "diff", about))
     add_bag(_offline(commands, "bag", "convert a recording or a map to a ROS 2 bag, without ROS"))
     add_localization(lambda *args: _command(commands, *args))
     events = _command(commands, "events", "print events")
@@ -518,7 +567,7 @@ def parser() -> _Parser:
     return top
 
 
-def _params(commands: "argparse._SubParsersAction[_Parser]") -> None:
+def _params(commands: "argparse._SubParsersAction[CommandParser]") -> None:
     params = _command(
         commands,
         "params",
@@ -533,11 +582,11 @@ def _params(commands: "argparse._SubParsersAction[_Parser]") -> None:
 
 
 def _command(
-    commands: "argparse._SubParsersAction[_Parser]",
+    commands: "argparse._SubParsersAction[CommandParser]",
     name: str,
     about: str,
     more: str | None = None,
-) -> _Parser:
+) -> CommandParser:
     command = _offline(commands, name, about, more)
     add = command.add_argument
     add("--json", action="store_true", help="print JSON, one object a line")
@@ -549,14 +598,14 @@ def _command(
 
 
 def _offline(
-    commands: "argparse._SubParsersAction[_Parser]",
+    commands: "argparse._SubParsersAction[CommandParser]",
     name: str,
     about: str,
     more: str | None = None,
-) -> _Parser:
+) -> CommandParser:
     """A command that needs no daemon."""
     command = commands.add_parser(
-        name, help=about, description=more or f"{about.capitalize()}.", epilog=EPILOG
+        name, help=about, description=more or f"{about.capitalize()}.", epilog=EXIT_CODES
     )
     command.add_argument(
         "--config",
@@ -571,7 +620,8 @@ def _offline(
 
 def _name(text: str) -> str:
     if not any(name == text or name.startswith(f"{text}.") for name in parameters()):
-        raise argparse.ArgumentTypeError(f"{text!r}: there is no such setting")
+        near = did_you_mean(text, parameters())
+        raise argparse.ArgumentTypeError(f"{text!r}: there is no such setting{near}")
     return text
 
 

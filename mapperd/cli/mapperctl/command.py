@@ -24,7 +24,7 @@ from mapperd.wire.socket_paths import socket_places
 
 __all__ = ["main"]
 
-OFFLINE = ("bag", "convert")
+OFFLINE = ("bag", "convert", "diff")
 """Commands that need no daemon."""
 
 

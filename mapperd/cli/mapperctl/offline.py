@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from mapperd.cli.mapperctl.bag import bag_of_map, bag_of_recordings
+from mapperd.cli.mapperctl.diff import diff
 from mapperd.cli.mapperctl.errors import CtlError, CtlExit, plain
 from mapperd.cli.mapperctl.map_output import check_suffix, make_files, origin_among
 from mapperd.config.tree import Config
@@ -119,6 +120,19 @@ def _bag(args: argparse.Namespace, config: Config) -> Iterator[str]:
     )
 
 
+def _diff(args: argparse.Namespace, config: Config) -> Iterator[str]:
+    return diff(
+        args.first,
+        args.second,
+        config,
+        _values(args, config),
+        tolerance_m=args.tolerance,
+        cloud=args.out,
+        as_json=args.json,
+        allow_damaged=args.allow_damaged,
+    )
+
+
 def _values(args: argparse.Namespace, config: Config) -> dict[str, Any]:
     """Settings from the arguments."""
     min_probability = args.min_probability
@@ -133,5 +147,5 @@ def _origin(args: argparse.Namespace) -> Origin | None:
 
 
 _COMMANDS: Mapping[str, Callable[[argparse.Namespace, Config], Iterator[str]]] = MappingProxyType(
-    {"bag": _bag, "convert": _convert}
+    {"bag": _bag, "convert": _convert, "diff": _diff}
 )

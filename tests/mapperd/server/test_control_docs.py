@@ -63,7 +63,7 @@ def test_limits_are_those_in_force() -> None:
 
 def test_every_exit_code_is_explained() -> None:
     for code in CtlExit:
-        assert f"| {code:d} |" in PAGE
+        assert f"| {code:d} |" in COMMANDS
         assert re.search(rf"\b{code:d}\s", EPILOG)
 
 

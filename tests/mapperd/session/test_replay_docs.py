@@ -19,6 +19,10 @@ PAGE = (Path(__file__).resolve().parents[3] / "docs" / "guides" / "replay.md").r
     encoding="utf-8"
 )
 
+COMMANDS = (Path(__file__).resolve().parents[3] / "docs" / "reference" / "cli.md").read_text(
+    "utf-8"
+)
+
 
 def test_library_example_runs(ping: Callable[..., Ping]) -> None:
     (example,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
@@ -43,4 +47,4 @@ def test_every_key_of_the_summary_is_explained(
 
 def test_every_exit_code_is_explained() -> None:
     for code in DaemonExit:
-        assert f"| {code.value} |" in PAGE
+        assert f"| {code.value} |" in COMMANDS

@@ -3,9 +3,9 @@
 import argparse
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
 
 from oculus_driver import __version__
+from oculus_driver.command_line import CommandParser
 from oculus_driver.errors import OculusError
 from sonar_sim.errors import FAULT, INTERRUPTED, USAGE, SonarSimError
 
@@ -13,14 +13,6 @@ __all__ = ["main"]
 
 EPILOG = """\
 exit codes: 0 success; 1 failure; 2 invalid command or scene; 130 interrupted"""
-
-
-class _Parser(argparse.ArgumentParser):
-    """Reports an error in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        """Exit with code 2."""
-        self.exit(USAGE, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -57,7 +49,7 @@ def _parser() -> argparse.ArgumentParser:
         validate,
     )
 
-    parser = _Parser(
+    parser = CommandParser(
         prog="sonar-sim",
         description="Simulate an Oculus sonar in a scene: pictures, recordings, a live device.",
         epilog=EPILOG,
@@ -65,6 +57,7 @@ def _parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"sonar-sim {__version__}")
+    parser.add_completion()
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for module in (scene_list, explain, render, capture, serve, validate):
         command = commands.add_parser(

@@ -1,0 +1,112 @@
+"""Command lines: errors in one line with the nearest name, shell completion."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import shlex
+import sys
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NoReturn
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+__all__ = ["CommandParser", "GroupedHelp", "did_you_mean"]
+
+USAGE = 2
+SHELLS = ("bash", "zsh", "tcsh")
+UNKNOWN = "unrecognized arguments: "
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return `; did you mean NAME?` for the nearest known name, or nothing."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+class CommandParser(argparse.ArgumentParser):
+    """Reports an error in one line, with the nearest command or option.
+
+    Attributes:
+        groups: names of commands by title, for help; empty lists all commands in their order.
+    """
+
+    groups: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with code 2."""
+        if message.startswith(UNKNOWN):
+            word = message.removeprefix(UNKNOWN).split()[0].partition("=")[0]
+            message += did_you_mean(word, self._options())
+        self.exit(USAGE, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+    def add_completion(self) -> None:
+        """Add `--print-completion SHELL`."""
+        self.add_argument(
+            "--print-completion",
+            action=_PrintCompletion,
+            dest=argparse.SUPPRESS,
+            default=argparse.SUPPRESS,
+            choices=SHELLS,
+            help="print a completion script for a shell",
+        )
+
+    def _check_value(self, action: argparse.Action, value: object) -> None:
+        choices = action.choices
+        is_command = isinstance(action, argparse._SubParsersAction)  # noqa: SLF001 no public name
+        if choices is None or value in choices or not is_command:
+            super()._check_value(action, value)
+            return
+        hint = did_you_mean(str(value), choices) or f"; allowed: {', '.join(choices)}"
+        raise argparse.ArgumentError(None, f"there is no command {value!r}{hint}")
+
+    def _get_formatter(self) -> argparse.HelpFormatter:
+        formatter = super()._get_formatter()
+        if isinstance(formatter, GroupedHelp):
+            formatter.groups = self.groups
+        return formatter
+
+    def _options(self) -> set[str]:
+        """Return the options of the command and of its subcommands."""
+        options = set(self._option_string_actions)
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001 as above
+                for command in action.choices.values():
+                    options |= set(command._option_string_actions)  # noqa: SLF001 as above
+        return options
+
+
+class GroupedHelp(argparse.RawDescriptionHelpFormatter):
+    """Lists commands by group."""
+
+    groups: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+
+    def _format_action(self, action: argparse.Action) -> str:
+        if not self.groups or not isinstance(action, argparse._SubParsersAction):  # noqa: SLF001 as above
+            return super()._format_action(action)
+        commands = {command.dest: command for command in action._get_subactions()}  # noqa: SLF001 as above
+        blocks = []
+        for title, names in self.groups.items():
+            lines = [super(GroupedHelp, self)._format_action(commands[name]) for name in names]
+            blocks.append(f"\n {title}:\n{''.join(lines)}")
+        return "".join(blocks)
+
+
+class _PrintCompletion(argparse.Action):
+    """Print the script and exit."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,  # noqa: ARG002 the base class's signature
+        values: Any,  # noqa: ANN401 the base class's signature
+        option_string: str | None = None,  # noqa: ARG002 as above
+    ) -> None:
+        try:
+            import shtab  # noqa: PLC0415 of an extra
+        except ImportError:
+            python = shlex.quote(sys.executable or "python3")
+            parser.error(f"shtab cannot be imported; to install it: {python} -m pip install shtab")
+        sys.stdout.write(f"{shtab.complete(parser, shell=values)}\n")
+        parser.exit(0)

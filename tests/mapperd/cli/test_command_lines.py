@@ -1,0 +1,118 @@
+"""What all commands have: a version, the nearest name, grouped help, shell completion."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from mapper_survey.command import _parser as survey_parser
+from sonar_sim.command import _parser as sim_parser
+
+from mapperd.cli.arguments import _parser as mapperd_parser
+from mapperd.cli.arguments import parse_arguments
+from mapperd.cli.mapperctl.arguments import GROUPS
+from mapperd.cli.mapperctl.arguments import parser as mapperctl_parser
+from oculus_driver.cli import _parser as oculus_parser
+from oculus_driver.command_line import CommandParser
+
+PARSERS = {
+    "mapperd": mapperd_parser,
+    "mapperctl": mapperctl_parser,
+    "oculus": oculus_parser,
+    "sonar-sim": sim_parser,
+    "mapper-survey": survey_parser,
+}
+
+
+def parsers() -> dict[str, CommandParser]:
+    made = {name: make() for name, make in PARSERS.items()}
+    assert all(isinstance(one, CommandParser) for one in made.values())
+    return {name: one for name, one in made.items() if isinstance(one, CommandParser)}
+
+
+@pytest.mark.parametrize("name", PARSERS)
+def test_every_command_has_a_version(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        parsers()[name].parse_args(["--version"])
+    assert ended.value.code == 0
+    assert re.fullmatch(rf"{name} \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "hint"),
+    [
+        ("mapperctl", ["statsu"], "did you mean status?"),
+        ("mapperctl", ["status", "--jsn"], "did you mean --json?"),
+        ("mapperctl", ["get", "filtering.min_rnge"], "did you mean filtering.min_range?"),
+        ("mapperctl", ["xyzzy"], "allowed: status, "),
+        ("oculus", ["discver"], "did you mean discover?"),
+        ("sonar-sim", ["serv"], "did you mean serve?"),
+        ("mapper-survey", ["rn"], "did you mean run?"),
+    ],
+)
+def test_a_typing_error_names_the_nearest(
+    name: str, words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        parsers()[name].parse_args(words)
+    error = capsys.readouterr().err
+    assert (ended.value.code, error.count("\n")) == (2, 1)
+    assert hint in error
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["dive one.mcap"], "mapperd --replay 'dive one.mcap'"),
+        (["docter"], "did you mean doctor?"),
+        (["--replya", "a"], "did you mean --replay?"),
+    ],
+)
+def test_mapperd_names_what_was_meant(
+    words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        parse_arguments(words)
+    error = capsys.readouterr().err
+    assert (ended.value.code, error.count("\n")) == (2, 1)
+    assert hint in error
+
+
+def test_help_lists_every_command_in_a_group_with_examples() -> None:
+    parser = mapperctl_parser()
+    (commands,) = (one for one in parser._actions if one.choices and one.dest == "command")
+    assert sorted(sum(GROUPS.values(), ())) == sorted(commands.choices or ())
+    text = parser.format_help()
+    for title, names in GROUPS.items():
+        _, _, below = text.partition(f"\n {title}:\n")
+        for name in names:
+            assert re.search(rf"^ +{name}\b", below, re.MULTILINE), name
+    assert "examples:" in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("name", PARSERS)
+def test_bash_accepts_the_completion(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("shtab")
+    with pytest.raises(SystemExit) as ended:
+        parsers()[name].parse_args(["--print-completion", "bash"])
+    assert ended.value.code == 0
+    script = tmp_path / "completion.bash"
+    script.write_text(capsys.readouterr().out, encoding="utf-8")
+    assert f" {name}\n" in script.read_text(encoding="utf-8")
+    bash = shutil.which("bash") or "bash"
+    subprocess.run([bash, "-n", str(script)], check=True)  # noqa: S603 our own script
+
+
+def test_without_shtab_one_line_installs_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "shtab", None)
+    with pytest.raises(SystemExit) as ended:
+        mapperctl_parser().parse_args(["--print-completion", "zsh"])
+    error = capsys.readouterr().err
+    assert (ended.value.code, error.count("\n")) == (2, 1)
+    assert "-m pip install shtab" in error
