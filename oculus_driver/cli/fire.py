@@ -109,5 +109,6 @@ def _draw(path: Path, ping: Ping) -> None:
         from oculus_driver.render import Painter  # noqa: PLC0415 - an extra
         from oculus_driver.render.files import write_png  # noqa: PLC0415 - an extra
     except ImportError as error:
-        raise OculusError("images need OpenCV: pip install opencv-python-headless") from error
+        text = "images need OpenCV: pip install opencv-contrib-python-headless"
+        raise OculusError(text) from error
     write_png(path, Painter().paint(ping))

@@ -86,7 +86,8 @@ def _painter(args: argparse.Namespace) -> Painter:
     try:
         from oculus_driver.render import Painter, Style  # noqa: PLC0415 - an extra
     except ImportError as error:
-        raise OculusError("images need OpenCV: pip install opencv-python-headless") from error
+        text = "images need OpenCV: pip install opencv-contrib-python-headless"
+        raise OculusError(text) from error
     return Painter(
         Style(args.height, args.colours, args.gamma, not args.keep_gains, labels=not args.bare)
     )

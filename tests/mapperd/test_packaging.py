@@ -52,6 +52,12 @@ def test_vehicle_gets_what_it_imports_and_nothing_else() -> None:
     assert "msgpack" in required(project["optional-dependencies"]["sim"])
 
 
+def test_opencv_is_the_headless_contrib_distribution() -> None:
+    for path in ("pyproject.toml", "oculus_driver/pyproject.toml", "requirements/vehicle.lock"):
+        found = set(re.findall(r"opencv-[a-z-]+", (ROOT / path).read_text(encoding="utf-8")))
+        assert found == {"opencv-contrib-python-headless"}, path
+
+
 def test_wheel_holds_four_import_names_and_their_commands() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     packages = project["tool"]["scikit-build"]["wheel"]["packages"]

@@ -10,7 +10,7 @@ import pytest
 from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore, Refused
 from mapperd.config.tree import Config
-from mapperd.errors import ConfigError
+from mapperd.errors import ConfigError, missing_extra
 from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.imaging.filter_chain import check_filters
 from mapperd.mapping.sonar_map import SonarMap
@@ -127,7 +127,7 @@ def test_filter_without_its_library_is_refused_and_named(monkeypatch: pytest.Mon
     for name in ("crosstalk.enabled", "robot_detection.enabled"):
         result = store.apply({name: True}, "test")
         assert isinstance(result, Refused)
-        assert "pip install 'opencv-python-headless" in result.reasons[name]
+        assert missing_extra("OpenCV", "filters") in result.reasons[name]
     with pytest.raises(ConfigError, match="OpenCV cannot be imported"):
         stepping_with(config_with(crosstalk={"enabled": True}))
     assert store.current == config_with()
