@@ -36,7 +36,7 @@ ALIASES = MappingProxyType(
         "amcl.laser_max_beams": "amcl.max_beams",
         **{
             f"amcl.{name}": f"amcl.laser_{name}"
-            for name in ("sigma_hit", "z_hit", "z_rand", "z_max", "z_short", "lambda_short")
+            for name in ("sigma_hit", "z_hit", "z_rand", "z_short", "lambda_short")
         },
         "amcl.initial_pose.x": "amcl.initial_pose_x",
         "amcl.initial_pose.y": "amcl.initial_pose_y",
@@ -68,15 +68,21 @@ VALUE_ALIASES = MappingProxyType(
 REMOVED = ("mapping.error_bound", "behind.policy", "behind.error_bound")
 """Settings of earlier versions."""
 
-IGNORED = (
-    "octree.dynamic_expansion",
-    "octree.use_cpp_backend",
-    "amcl.scan_topic",
-    "amcl.map_service",
-    "topics.marker",
-    "visualization.pointcloud_publish_rate",
+NO_MAX_RANGE = "beams without a return do not count: smooth surfaces reflect sound away"
+
+IGNORED = MappingProxyType(
+    {
+        "octree.dynamic_expansion": "the map always grows",
+        "octree.use_cpp_backend": "the core is in C++",
+        "amcl.scan_topic": "scans come from the sonar's pings",
+        "amcl.map_service": "maps come from localization.map_path and `mapperctl set_map`",
+        "amcl.laser_z_max": NO_MAX_RANGE,
+        "amcl.z_max": NO_MAX_RANGE,
+        "topics.marker": "the map stream shows the map",
+        "visualization.pointcloud_publish_rate": "set stream.rate",
+    }
 )
-"""Settings of the programs this one replaces that have no counterpart here; any value loads."""
+"""Settings of the programs this one replaces that have no effect here, and why; any value loads."""
 
 REPLACED = MappingProxyType({"mapping.integrator": ("projective", "evidence_grid")})
 """Value of an earlier version and the one that replaces it, by setting."""
@@ -154,8 +160,11 @@ def tree_updated(tree: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ..
             continue
         if name not in REPLACED:
             updated[section] = {key: value for key, value in fields.items() if key != field}
-            why = "was removed" if name in REMOVED else "has no effect"
-            phrases.append(f"{name} {why} and is ignored")
+            phrases.append(
+                f"{name} was removed and is ignored"
+                if name in REMOVED
+                else f"{name} has no effect and is ignored ({IGNORED[name]})"
+            )
         elif fields[field] == REPLACED[name][0]:
             updated[section] = fields | {field: REPLACED[name][1]}
             phrases.append("{}: {} is now {}".format(name, *REPLACED[name]))

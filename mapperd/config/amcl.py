@@ -226,7 +226,7 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
         Literal["likelihood_field", "likelihood_field_prob", "beam"],
         rule(
             "Weight of a scan: sum of cubes over a distance field, product over it, or ray "
-            "casting.",
+            "casting on a planar map; of a 3D map, its slice at the vehicle's height.",
             live=True,
         ),
     ] = "likelihood_field"
@@ -253,9 +253,6 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.2
     laser_z_hit: Annotated[float, rule("Weight of hits.", live=True, ge=0, le=1)] = 0.5
     laser_z_rand: Annotated[float, rule("Weight of random returns.", live=True, ge=0, le=1)] = 0.5
-    laser_z_max: Annotated[
-        float, rule("Weight of beams without a return; beam only.", live=True, ge=0, le=1)
-    ] = 0.05
     laser_z_short: Annotated[
         float, rule("Weight of returns before the map's; beam only.", live=True, ge=0, le=1)
     ] = 0.05

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from mapperd.config.aliases import change_renamed, restored_changes
+from mapperd.config.aliases import IGNORED, change_renamed, restored_changes
 from mapperd.config.catalog import parameters, value_of
 from mapperd.config.changes import with_values
 from mapperd.config.layers import DEFAULT, Layered
@@ -239,6 +239,8 @@ class ConfigStore:
 
 
 def _unknown(name: str) -> str:
+    if name in IGNORED:
+        return f"has no effect: {IGNORED[name]}"
     near = difflib.get_close_matches(name, parameters(), n=1)
     return f"there is no such setting{f'; did you mean {near[0]}?' if near else ''}"
 

@@ -3,6 +3,7 @@
 import difflib
 import re
 import textwrap
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -188,6 +189,7 @@ def _tree_of(text: str, name: str) -> dict[str, Any]:
         return {}
     if not isinstance(tree, dict):
         raise ConfigError(f"{name}: $: a mapping of sections was expected")
+    tree = _without_nodes(tree, name)
     for section in Config.__struct_fields__:
         if section in tree and tree[section] is None:
             tree[section] = {}
@@ -197,6 +199,61 @@ def _tree_of(text: str, name: str) -> dict[str, Any]:
         raise ConfigError(f"{name}: {error}", error.path) from error
     _check_section(tree_updated(tree)[0], Config, "$", name)
     return tree
+
+
+ROS = "ros__parameters"
+AMCL_NODE = "amcl"
+
+
+def _without_nodes(tree: dict[Any, Any], name: str) -> dict[Any, Any]:
+    """Sections and values of a ROS 2 parameter file, all nodes together; other files as they are.
+
+    A node called `amcl` has the settings of that section.
+    """
+    nodes = list(_nodes_of(tree, ""))
+    if not nodes:
+        return tree
+    for key, value in tree.items():
+        if not any(_nodes_of({key: value}, "")):
+            raise ConfigError(f"{name}: {key}: stands beside nodes with {ROS}; allowed: in one")
+    merged: dict[Any, Any] = {}
+    origins: dict[str, str] = {}
+    for node, values in nodes:
+        if not isinstance(values, dict | None):
+            raise ConfigError(f"{name}: {node}.{ROS}: a mapping of sections was expected")
+        in_section = node.rpartition("/")[2] == AMCL_NODE and AMCL_NODE not in (values or {})
+        for path, value in _values_in({AMCL_NODE: values} if in_section else values or {}, ()):
+            *sections, leaf = path
+            inner = merged
+            for section in sections:
+                inner = inner.setdefault(section, {})
+                if not isinstance(inner, dict):
+                    break
+            shown = ".".join(map(str, path))
+            if not isinstance(inner, dict) or inner.setdefault(leaf, value) != value:
+                text = f"is set otherwise in {origins.get(shown, 'the same file')}"
+                raise ConfigError(f"{name}: {node}: {shown}: {text}", f"$.{shown}")
+            origins[shown] = node
+    return merged
+
+
+def _nodes_of(tree: dict[Any, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    """Nodes and their parameters: `node: {ros__parameters: ...}`, also in namespaces."""
+    for key, value in tree.items():
+        if key == ROS:
+            yield prefix or ROS, value
+        elif isinstance(value, dict):
+            yield from _nodes_of(value, f"{prefix}/{key}".removeprefix("/"))
+
+
+def _values_in(tree: dict[Any, Any], prefix: tuple[Any, ...]) -> Iterator[tuple[Any, Any]]:
+    """Values by path; ROS allows `iwlo.sharpness` for a section and its field."""
+    for key, value in tree.items():
+        path = (*prefix, *(key.split(".") if isinstance(key, str) else (key,)))
+        if isinstance(value, dict) and value:
+            yield from _values_in(value, path)
+        else:
+            yield path, value
 
 
 def config_of(tree: dict[str, Any], name: str) -> Config:

@@ -53,7 +53,7 @@ def beam_model(amcl: AmclConfig) -> BeamModel:
     return BeamModel(
         z_hit=amcl.laser_z_hit,
         z_short=amcl.laser_z_short,
-        z_max=amcl.laser_z_max,
+        z_max=0.0,  # beams without a return do not count
         z_rand=amcl.laser_z_rand,
         sigma_hit_m=amcl.laser_sigma_hit,
         lambda_short_per_m=amcl.laser_lambda_short,

@@ -21,10 +21,11 @@ from mapperd.localization.extraction import burst_watch, scan_of_ping
 from mapperd.localization.known_map import KnownMap
 from mapperd.localization.localizer import Localized, Localizer, LocalizerState
 from mapperd.localization.map_filter import FilterState, MapFilter
+from mapperd.localization.maps import VolumeMap
 from mapperd.localization.odom_correction import placed
 from mapperd.localization.particle_filter import Cluster, clusters_of
 from mapperd.localization.scan import Scan
-from mapperd.localization.status import LocalizationFacts, diagnose, sample_of, weight_warning
+from mapperd.localization.status import LocalizationFacts, diagnose, model_warning, sample_of
 from mapperd.odometry.fusion import FusedPose
 from mapperd.session_log import (
     GlobalLocalization,
@@ -209,12 +210,15 @@ class LocalizationStage:
             pose=None if correction is None or odom is None else correction.corrected(odom),
             sure=self._unsure() is None,
             diagnosis=diagnose(None if belief is None else belief.best, amcl),
-            warning=weight_warning(amcl),
+            warning=model_warning(amcl, in_3d=self._is_in_3d()),
             particle_count=len(self._filter.particles),
             particles=self._cloud()[0],
             scan_points_m=None if last is None else _in_map(last),
             known=self._known,
         )
+
+    def _is_in_3d(self) -> bool:
+        return self._known is not None and isinstance(self._known.map, VolumeMap)
 
     def _look(self, ping: Ping, pose: FusedPose, t_ns: int) -> Localized:
         if not self._localizer.life.running:

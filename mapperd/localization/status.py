@@ -21,8 +21,8 @@ __all__ = [
     "Diagnosis",
     "LocalizationFacts",
     "diagnose",
+    "model_warning",
     "sample_of",
-    "weight_warning",
 ]
 
 WEIGHT_TOLERANCE = 1e-6
@@ -74,14 +74,31 @@ def diagnose(estimate: PlanarGaussian | None, amcl: AmclConfig) -> Diagnosis:
     return Diagnosis("WARN", deviations, text)
 
 
-def weight_warning(amcl: AmclConfig) -> str | None:
-    """Describe observation weights that do not sum to 1; None if they do.
+SLICE_ONLY = (
+    "amcl: laser_model_type beam compares the 3D map's slice at the vehicle's height; "
+    "likelihood_field_prob compares all of it"
+)
 
-    Nothing makes them sum to 1: they are used as they are set.
+
+def model_warning(amcl: AmclConfig, *, in_3d: bool) -> str | None:
+    """Describe what the observation model does not do; None if there is nothing to report.
+
+    Weights are used as they are set, whether they sum to 1 or not. Rays are cast on a planar map.
+
+    Args:
+        amcl: the settings.
+        in_3d: the known map is 3D, not planar.
     """
+    found = [_weight_warning(amcl)]
+    if in_3d and amcl.laser_model_type == "beam":
+        found.append(SLICE_ONLY)
+    return "; ".join(text for text in found if text) or None
+
+
+def _weight_warning(amcl: AmclConfig) -> str | None:
     names = ["laser_z_hit", "laser_z_rand"]
     if amcl.laser_model_type == "beam":
-        names += ["laser_z_max", "laser_z_short"]
+        names.append("laser_z_short")
     total = sum(getattr(amcl, name) for name in names)
     if abs(total - 1) <= WEIGHT_TOLERANCE:
         return None

@@ -98,7 +98,7 @@ def configuration_page() -> str:
     """The page as it should be in docs/."""
     sections = groupby(parameters().values(), lambda one: one.name.partition(".")[0])
     body = "".join("\n".join(_section(name, list(found))) + "\n\n" for name, found in sections)
-    ignored = "\n".join(f"- `{name}`" for name in IGNORED)
+    ignored = "\n".join(f"- `{name}`: {why}" for name, why in IGNORED.items())
     return HEAD + body + _amcl() + TAIL.format(ignored=ignored)
 
 

@@ -67,7 +67,6 @@ PUBLISHED = {
     "laser_sigma_hit": 0.2,
     "laser_z_hit": 0.5,
     "laser_z_rand": 0.5,
-    "laser_z_max": 0.05,
     "laser_z_short": 0.05,
     "laser_lambda_short": 0.1,
     "laser_likelihood_max_dist": 2.0,
@@ -106,11 +105,11 @@ def following() -> ConfigStore:
     return store
 
 
-def test_all_58_published_parameters_but_two_are_there_with_their_defaults_but_the_swapped() -> (
+def test_all_58_published_parameters_but_three_are_there_with_their_defaults_but_the_swapped() -> (
     None
 ):
-    ignored = {name for name in IGNORED if name.startswith("amcl.")}
-    assert ignored == {"amcl.scan_topic", "amcl.map_service"}
+    ignored = {name for name in IGNORED if name.startswith("amcl.")} - {"amcl.z_max"}
+    assert ignored == {"amcl.scan_topic", "amcl.map_service", "amcl.laser_z_max"}
     assert len(PUBLISHED) + len(ignored) == 58
     assert msgspec.to_builtins(AmclConfig()) == PUBLISHED | SWAPPED
 
@@ -192,7 +191,6 @@ def test_names_of_other_releases_are_taken() -> None:
         "laser_sigma_hit": 0.3,
         "laser_z_hit": 0.9,
         "laser_z_rand": 0.1,
-        "laser_z_max": 0.2,
         "laser_z_short": 0.3,
         "laser_lambda_short": 0.7,
         "initial_pose_x": 1,
@@ -249,6 +247,12 @@ def test_schema_lets_other_names_through() -> None:
     assert judge.is_valid({"amcl": {"robot_model_type": "diff-corrected"}})
     assert not judge.is_valid({"amcl": {"initial_pose": {"z": 1}}})
     assert not judge.is_valid({"amcl": {"kld_z": 11}})
+
+
+def test_setting_without_effect_is_refused_with_its_reason() -> None:
+    refused = following().apply({"amcl.laser_z_max": 0.1}, "x")
+    assert isinstance(refused, Refused)
+    assert "no effect: beams without a return" in refused.reasons["amcl.laser_z_max"]
 
 
 def test_store_takes_other_names_and_refuses_two_for_one() -> None:

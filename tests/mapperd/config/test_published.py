@@ -1,11 +1,12 @@
 """Every parameter of the published mapper: its name, default, unit, limits, and if it is live."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from mapperd.config.catalog import Parameter, parameters, value_of
-from mapperd.config.layers import Layered
+from mapperd.config.layers import Layered, load_files
 from mapperd.config.live import Applied, ConfigStore
 from mapperd.config.loader import config_from_text
 from mapperd.daemon.map_folder import MapFolder
@@ -138,3 +139,100 @@ def test_every_live_setting_has_a_follower() -> None:
     followed = (*ours, *SonarControl.FOLLOWS, "visualization")
     live = [name for name, one in parameters().items() if one.dynamic]
     assert [name for name in live if not name.startswith(followed)] == []
+
+
+NODE_FILE = """\
+# config/mapper_params.yaml
+sonar_3d_mapper:
+  ros__parameters:
+    # Sonar
+    sonar:
+      horizontal_fov: 130.0
+      vertical_aperture: 20.0
+
+    # Filtering
+    filtering:
+      min_range: 0.5
+      intensity_threshold: 50
+
+    # Mounting
+    mounting:
+      position:
+        x: 0.0
+        y: 0.0
+        z: -0.5
+      orientation:
+        roll: 0.0
+        pitch: 90.0
+        yaw: 0.0
+
+    # Octree
+    octree:
+      voxel_resolution: 0.1
+      use_cpp_backend: true
+
+    # IWLO
+    iwlo:
+      sharpness: 3.0
+      L_occ: 3.5
+      L_free: -3.0
+
+    # Out-of-Core (disabled)
+    outofcore:
+      use: false
+"""
+"""The published mapper's own example."""
+
+
+def test_parameter_file_of_a_node_loads(tmp_path: Path) -> None:
+    path = tmp_path / "mapper_params.yaml"
+    path.write_text(NODE_FILE, encoding="utf-8")
+    layered = load_files([path])
+    assert layered.config.sonar.vertical_aperture == 20.0
+    assert layered.config.filtering.intensity_threshold == 50
+    assert layered.config.octree.voxel_resolution == 0.1
+    assert layered.origin_of("iwlo.sharpness") == str(path)
+    assert "octree.use_cpp_backend has no effect" in layered.notice
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "value"),
+    [
+        ("ros__parameters: {iwlo: {sharpness: 2}}", "iwlo.sharpness", 2.0),
+        ("/**: {ros__parameters: {iwlo.sharpness: 2}}", "iwlo.sharpness", 2.0),
+        ("auv: {mapper: {ros__parameters: {iwlo: {sharpness: 2}}}}", "iwlo.sharpness", 2.0),
+        ("amcl: {ros__parameters: {max_particles: 300}}", "amcl.max_particles", 300),
+        ("amcl: {ros__parameters: {amcl: {max_particles: 300}}}", "amcl.max_particles", 300),
+        (
+            (
+                "a: {ros__parameters: {octree: {voxel_resolution: 0.1}}}\n"
+                "b: {ros__parameters: {octree.voxel_resolution: 0.1, amcl: {max_particles: 300}}}"
+            ),
+            "amcl.max_particles",
+            300,
+        ),
+    ],
+)
+def test_nodes_are_settings_together(text: str, name: str, value: object) -> None:
+    assert value_of(config_from_text(text), name) == value
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: {ros__parameters: {iwlo: {sharpnes: 2}}}", "iwlo.sharpnes: .*did you mean sharpness"),
+        ("a: {ros__parameters: 3}", "a.ros__parameters: a mapping of sections was expected"),
+        ("iwlo: {sharpness: 2}\na: {ros__parameters: {}}", "iwlo: stands beside nodes"),
+        (
+            (
+                "a: {ros__parameters: {iwlo: {sharpness: 1}}}\n"
+                "b: {ros__parameters: {iwlo: {sharpness: 2}}}"
+            ),
+            "b: iwlo.sharpness: is set otherwise in a",
+        ),
+        ("a: {ros__parameters: {iwlo: 3, iwlo.sharpness: 3}}", "iwlo.sharpness: is set otherwise"),
+    ],
+)
+def test_mistakes_in_files_of_nodes_are_named(text: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        config_from_text(text)

@@ -3,7 +3,7 @@ import pytest
 
 from mapperd.config.tree import AmclConfig
 from mapperd.geometry.gaussian import PlanarGaussian
-from mapperd.localization.status import Deviation, diagnose, weight_warning
+from mapperd.localization.status import Deviation, diagnose, model_warning
 
 
 def estimate(*variances: float) -> PlanarGaussian:
@@ -37,9 +37,15 @@ def test_no_number_is_too_large() -> None:
 
 
 def test_weights_that_do_not_sum_to_1_are_reported_for_the_model_in_use() -> None:
-    assert weight_warning(AmclConfig()) is None
-    assert weight_warning(AmclConfig(laser_model_type="beam")) == (
-        "amcl: laser_z_hit + laser_z_rand + laser_z_max + laser_z_short is 1.1, not 1"
+    assert model_warning(AmclConfig(), in_3d=True) is None
+    beam = AmclConfig(laser_model_type="beam", laser_z_hit=0.45)
+    assert model_warning(AmclConfig(laser_model_type="beam"), in_3d=False) == (
+        "amcl: laser_z_hit + laser_z_rand + laser_z_short is 1.05, not 1"
     )
-    assert weight_warning(AmclConfig(laser_model_type="beam", laser_z_hit=0.4)) is None
-    assert "is 0.9, not 1" in str(weight_warning(AmclConfig(laser_z_hit=0.4)))
+    assert model_warning(beam, in_3d=False) is None
+    assert "is 0.9, not 1" in str(model_warning(AmclConfig(laser_z_hit=0.4), in_3d=False))
+
+
+def test_rays_are_reported_to_compare_a_slice_of_a_3d_map() -> None:
+    beam = AmclConfig(laser_model_type="beam", laser_z_hit=0.45)
+    assert "beam compares the 3D map's slice" in str(model_warning(beam, in_3d=True))
