@@ -263,7 +263,7 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
         float,
         rule(
             "Distance after which particles drawn anywhere by the scan are compared with the "
-            "estimate, and 0.3 of it until they have confirmed a searched pose; needs search_poses "
+            "estimate; in parts of it poses are verified against distant ones; needs search_poses "
             "and likelihood_field_prob; 0 never.",
             "m",
             live=True,

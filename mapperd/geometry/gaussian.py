@@ -101,7 +101,7 @@ class Belief:
         effective_size: effective sample size.
         fits: recent scans lie on the map where the particles are. Where they do not, the vehicle
             is elsewhere, even if no particle is.
-        confirmed: the pose was given, or independent searches agree with it.
+        confirmed: the pose was given, or verified against distant ones.
     """
 
     best: PlanarGaussian

@@ -6,10 +6,6 @@ weighed by the same scans. Their odds follow Bayes' rule: the rival begins at lo
 vehicle that is followed well is not thrown off, and where it becomes the likelier one the two
 change places. Odds fade: older scans contain less information about the present pose.
 
-A searched pose is ambiguous until an independent search finds it again: a rival that was drawn
-later, from another scan, with random numbers of its own. One that ends at another place confirms
-nothing, and takes over if it is the likelier one.
-
 Whether scans fit the map at the particles is judged by the fit alone.
 
 A cloud at one wrong place is as narrow as one at the right place, so weights do not show which it
@@ -55,13 +51,11 @@ class AlternativeHypothesis:
         particles: the cloud.
         log_odds: of being right, against the first cloud.
         way_m: driven since it began.
-        independent: it was drawn after the first cloud.
     """
 
     particles: ParticleFilter
     log_odds: float = LONG_ODDS
     way_m: float = 0.0
-    independent: bool = True
 
     @property
     def share(self) -> float:
@@ -82,28 +76,23 @@ class AlternativeHypothesis:
         """After some way."""
         return replace(self, way_m=self.way_m + way_m)
 
-    def weighed(
-        self, fit: float, first_fit: float, votes: float, *, searching: bool = False
-    ) -> "AlternativeHypothesis":
+    def weighed(self, fit: float, first_fit: float, votes: float) -> "AlternativeHypothesis":
         """After a scan of so many independent beams, by both clouds' fit for a beam.
 
         Args:
             fit: of this cloud.
             first_fit: of the first cloud.
             votes: independent beams of the scan.
-            searching: the cloud has no single place yet and is given the time to find one: its
-                odds do not fall below those of its beginning.
         """
         if not (fit > 0.0 and first_fit > 0.0):
             return self
         evidence = votes * math.log(fit / first_fit)
         odds = (1.0 - FADE) * self.log_odds + evidence
-        least = LONG_ODDS if searching else -50.0
-        return replace(self, log_odds=min(max(odds, least), 50.0))
+        return replace(self, log_odds=min(max(odds, -50.0), 50.0))
 
     def changed(self, first: ParticleFilter) -> "AlternativeHypothesis":
         """The first cloud as the rival of this one."""
-        return AlternativeHypothesis(first, -self.log_odds, self.way_m, independent=False)
+        return AlternativeHypothesis(first, -self.log_odds, self.way_m)
 
 
 def same_place(one: Estimate, other: Estimate) -> bool:
@@ -189,6 +178,12 @@ class FitWatch:
     def denies(self, min_share: float) -> bool:
         """Whether a mean of enough scans misses the map."""
         return not self.fits(min_share) and self.scans * GAIN >= 1.0
+
+    def dropped(self, by: float) -> bool:
+        """Whether the last scans meet the map worse than the mean, by so large a share."""
+        if self.share is None or self.recent is None:
+            return False
+        return self.recent < self.share - by
 
     def supports(self, min_share: float) -> bool:
         """Whether the map is met well enough by the mean and by the last scans."""

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.config.tree import Config
-from mapperd.geometry.gaussian import Belief, PlanarGaussian
+from mapperd.geometry.gaussian import Belief, PlanarGaussian, wrapped
 from mapperd.localization.hypothesis import (
     AlternativeHypothesis,
     FitWatch,
@@ -27,6 +27,14 @@ from mapperd.localization.particle_filter import (
 )
 from mapperd.localization.scan import Scan
 from mapperd.localization.update_gate import PlanarPose
+from mapperd.localization.verification import (
+    MIN_RETURNS,
+    MIN_SCANS,
+    Keyframe,
+    ScanWindow,
+    Verdict,
+    verify,
+)
 from mapperd.localization.weighting import MapWeighing, threads_of
 
 __all__ = ["FilterState", "MapFilter"]
@@ -39,11 +47,18 @@ SPREAD_M = 0.5
 HURRY_M = 1.0
 """Of way between rivals, where scans do not lie on the map."""
 
-CONFIRM_SHARE = 0.3
-"""Of the way between rivals, while a searched pose is not confirmed: scans are others by then."""
+LOST_SHARE = 0.3
+"""Of the way between rivals, while a pose is not confirmed: the next one."""
 
-SEARCH_INTERVALS = 2.0
-"""Of the way between rivals that a search has to find one place, before its odds decide."""
+SPACING_SHARE, VERIFY_SHARE, WATCH_SHARE, DROP_SHARE = 0.06, 0.15, 0.5, 0.05
+"""Of the way between rivals: between scans of a window; between verifications of a pose that is not
+confirmed, of one that is, and after scans that fit worse than those before."""
+
+TURN_SHARE = 0.1
+"""Of the way between rivals that a radian counts as."""
+
+DROP = 0.15
+"""Share of hits by which a scan fits worse than those before."""
 
 
 class FilterState(NamedTuple):
@@ -59,7 +74,9 @@ class FilterState(NamedTuple):
         alone_m: way since the last rival.
         recent_share, unsupported, scans: of the last scans, as in `FitWatch`.
         confirmed: as of `MapFilter`.
-        independent: the rival was drawn after the first cloud.
+        independent: unused; states of earlier versions have it.
+        window: recent scans.
+        unverified_m: way since the last verification.
     """
 
     cloud: CloudState
@@ -74,6 +91,8 @@ class FilterState(NamedTuple):
     scans: int = 0
     confirmed: bool = True
     independent: bool = True
+    window: ScanWindow = ScanWindow()
+    unverified_m: float = 0.0
 
 
 class MapFilter:
@@ -87,7 +106,8 @@ class MapFilter:
         watch: how well scans lie on the map.
         rival: the cloud that is tried against `particles`; None most of the time.
         rivals: how many there have been.
-        confirmed: the pose was given, or an independent search has found it again.
+        confirmed: the pose was given or verified, and has not been refuted since.
+        verdict: of the last verification; None before one.
     """
 
     def __init__(self, config: Config) -> None:
@@ -96,12 +116,15 @@ class MapFilter:
         self.rival: AlternativeHypothesis | None = None
         self.rivals = 0
         self.confirmed = True
+        self.verdict: Verdict | None = None
         self._config = config
         self._particles = self._cloud()
         self._map: MapWeighing | None = None
         self._stamp_ns: int | None = None
         self._blind = False  # particles are anywhere, and no scan was searched by yet
         self._alone_m = 0.0  # way since the last rival
+        self._window = ScanWindow()
+        self._unverified_m = 0.0  # way since the last verification
 
     @property
     def particles(self) -> ParticleFilter:
@@ -125,7 +148,7 @@ class MapFilter:
     def take_map(self, known: LocalizationMap) -> None:
         """As `PoseFilter.take_map`; on any error all is as before."""
         self._map = MapWeighing(known, self._config)
-        self.rival = None
+        self.rival, self._window = None, ScanWindow()
 
     def start_at(self, pose: PlanarGaussian, *, given: bool = True) -> None:
         """As `PoseFilter.start_at`."""
@@ -163,7 +186,8 @@ class MapFilter:
             self.watch.unsupported,
             self.watch.scans,
             self.confirmed,
-            self.rival is None or self.rival.independent,
+            window=self._window,
+            unverified_m=self._unverified_m,
         )
 
     def restore(self, state: FilterState) -> None:
@@ -179,8 +203,9 @@ class MapFilter:
         self._blind, self._alone_m, self.rival = state.blind, state.alone_m, None
         if state.rival is not None:
             cloud, log_odds, way_m = state.rival
-            self.rival = AlternativeHypothesis(self._cloud(), log_odds, way_m, state.independent)
+            self.rival = AlternativeHypothesis(self._cloud(), log_odds, way_m)
             restore_cloud(self.rival.particles, cloud)
+        self._window, self._unverified_m = state.window, state.unverified_m
 
     def update(
         self, before: PlanarPose, now: PlanarPose, scan: Scan, base_height_m: float
@@ -196,12 +221,14 @@ class MapFilter:
         self.weighed = self._weigh(self._map, self._particles, scan, base_height_m)
         if self._map.is_product:
             self.watch = self.watch.after(self._map.hit_share(self.weighed), len(scan))
-        if self.watch.denies(self._config.localization.min_hit_share):
-            self.confirmed = not self._has_rivals()
         if self.rival is not None:
             self._try(self._map, self.rival.driven(way_m), scan, base_height_m)
         else:
             self._challenge(self._map, way_m, scan, base_height_m)
+        if self._has_rivals():
+            turned_rad = abs(wrapped(now.yaw_rad - before.yaw_rad))
+            way_m += turned_rad * TURN_SHARE * self._config.localization.rival_interval
+            self._verify(self._map, before, Keyframe(now, base_height_m, scan), way_m)
         found = self._belief()
         for particles in self._clouds():
             particles.resample_if_due(self._map.free)
@@ -211,6 +238,7 @@ class MapFilter:
     def _begin(self, *, blind: bool) -> None:
         self._stamp_ns, self._blind = None, blind
         self.watch, self.rival, self._alone_m = FitWatch(), None, 0.0
+        self._window, self._unverified_m, self.verdict = ScanWindow(), 0.0, None
         if blind:
             self.confirmed = not self._has_rivals()
 
@@ -273,11 +301,7 @@ class MapFilter:
         ours = self._config.localization
         weighed, first = self._weigh(weighing, rival.particles, scan, height_m), self.weighed
         votes = ours.tempering * ours.rival_tempering * len(scan)
-        confirms = rival.independent and self._fits() and not self.confirmed
-        in_time = rival.way_m < SEARCH_INTERVALS * ours.rival_interval
-        searching = confirms and in_time and not has_one_place(rival.particles.estimate())
-        first_fit = first.fit if first else 0.0
-        self.rival = rival.weighed(weighed.fit, first_fit, votes, searching=searching)
+        self.rival = rival.weighed(weighed.fit, first.fit if first else 0.0, votes)
 
     def _challenge(self, weighing: MapWeighing, way_m: float, scan: Scan, height_m: float) -> None:
         """Begin a rival, where it is time."""
@@ -287,12 +311,47 @@ class MapFilter:
         if not self._fits():
             due_m = min(HURRY_M, due_m)
         elif not self.confirmed:
-            due_m *= CONFIRM_SHARE
+            due_m *= LOST_SHARE
         wanted = self._has_rivals() and self._alone_m >= due_m
         if wanted and not self._blind and weighing.can_search(scan):
             self.rivals += 1
             self.rival = AlternativeHypothesis(self._cloud())
             weighing.draw(self.rival.particles, scan, height_m)
+
+    def _verify(
+        self, weighing: MapWeighing, before: PlanarPose, keyframe: Keyframe, way_m: float
+    ) -> None:
+        """Compare the pose with distant ones, where it is time."""
+        ours, interval_m = self._config.localization, self._config.localization.rival_interval
+        self._window = self._window.after(before, keyframe, SPACING_SHARE * interval_m)
+        self._unverified_m += way_m if len(keyframe.scan) >= MIN_RETURNS else 0.0
+        if self.watch.denies(ours.min_hit_share):
+            self._refute(self._window.recent())
+        dropped = self.confirmed and self.watch.dropped(DROP)
+        due = DROP_SHARE if dropped else WATCH_SHARE if self.confirmed else VERIFY_SHARE
+        first = self._particles.estimate()
+        enough = self.confirmed or (
+            len(self._window.keyframes) >= MIN_SCANS and self.watch.supports(ours.min_hit_share)
+        )
+        is_due = self._unverified_m >= due * interval_m and enough
+        if not (is_due and has_one_place(first)):
+            return
+        window = (ScanWindow() if dropped else self._window).including(keyframe)
+        clouds, seed = self._clouds(), (ours.random_seed, keyframe.scan.stamp_ns % 2**63)
+        verdict = verify(weighing, window, first.mean, clouds, seed)
+        if verdict is None:
+            return
+        self.verdict, self._unverified_m = verdict, 0.0
+        if verdict.refuted:
+            self._refute(window.recent())
+        elif not dropped:
+            self.confirmed |= verdict.verified
+
+    def _refute(self, window: ScanWindow) -> None:
+        """The pose is not confirmed; an alternative is tried at once."""
+        if self.confirmed:
+            self.confirmed, self._window = False, window
+        self._alone_m = self._config.localization.rival_interval
 
     def _belief(self) -> Belief:
         fits = self.watch.supports(self._config.localization.min_hit_share)
@@ -312,7 +371,6 @@ class MapFilter:
         rival = self.rival
         same = same_place(self._particles.estimate(), rival.particles.estimate())
         if same or rival.hopeless:
-            self.confirmed |= same and rival.independent
             self.rival, self._alone_m = None, 0.0
         elif rival.leads:
             self.rival = rival.changed(self._particles)

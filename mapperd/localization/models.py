@@ -17,8 +17,8 @@ from mapperd.localization.particle_filter import (
 __all__ = ["beam_model", "check_localization", "core_grid", "field_of", "filter_rule", "hit_model"]
 
 
-def filter_rule(config: Config) -> FilterRule:
-    """How the filter resamples and recovers."""
+def filter_rule(config: Config, *, plain: bool = False) -> FilterRule:
+    """How the filter resamples and recovers; a plain one applies the likelihoods as they are."""
     amcl, ours = config.amcl, config.localization
     return FilterRule(
         min_particles=amcl.min_particles,
@@ -32,7 +32,7 @@ def filter_rule(config: Config) -> FilterRule:
         alpha_fast=amcl.recovery_alpha_fast,
         resample_interval=amcl.resample_interval,
         selective=amcl.selective_resampling,
-        least_effective_share=ours.least_effective_share,
+        least_effective_share=0.0 if plain else ours.least_effective_share,
         draw_exponent=ours.draw_exponent,
     )
 

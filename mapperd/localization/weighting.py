@@ -8,6 +8,7 @@ sin(e)). Off the fan's plane and away from its middle that is not the vertical p
 at 60 deg and 10 deg it is 1.6 deg beside it.
 """
 
+import math
 import os
 from dataclasses import dataclass
 
@@ -18,7 +19,7 @@ from mapperd.config.tree import Config
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.hypothesis import hit_share
 from mapperd.localization.maps import LocalizationMap, VolumeMap
-from mapperd.localization.models import beam_model, core_grid, field_of, hit_model
+from mapperd.localization.models import beam_model, core_grid, field_of, filter_rule, hit_model
 from mapperd.localization.particle_filter import (
     Beams,
     Endpoints,
@@ -133,6 +134,53 @@ class MapWeighing:
         kappa = min(ours.tempering * len(scan) / len(few), 1.0)
         poses = max(ours.search_poses, amcl.max_particles)
         particles.start_by_scan(self.free, self._broad, ends, poses, kappa)
+
+    def drawn(self, scan: Scan, base_height_m: float, seed: int) -> Floats:
+        """(N, 3) poses of a new cloud from a scan that can be searched by."""
+        cloud = ParticleFilter(filter_rule(self._config), seed, threads_of(self._config))
+        self.draw(cloud, scan, base_height_m)
+        return cloud.poses
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of a hit."""
+        return self._config.amcl.laser_sigma_hit
+
+    def log_likelihoods(
+        self,
+        poses: Floats,
+        scan: Scan,
+        base_height_m: float,
+        *,
+        beams: int,
+        elevations: int,
+        broad: bool = False,
+    ) -> Floats:
+        """(N,) tempered log-likelihoods of a scan at poses (N, 3); 0 if it has no information.
+
+        Args:
+            poses: x, y, yaw, map frame.
+            scan: any.
+            base_height_m: of the base in the map.
+            beams: to which the scan is thinned; they have the votes of all.
+            elevations: of each return, on a map with heights.
+            broad: on the blurred map.
+        """
+        field = self._broad if broad else self._against
+        if not isinstance(field, LikelihoodField) or not len(scan):
+            return np.zeros(len(poses))
+        few = decimated(scan, beams)
+        rule = filter_rule(self._config, plain=True)
+        cloud = ParticleFilter(rule, 0, threads_of(self._config))
+        cloud.start_with(poses)
+        kappa = min(self._config.localization.tempering * len(scan) / len(few), 1.0)
+        weighed = cloud.weigh_field(
+            field, self._ends(few, base_height_m, elevations), "product", kappa
+        )
+        if not weighed.informative:
+            return np.zeros(len(poses))
+        logs: Floats = cloud.log_weights + weighed.log_evidence + math.log(len(poses))
+        return logs
 
     def weigh(
         self, particles: ParticleFilter, scan: Scan, base_height_m: float, tempering: float

@@ -263,7 +263,7 @@ def test_restored_one_tries_the_same_rival(config: Config, heard: list[Ping]) ->
 
 def test_all_that_a_filter_knows_is_in_its_state(config: Config) -> None:
     """Each attribute of the filter is in its state, or listed here with the reason why not."""
-    given, to_look_at = {"_config", "_map"}, {"weighed"}
+    given, to_look_at = {"_config", "_map"}, {"weighed", "verdict"}
     held = {
         "_particles",
         "_stamp_ns",
@@ -273,6 +273,8 @@ def test_all_that_a_filter_knows_is_in_its_state(config: Config) -> None:
         "confirmed",
         "_blind",
         "_alone_m",
+        "_window",
+        "_unverified_m",
     }
     assert set(vars(MapFilter(config))) - given - to_look_at == held
 

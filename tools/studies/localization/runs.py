@@ -118,6 +118,7 @@ def settings(place: DiveArea, seed: int) -> Config:
         update_max_interval=1.0,
         sigma_floor_xy=0.03 * place.speed_mps / 0.5,
         sigma_floor_yaw=0.002,
+        elevations=15,
         search_poses=300_000,
         search_sigma=5 * place.voxel_m,
         tempering_spread=0.2,

@@ -1,0 +1,294 @@
+"""Verification of a pose: no distant pose explains the recent scans about as well.
+
+A place that looks like another one fits the map as well, so neither fit nor spread of a cloud shows
+that it is wrong: piles repeat, and a round tank is alike at every heading. A separate search over
+the whole map lists the poses that explain a window of recent scans. Odometry places the scans
+relative to each other, so a pose stands for a track.
+
+- A pose is verified if the search finds it again and every distant pose explains the window worse
+  by a decisive log-likelihood ratio.
+- A pose is refuted if a distant pose explains the window, or its last scans, better by such a
+  ratio.
+
+Without landmarks in the window, or on a symmetric part of the map, neither holds.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.geometry.gaussian import ELSEWHERE_M, wrapped
+from mapperd.localization.hypothesis import SAME_RAD
+from mapperd.localization.particle_filter import ParticleFilter
+from mapperd.localization.scan import Scan
+from mapperd.localization.update_gate import PlanarPose
+from mapperd.localization.weighting import MapWeighing
+
+__all__ = ["MIN_RETURNS", "MIN_SCANS", "Keyframe", "ScanWindow", "Verdict", "verify"]
+
+Floats = NDArray[np.float64]
+
+MAX_SCANS = 24
+"""Of a window; older ones are dropped, as odometry has drifted since."""
+
+MIN_SCANS = 5
+"""Of a window that verifies a pose."""
+
+RECENT = 6
+"""Scans that refute a pose by themselves: after the vehicle was carried off, older ones mislead."""
+
+MIN_RETURNS = 4
+"""A scan of fewer has no place in a window."""
+
+MAX_TURN_RAD = 0.2
+"""Between scans of a window, if the vehicle turns on the spot."""
+
+DECISIVE = 6.0
+"""Log-likelihood ratio, of tempered scans, by which a distant pose has to be worse."""
+
+REFUTING = 4.0
+"""Ratio by which a distant pose has to be better."""
+
+CLOUD_POSES = 250
+"""Particles of a cloud that are scored beside the searched poses."""
+
+
+class Keyframe(NamedTuple):
+    """A scan of a window.
+
+    Attributes:
+        odom: the base in the odometry's frame.
+        base_height_m: of the base in the map.
+        scan: the returns.
+    """
+
+    odom: PlanarPose
+    base_height_m: float
+    scan: Scan
+
+
+class ScanWindow(NamedTuple):
+    """Recent scans, spaced along the way.
+
+    Attributes:
+        keyframes: oldest first.
+        last: odometry of the last update; None before one.
+    """
+
+    keyframes: tuple[Keyframe, ...] = ()
+    last: PlanarPose | None = None
+
+    def after(self, before: PlanarPose, keyframe: Keyframe, spacing_m: float) -> "ScanWindow":
+        """With a scan, if it is far enough from the last one.
+
+        Args:
+            before: odometry where the motion of the update began. Scans from before a jump of the
+                odometry are dropped.
+            keyframe: the scan.
+            spacing_m: least way between scans.
+        """
+        kept = self.keyframes if self.last in (None, before) else ()
+        if len(keyframe.scan) >= MIN_RETURNS and (
+            not kept or _is_apart(kept[-1].odom, keyframe.odom, spacing_m)
+        ):
+            kept = (*kept, _without_misses(keyframe))[-MAX_SCANS:]
+        return ScanWindow(kept, keyframe.odom)
+
+    def recent(self) -> "ScanWindow":
+        """The last scans alone."""
+        return ScanWindow(self.keyframes[-RECENT:], self.last)
+
+    def including(self, keyframe: Keyframe) -> "ScanWindow":
+        """With the scan of now, whatever its distance."""
+        if self.keyframes and self.keyframes[-1].odom == keyframe.odom:
+            return self
+        return ScanWindow((*self.keyframes, keyframe), keyframe.odom)
+
+
+class Verdict(NamedTuple):
+    """Result of a verification: log-likelihood ratios of tempered scans.
+
+    Attributes:
+        margin: of the pose against the best distant one.
+        recent_margin: the same by the last scans.
+        cloud_margin: of the particles, as they are, against the best distant pose by the last scan.
+        found: the search found the pose, and nothing better.
+        scans: of the window.
+    """
+
+    margin: float
+    recent_margin: float
+    cloud_margin: float
+    found: bool
+    scans: int
+
+    @property
+    def verified(self) -> bool:
+        """The search found the pose, and every distant one is worse by a decisive ratio."""
+        return self.found and self.scans >= MIN_SCANS and self.margin > DECISIVE
+
+    @property
+    def refuted(self) -> bool:
+        """A distant pose is better by a decisive ratio."""
+        return min(self.margin, self.recent_margin, self.cloud_margin) < -REFUTING
+
+
+class _Round(NamedTuple):
+    """A step of the search: candidates are scored, drawn by their score, and moved a little."""
+
+    scans: int
+    beams: int
+    elevations: int
+    kept: int
+    jitter_m: float
+    jitter_rad: float
+    broad: bool = False
+
+
+ROUNDS = (
+    _Round(8, 20, 3, 3000, 1.5, 0.06, broad=True),
+    _Round(MAX_SCANS, 20, 5, 1500, 0.8, 0.03),
+    _Round(MAX_SCANS, 20, 9, 800, 0.5, 0.015),
+    _Round(MAX_SCANS, 60, 15, 0, 0.0, 0.0),
+)
+"""The last one scores only. Jitter in standard deviations of a hit."""
+
+EFFECTIVE_SHARE = 0.25
+"""Of candidates that a round leaves at least: weak modes survive."""
+
+BISECTIONS = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Evidence:
+    """A window on a map, with the odometry that candidates belong to."""
+
+    weighing: MapWeighing
+    keyframes: tuple[Keyframe, ...]
+    now: PlanarPose
+
+    def scores(self, poses: Floats, how: _Round) -> Floats:
+        """(scans, poses) log-likelihoods of scans at the poses that the candidates had then."""
+        step = max(1, math.ceil(len(self.keyframes) / how.scans))
+        scores = [
+            self.weighing.log_likelihoods(
+                _moved(poses, self.now, one.odom),
+                one.scan,
+                one.base_height_m,
+                beams=how.beams,
+                elevations=how.elevations,
+                broad=how.broad,
+            )
+            for one in self.keyframes[::-1][::step]
+        ]
+        return np.array(scores[::-1])
+
+    def refined(self, poses: Floats, how: _Round, random: np.random.Generator) -> Floats:
+        """Candidates drawn by their likelihood, which is tempered so that weak modes survive."""
+        logs = self.scores(poses, how).sum(axis=0)
+        logs = _tempered(logs - logs.max(), EFFECTIVE_SHARE * len(poses))
+        drawn = _drawn(poses, np.exp(logs), how.kept, random)
+        jitter_m = how.jitter_m * self.weighing.sigma_m
+        noise: Floats = random.normal(size=drawn.shape) * (jitter_m, jitter_m, how.jitter_rad)
+        return drawn + noise
+
+
+def verify(
+    weighing: MapWeighing,
+    window: ScanWindow,
+    place: Floats,
+    clouds: list[ParticleFilter],
+    seed: tuple[int, int],
+) -> Verdict | None:
+    """Search the map for poses that explain a window, and compare them with one.
+
+    Args:
+        weighing: the map; it searches, and its model is a product.
+        window: recent scans, the last one of now.
+        place: (3,) x, y, yaw in the map, metres and radians: the pose to be verified.
+        clouds: the particles of the pose first; others are candidates.
+        seed: of the random numbers.
+
+    Returns:
+        The verdict; None without a scan to search by.
+    """
+    full = max(reversed(window.keyframes), key=lambda one: len(one.scan), default=None)
+    if full is None or window.last is None or not weighing.can_search(full.scan):
+        return None
+    random = np.random.default_rng(seed)
+    evidence = _Evidence(weighing, window.keyframes, window.last)
+    poses = weighing.drawn(full.scan, full.base_height_m, int(random.integers(2**62)))
+    poses = _moved(poses, full.odom, window.last)
+    for one in ROUNDS[:-1]:
+        poses = evidence.refined(poses, one, random)
+    searched = len(poses)
+    samples = [_drawn(cloud.poses, cloud.weights, CLOUD_POSES, random) for cloud in clouds]
+    poses = np.concatenate([poses, *samples])
+    scores = evidence.scores(poses, ROUNDS[-1])
+    off = poses - place
+    near = np.hypot(off[:, 0], off[:, 1]) < ELSEWHERE_M
+    near &= np.abs(np.remainder(off[:, 2] + math.pi, math.tau) - math.pi) < SAME_RAD
+    total, last = scores.sum(axis=0), scores[-1]
+    return Verdict(
+        _margin(total[near], total[~near]),
+        _margin(scores[-RECENT:, near].sum(axis=0), scores[-RECENT:, ~near].sum(axis=0)),
+        _margin(last[searched : searched + CLOUD_POSES], last[~near]),
+        bool(near[:searched][np.argmax(total[:searched])]),
+        len(window.keyframes),
+    )
+
+
+def _margin(inside: Floats, outside: Floats) -> float:
+    """The best score at the place, less the best one elsewhere; 0 if there are none."""
+    best, other = (float(one.max(initial=-math.inf)) for one in (inside, outside))
+    return best - other if math.isfinite(best) or math.isfinite(other) else 0.0
+
+
+def _tempered(logs: Floats, size: float) -> Floats:
+    """Log-weights to a power of at most 1 that leaves so large an effective sample size."""
+    low, high, power = 0.0, 1.0, 1.0
+    for _ in range(BISECTIONS):
+        weights = np.exp(power * logs)
+        if weights.sum() ** 2 / (weights**2).sum() < size:
+            high = power
+        else:
+            low = power
+        power = (low + high) / 2
+    tempered: Floats = low * logs
+    return tempered
+
+
+def _drawn(poses: Floats, weights: Floats, count: int, random: np.random.Generator) -> Floats:
+    """Poses drawn evenly by weight."""
+    edges = np.cumsum(weights)
+    comb = (random.uniform() + np.arange(count)) / count * edges[-1]
+    drawn: Floats = poses[np.minimum(np.searchsorted(edges, comb), len(edges) - 1)]
+    return drawn
+
+
+def _moved(poses: Floats, before: PlanarPose, after: PlanarPose) -> Floats:
+    """(N, 3) poses after the motion of the odometry between two poses."""
+    x, y = after.x_m - before.x_m, after.y_m - before.y_m
+    c, s = math.cos(before.yaw_rad), math.sin(before.yaw_rad)
+    ahead, aside = c * x + s * y, c * y - s * x
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    return np.column_stack(
+        [
+            poses[:, 0] + cos * ahead - sin * aside,
+            poses[:, 1] + sin * ahead + cos * aside,
+            poses[:, 2] + wrapped(after.yaw_rad - before.yaw_rad),
+        ]
+    )
+
+
+def _without_misses(keyframe: Keyframe) -> Keyframe:
+    """Without the beams that have no return."""
+    return keyframe._replace(scan=replace(keyframe.scan, misses_bearing_rad=np.empty(0)))
+
+
+def _is_apart(one: PlanarPose, other: PlanarPose, spacing_m: float) -> bool:
+    turned = abs(wrapped(other.yaw_rad - one.yaw_rad))
+    return other.step_m(one) >= spacing_m or turned >= MAX_TURN_RAD
