@@ -1,5 +1,6 @@
 """The command `mapperd`: settings and a recording or a sonar in, a folder of results out."""
 
+import asyncio
 import contextlib
 import os
 import sys
@@ -14,8 +15,10 @@ import msgspec
 
 from mapperd.cli.arguments import Arguments, parse_arguments
 from mapperd.cli.doctor import doctor
+from mapperd.cli.init import init
 from mapperd.cli.replay import map_recordings, unreadable
-from mapperd.config.layers import Layered, load_settings
+from mapperd.cli.surroundings import listen, odometry_lines, sonar_lines
+from mapperd.config.layers import Layered, load_settings, settings_files
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
 from mapperd.daemon.journal import goes_to_journal
@@ -91,8 +94,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; every failure that input can cause is one line and an exit code."""
     _open_closed_streams()
     words = sys.argv[1:] if argv is None else argv
-    if words[:1] == ["doctor"]:
-        return doctor(words[1:])
+    for name, run in (("doctor", doctor), ("init", init)):
+        if words[:1] == [name]:
+            return run(words[1:])
     arguments = parse_arguments(words)
     try:
         return _replay(arguments) if arguments.replay else _live(arguments)
@@ -115,8 +119,29 @@ def _check_picture() -> None:
         _print(f"map.png is not drawn: {missing_extra('matplotlib', 'topside')}")
 
 
+HOW_TO_START = """\
+to start:
+  mapperd init                 asks for vehicle and sonar, and writes the settings
+  mapperd --config FILE        maps live with settings of yours
+  mapperd --replay FILE        maps a recording"""
+
+
+def _without_settings() -> DaemonExit:
+    """List what is on the network and how to start; no sonar is asked for pings."""
+    code = _fail(
+        DaemonExit.BAD_CONFIG,
+        "no settings, so no sonar is started: run `mapperd init`, or give --config",
+    )
+    heard = asyncio.run(listen())
+    lines = [*sonar_lines(heard), *odometry_lines(heard), HOW_TO_START]
+    _written(sys.stdout, "\n".join([*lines, ""]))
+    return code
+
+
 def _live(arguments: Arguments) -> DaemonExit:
     """Map until stopped, then write the results."""
+    if not settings_files(_given_files(arguments), os.environ):
+        return _without_settings()
     store = ConfigStore(_settings(arguments))
     check_libraries(store.current.odometry, decoding=arguments.pose is None)
     check_telemetry(store.current, os.environ)
@@ -159,10 +184,13 @@ def _replay(arguments: Arguments) -> DaemonExit:
     return _verdict(arguments, summary)
 
 
+def _given_files(arguments: Arguments) -> list[Path]:
+    return [] if arguments.config is None else [arguments.config]
+
+
 def _settings(arguments: Arguments) -> Layered:
     """Of the files, and on top of them the command line."""
-    given = [] if arguments.config is None else [arguments.config]
-    layered = load_settings(given, os.environ)
+    layered = load_settings(_given_files(arguments), os.environ)
     if layered.notice:
         _print(layered.notice)
     check_filters(layered.config)

@@ -11,7 +11,7 @@ from mapperd.config.loader import config_of, read_tree
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 
-__all__ = ["DEFAULT", "Layered", "load_files", "load_settings", "settings_files"]
+__all__ = ["DEFAULT", "Layered", "load_files", "load_settings", "settings_files", "user_folder"]
 
 DEFAULT = "default"
 """Origin of a setting that no file names."""
@@ -69,7 +69,7 @@ def settings_files(
     """
     named = environ.get(VARIABLE, "")
     return [
-        *_files_of(_user_folder(environ)),
+        *_files_of(user_folder(environ)),
         *_files_of(system),
         *([Path(named)] if named else []),
         *given,
@@ -122,7 +122,7 @@ def _named(error: ConfigError, origins: Mapping[str, str]) -> str:
     return f"{files}: {str(error).removeprefix('settings: ')}"
 
 
-def _user_folder(environ: Mapping[str, str]) -> Path | None:
+def user_folder(environ: Mapping[str, str]) -> Path | None:
     """Where a user keeps settings by the XDG base directory rules: relative paths do not count."""
     home = environ.get("HOME", "")
     for base, more in ((environ.get("XDG_CONFIG_HOME", ""), ""), (home, ".config")):

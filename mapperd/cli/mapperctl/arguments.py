@@ -592,7 +592,13 @@ def _command(
     add("--json", action="store_true", help="print JSON, one object a line")
     add("--socket", metavar="PATH", type=Path, help="Unix socket of the daemon")
     add("--address", metavar="HOST:PORT", help="TCP address of the daemon instead")
-    add("--token-file", metavar="FILE", type=Path, help="token of the TCP socket")
+    add(
+        "--token-file",
+        metavar="FILE",
+        type=Path,
+        help="token for --address (default: server.token_file, else `token` beside the user's "
+        "settings)",
+    )
     add("--tls-ca", metavar="PEM", type=Path, help="use TLS and trust these certificates")
     return command
 

@@ -15,7 +15,7 @@ from mapperd.cli.mapperctl.errors import CtlError, CtlExit
 from mapperd.cli.mapperctl.remote import run
 from mapperd.cli.mapperctl.views import params_lines
 from mapperd.config.changes import facts_of
-from mapperd.config.layers import Layered, load_settings
+from mapperd.config.layers import Layered, load_settings, user_folder
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 from mapperd.server.listeners import address_of
@@ -92,7 +92,8 @@ def _stream(args: argparse.Namespace) -> tuple[str, bytes | None, ssl.SSLContext
         raise CtlError("--socket or --address, not both", CtlExit.USAGE)
     if args.address:
         try:
-            token = None if args.token_file is None else read_token(args.token_file)
+            path = _token_path(args, _settings(args).config)
+            token = None if path is None else read_token(path)
         except ConfigError as error:
             raise CtlError(str(error), CtlExit.USAGE) from error
         return args.address, token, _tls(args.tls_ca)
@@ -131,13 +132,21 @@ def _settings(args: argparse.Namespace) -> Layered:
 def _over_tcp(args: argparse.Namespace, config: Config) -> DaemonTarget:
     try:
         host, port = address_of(args.address)
-        path = args.token_file or (
-            Path(config.server.token_file) if config.server.token_file else None
-        )
+        path = _token_path(args, config)
         token = b"" if path is None else read_token(path)
     except ConfigError as error:
         raise CtlError(str(error), CtlExit.USAGE) from error
     return DaemonTarget(None, str(host), port, token, _tls(args.tls_ca))
+
+
+def _token_path(args: argparse.Namespace, config: Config) -> Path | None:
+    """Return the file of --token-file, of the settings, or the copy in the user's folder."""
+    given = args.token_file or config.server.token_file
+    if given:
+        return Path(given)
+    folder = user_folder(os.environ)
+    copied = None if folder is None else folder / "token"
+    return copied if copied is not None and copied.exists() else None
 
 
 def _tls(authorities: Path | None) -> ssl.SSLContext | None:
