@@ -30,6 +30,10 @@ class StreamError(MapperdError):
 
 
 _ENCODER = msgspec.msgpack.Encoder()
+_FROM_SERVER = msgspec.msgpack.Decoder(FromServer)
+"""Made at import, in one thread: msgspec crashes when two threads first use a type at once."""
+
+_FROM_CLIENT = msgspec.msgpack.Decoder(FromClient)
 
 
 def framed(message: FromClient | FromServer) -> bytes:
@@ -42,7 +46,7 @@ class Inbox(Generic[Message]):
     """Decodes the messages of one connection from bytes in any pieces.
 
     Args:
-        decoder: of one message.
+        decoder: of one message; may be shared by threads.
         limit: maximum bytes of one message.
 
     Attributes:
@@ -90,9 +94,9 @@ class Inbox(Generic[Message]):
 
 def client_inbox() -> Inbox[FromServer]:
     """Return the decoder for a client: of the server's messages."""
-    return Inbox(msgspec.msgpack.Decoder(FromServer), MAX_FROM_SERVER)
+    return Inbox(_FROM_SERVER, MAX_FROM_SERVER)
 
 
 def server_inbox() -> Inbox[FromClient]:
     """Return the decoder for a server: of the clients' messages."""
-    return Inbox(msgspec.msgpack.Decoder(FromClient), MAX_FROM_CLIENT)
+    return Inbox(_FROM_CLIENT, MAX_FROM_CLIENT)

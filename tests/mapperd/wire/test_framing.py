@@ -1,6 +1,8 @@
 """Messages in any pieces, and bytes that are no messages."""
 
 import contextlib
+import subprocess
+import sys
 import tracemalloc
 import typing
 
@@ -137,3 +139,27 @@ def test_memory_does_not_grow_with_what_was_reported() -> None:
     finally:
         tracemalloc.stop()
     assert after - before < 100_000
+
+
+FIRST_USE = """
+from msgspec import _utils
+from mapperd.wire.framing import client_inbox, framed, server_inbox
+from mapperd.wire.messages import GreetingMessage, HelloMessage
+
+
+def refuse(*words, **named):
+    raise AssertionError("a type is used for the first time")
+
+
+_utils._eval_type = refuse
+assert server_inbox().feed(framed(HelloMessage(version=1)))
+assert client_inbox().feed(framed(GreetingMessage()))
+"""
+
+
+def test_types_are_ready_before_several_threads_use_them() -> None:
+    """msgspec crashes when one thread decodes a type that another one uses for the first time."""
+    done = subprocess.run(  # noqa: S603 our own text
+        [sys.executable, "-c", FIRST_USE], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
