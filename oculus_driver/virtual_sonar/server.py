@@ -116,7 +116,8 @@ class VirtualSonar(Generic[DeviceT]):
         device: the inside of the sonar.
         host: address to listen on.
         port: TCP port; 0 for any free one, see attribute `port`.
-        speed: factor on the device's time; None: as fast as the client reads.
+        speed: factor on the device's time; None: as fast as the client reads. The attribute
+            of this name may change at any time.
         status_to: destinations of statuses, such as `(broadcast_of(host), STATUS_PORT)`.
         status_period_s, dummy_period_s: interval of statuses; interval of dummies in standby.
         faults: injected faults.
@@ -145,7 +146,7 @@ class VirtualSonar(Generic[DeviceT]):
         self.finished = asyncio.Event()
         self.faults = faults or Faults()
         self.device = device
-        self._speed = speed
+        self.speed = speed
         self._status_to = tuple(status_to)
         self._status_period_s = status_period_s
         self._dummy_period_s = dummy_period_s
@@ -260,10 +261,10 @@ class VirtualSonar(Generic[DeviceT]):
             await self._wait_for_change(None)
             return False
         await self.device.prepare()
-        if self._speed is None:
+        if self.speed is None:
             await asyncio.sleep(0)
             return True
-        due_s = max(self._due_s + self.device.wait_ns() / 1e9 / self._speed, _now_s() - _LATE_S)
+        due_s = max(self._due_s + self.device.wait_ns() / 1e9 / self.speed, _now_s() - _LATE_S)
         if await self._wait_for_change(due_s - _now_s()):
             return False
         self._due_s = due_s

