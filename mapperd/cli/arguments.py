@@ -20,7 +20,8 @@ examples:
   mapperd --replay dive.mcap --out dive
   mapperd --replay dive.mcap --view
 
-`mapperd doctor` checks every link and names a remedy for the first failure.
+`mapperd init` writes the settings of a vehicle. `mapperd doctor` checks every link and names a
+remedy for the first failure.
 
 exit codes: 0 the map is written; 2 usage error; 65 not a recording, nothing was mapped, or a part
 is damaged; 66 cannot open the recording; 69 cannot open a link; 73 cannot write; 78 invalid
@@ -55,7 +56,7 @@ class Arguments:
     allow_damaged: bool = False
 
 
-COMMANDS = ("doctor",)
+COMMANDS = ("doctor", "init")
 """The first word of other command lines."""
 
 

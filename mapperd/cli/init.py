@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 from mapperd.cli.surroundings import listen, sonar_lines
 from mapperd.config.layers import user_folder
@@ -21,6 +21,7 @@ from mapperd.io import atomic_file
 from mapperd.odometry.formats import check_libraries
 from mapperd.server.listeners import address_of
 from mapperd.wire.auth import is_loopback
+from oculus_driver.command_line import CommandParser
 
 __all__ = ["Setup", "init", "settings_text", "user_settings"]
 
@@ -187,13 +188,6 @@ def _server(setup: Setup) -> str:
     return "\n".join([*lines, ""])
 
 
-class _Parser(argparse.ArgumentParser):
-    """Reports errors in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(USAGE, f"mapperd init: {message} (see mapperd init --help)\n")
-
-
 def init(argv: Sequence[str]) -> int:
     """Run `mapperd init`; return its exit code."""
     parser = _parser()
@@ -236,9 +230,9 @@ def user_settings(environ: Mapping[str, str]) -> Path | None:
     return None if folder is None else folder / "mapperd.yaml"
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> CommandParser:
     default = Setup()
-    parser = _Parser(
+    parser = CommandParser(
         "mapperd init",
         description="Write commented settings for a vehicle and its sonar, and a token for other "
         "computers. On a terminal it asks for what no option gives.",
