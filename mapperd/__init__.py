@@ -8,22 +8,46 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from mapperd.compat.flat_config import SonarMapperConfig
     from mapperd.compat.octree_mapper import OctreeMapper
+    from mapperd.compat.parameters import (
+        CROSSTALK_PARAMS,
+        MAPPER_PARAMS,
+        ROBOT_DETECTION_PARAMS,
+        VISUALIZER_PARAMS,
+        WORLD_INIT_PARAMS,
+        ParameterDef,
+        ParameterManager,
+        ParameterNode,
+    )
     from mapperd.compat.probability_updater import ProbabilityUpdater
     from mapperd.compat.sonar_to_3d import SonarTo3DMapper
     from mapperd.geometry.gaussian import PlanarGaussian
+    from mapperd.imaging.filter_chain import CrosstalkFilter
     from mapperd.localization.grid_map import GridMap
     from mapperd.localization.localizer import Localizer
     from mapperd.localization.map_filter import MapFilter
     from mapperd.localization.scan import scan_of_ranges
+    from mapperd.mapping.queries import MemoryStats
 
 __all__ = [
+    "CROSSTALK_PARAMS",
+    "MAPPER_PARAMS",
+    "ROBOT_DETECTION_PARAMS",
+    "VISUALIZER_PARAMS",
+    "WORLD_INIT_PARAMS",
+    "CrosstalkFilter",
     "GridMap",
     "Localizer",
     "MapFilter",
+    "MemoryStats",
     "OctreeMapper",
+    "ParameterDef",
+    "ParameterManager",
+    "ParameterNode",
     "PlanarGaussian",
     "ProbabilityUpdater",
+    "SonarMapperConfig",
     "SonarTo3DMapper",
     "__version__",
     "scan_of_ranges",
@@ -40,6 +64,22 @@ _MODULES = {
     "OctreeMapper": "mapperd.compat.octree_mapper",
     "ProbabilityUpdater": "mapperd.compat.probability_updater",
     "SonarTo3DMapper": "mapperd.compat.sonar_to_3d",
+    "CrosstalkFilter": "mapperd.imaging.filter_chain",
+    "MemoryStats": "mapperd.mapping.queries",
+    "SonarMapperConfig": "mapperd.compat.flat_config",
+    **dict.fromkeys(
+        (
+            "CROSSTALK_PARAMS",
+            "MAPPER_PARAMS",
+            "ROBOT_DETECTION_PARAMS",
+            "VISUALIZER_PARAMS",
+            "WORLD_INIT_PARAMS",
+            "ParameterDef",
+            "ParameterManager",
+            "ParameterNode",
+        ),
+        "mapperd.compat.parameters",
+    ),
 }
 
 

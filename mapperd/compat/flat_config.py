@@ -1,14 +1,15 @@
-"""The published mapper's flat dictionary of settings, as the library class took it.
+"""The published mapper's flat dictionary of settings, and `SonarMapperConfig`.
 
-Every key is one setting of `mapperd.config.tree` under its own name (`adaptive.*` carries its
-section: `adaptive_threshold`), so that ranges and defaults stand in one place. A key without effect
-takes only the value that describes the behaviour: no setting is silently ignored.
+Every key is one setting of `mapperd.config.tree` under its own name (those of `PREFIXED` carry
+their section: `adaptive_threshold`), so that ranges and defaults stand in one place. A key without
+effect takes only the value that describes the behaviour: no setting is silently ignored.
 """
 
 import difflib
 import math
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import asdict, make_dataclass
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import msgspec
 import numpy as np
@@ -23,11 +24,14 @@ from mapperd.config.tree import (
     IwloConfig,
     MappingConfig,
     OctreeConfig,
+    ProcessingConfig,
+    RobotDetectionConfig,
     SonarConfig,
+    TerrainDetectionConfig,
 )
 from mapperd.errors import ConfigError
 
-__all__ = ["config_from_flat"]
+__all__ = ["SonarMapperConfig", "config_from_flat"]
 
 _SECTIONS: dict[str, type[msgspec.Struct]] = {
     "sonar": SonarConfig,
@@ -37,20 +41,25 @@ _SECTIONS: dict[str, type[msgspec.Struct]] = {
     "iwlo": IwloConfig,
     "adaptive": AdaptiveConfig,
     "crosstalk": CrosstalkConfig,
+    "terrain_detection": TerrainDetectionConfig,
+    "robot_detection": RobotDetectionConfig,
     "outofcore": OutOfCoreConfig,
+    "processing": ProcessingConfig,
 }
 
+PREFIXED = ("adaptive", "terrain_detection", "robot_detection", "outofcore")
+
 _OWN_KEYS = {
-    (section, field): f"{section}_{field}"
-    for section, kind in (("adaptive", AdaptiveConfig), ("outofcore", OutOfCoreConfig))
-    for field in kind.__struct_fields__
+    (section, name): f"{section}_{name}"
+    for section in PREFIXED
+    for name in _SECTIONS[section].__struct_fields__
 } | {("crosstalk", "enabled"): "crosstalk_enabled", ("outofcore", "use"): "use_outofcore"}
 """Keys that are not the field's name."""
 
 _PLACES = {
-    _OWN_KEYS.get((section, field), field): (section, field)
+    _OWN_KEYS.get((section, name), name): (section, name)
     for section, kind in _SECTIONS.items()
-    for field in kind.__struct_fields__
+    for name in kind.__struct_fields__
 }
 
 _VECTORS = {
@@ -60,7 +69,6 @@ _VECTORS = {
 """Metres, and degrees."""
 
 _ONLY = {
-    "frame_skip": (1, "leave out calls instead"),
     "dynamic_expansion": (True, "the map always grows"),
     "use_cpp_backend": (True, "the core is in C++"),
 }
@@ -155,3 +163,75 @@ def _explained(message: str) -> ConfigError:
     if named is None:
         return ConfigError(f"{section}: {what}", section)
     return ConfigError(f"{named}: {what}; allowed: {rule_text(path)}", named)
+
+
+class _Node(Protocol):
+    """What has declared parameters: a `ParameterNode`, or a node of ROS 2."""
+
+    def has_parameter(self, name: str) -> bool: ...
+    def get_parameter(self, name: str) -> Any: ...  # noqa: ANN401 any setting
+
+
+class _MapperConfig:
+    """All settings of `SonarTo3DMapper` as attributes, under its flat keys.
+
+    `sonar_position` is (x, y, z) in metres, `sonar_orientation` (roll, pitch, yaw) in degrees.
+    """
+
+    if TYPE_CHECKING:
+
+        def __init__(self, **flat: Any) -> None: ...  # noqa: ANN401
+        def __getattr__(self, key: str) -> Any: ...  # noqa: ANN401
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ConfigError: one is not allowed.
+        """
+        config_from_flat(self.to_mapper_dict())
+
+    @classmethod
+    def from_ros_params(cls, node: _Node) -> Self:
+        """Read the parameters of a node; those that it has not declared have their defaults.
+
+        Args:
+            node: has the settings by their full names, such as `iwlo.sharpness`; values may be
+                wrapped in an object with a `value`.
+
+        Raises:
+            ConfigError: a value that is not allowed.
+        """
+        places = {key: (".".join(place),) for key, place in _PLACES.items()} | {
+            key: tuple(f"mounting.{part}.{name}" for name in names)
+            for key, (part, names) in _VECTORS.items()
+        }
+        flat = {}
+        for key, names in places.items():
+            if all(map(node.has_parameter, names)):
+                found = [node.get_parameter(name) for name in names]
+                values = [getattr(one, "value", one) for one in found]
+                flat[key] = tuple(values) if key in _VECTORS else values[0]
+        return cls(**flat)
+
+    def to_mapper_dict(self) -> dict[str, Any]:
+        """Return the argument of `SonarTo3DMapper`: every key with its value."""
+        return asdict(self)  # type: ignore[call-overload,no-any-return] # a dataclass, below
+
+
+def _fields() -> list[tuple[str, type, Any]]:
+    """Name, type and default of each flat key."""
+    defaults = {key: getattr(getattr(Config(), a), b) for key, (a, b) in _PLACES.items()}
+    for key, (part, names) in _VECTORS.items():
+        vector = getattr(Config().mounting, part)
+        defaults[key] = tuple(getattr(vector, name) for name in names)
+    defaults |= {key: only for key, (only, _) in _ONLY.items()}
+    return [(key, type(value), value) for key, value in defaults.items()]
+
+
+SonarMapperConfig: type[_MapperConfig] = make_dataclass(
+    "SonarMapperConfig",
+    _fields(),
+    bases=(_MapperConfig,),
+    namespace={"__doc__": _MapperConfig.__doc__},
+)

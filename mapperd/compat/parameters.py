@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from mapperd.config.catalog import parameters, value_of
+from mapperd.config.catalog import Parameter, parameters, value_of
 from mapperd.config.live import ConfigStore, Refused
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
@@ -19,11 +19,14 @@ __all__ = [
     "CROSSTALK_PARAMS",
     "MAPPER_PARAMS",
     "ROBOT_DETECTION_PARAMS",
+    "UPDATES",
+    "VISUALIZER_PARAMS",
     "WORLD_INIT_PARAMS",
     "ParameterDef",
     "ParameterManager",
     "ParameterNode",
     "SetParametersResult",
+    "UpdateHandlers",
 ]
 
 HANDLERS = {
@@ -45,7 +48,8 @@ class ParameterDef:
         default: default value.
         description: what it does.
         read_only: it cannot change at run time.
-        handler: method of the mapper that takes a new value; "" for read-only ones.
+        handler: method of the mapper that takes a new value; "" for read-only ones, and for those
+            of the node itself, which reads them.
     """
 
     name: str
@@ -63,6 +67,9 @@ class SetParametersResult:
     reason: str = ""
 
 
+OF_THE_NODE = ("time_sync", "slam_quality", "frames", "topics", "visualization")
+"""Sections that no mapper has handlers for."""
+
 Callback = Callable[[Mapping[str, Any]], SetParametersResult]
 
 
@@ -73,11 +80,17 @@ def _definitions(*sections: str) -> tuple[ParameterDef, ...]:
             one.default,
             one.description,
             not one.dynamic,
-            HANDLERS.get(one.name, f"update_{one.name.replace('.', '_')}") if one.dynamic else "",
+            _handler(one),
         )
         for one in parameters().values()
         if one.name.partition(".")[0] in sections
     )
+
+
+def _handler(setting: Parameter) -> str:
+    if not setting.dynamic or setting.name.partition(".")[0] in OF_THE_NODE:
+        return ""
+    return HANDLERS.get(setting.name, f"update_{setting.name.replace('.', '_')}")
 
 
 MAPPER_PARAMS = _definitions(
@@ -99,6 +112,9 @@ MAPPER_PARAMS = _definitions(
 CROSSTALK_PARAMS = _definitions("crosstalk")
 ROBOT_DETECTION_PARAMS = _definitions("terrain_detection", "robot_detection")
 WORLD_INIT_PARAMS = _definitions("world_init")
+VISUALIZER_PARAMS = _definitions(
+    "octree", "mapping", "outofcore", "frames", "topics", "visualization"
+)
 
 
 class ParameterNode:
@@ -129,6 +145,10 @@ class ParameterNode:
             raise ConfigError(f"{name}: cannot change while running", f"$.{name}")
         self._declared[name] = definition
         return value_of(self._store.current, name)
+
+    def has_parameter(self, name: str) -> bool:
+        """Whether a parameter is declared."""
+        return name in self._declared
 
     def get_parameter(self, name: str) -> Any:  # noqa: ANN401 any setting
         """The value in force.
@@ -202,8 +222,9 @@ class ParameterManager:
     ) -> Callback:
         """A callback that gives each new value to its handler.
 
-        If a handler raises `ValueError` or `ConfigError`, those before it are given the old values
-        again and the change is refused.
+        A handler that raises `ValueError` or `ConfigError` is tried again after the others, whose
+        values may allow its own. If it still does, the others are given the old values again and
+        the change is refused.
 
         Args:
             node: where the old values are.
@@ -215,7 +236,7 @@ class ParameterManager:
         """
         handlers: dict[str, Callable[[Any], None]] = {}
         for one in definitions:
-            if not one.read_only:
+            if one.handler and not one.read_only:
                 handler = getattr(mapper, one.handler, None)
                 if handler is None:
                     raise ConfigError(f"{one.name}: the mapper has no {one.handler}", one.name)
@@ -224,16 +245,89 @@ class ParameterManager:
 
         def callback(changes: Mapping[str, Any]) -> SetParametersResult:
             mine = {name: value for name, value in changes.items() if name in handlers}
-            done: list[str] = []
-            try:
-                for name, value in mine.items():
-                    handlers[name](value)
-                    done.append(name)
-            except (ValueError, ConfigError) as error:
-                for name in reversed(done):
-                    handlers[name](held[name])
-                return SetParametersResult(successful=False, reason=str(error))
+            done, reason = _handed_over(mine, handlers)
+            if reason:
+                _handed_over({name: held[name] for name in reversed(done)}, handlers)
+                return SetParametersResult(successful=False, reason=reason)
             held.update(mine)
             return SetParametersResult(successful=True)
 
         return callback
+
+
+def _handed_over(
+    values: Mapping[str, Any], handlers: Mapping[str, Callable[[Any], None]]
+) -> tuple[list[str], str]:
+    """Call handlers, those that refuse again after the others; return who took it and why not."""
+    done: list[str] = []
+    while len(done) < len(values):
+        before, reason = len(done), ""
+        for name in (name for name in values if name not in done):
+            try:
+                handlers[name](values[name])
+                done.append(name)
+            except (ValueError, ConfigError) as error:
+                reason = reason or str(error)
+        if len(done) == before:
+            return done, reason
+    return done, ""
+
+
+UPDATES = frozenset(
+    one.name for one in (*MAPPER_PARAMS, *CROSSTALK_PARAMS, *ROBOT_DETECTION_PARAMS) if one.handler
+)
+"""Settings that a mapper may change while it maps."""
+
+
+def _update_of(name: str) -> "Callable[[UpdateHandlers, Any], None]":
+    def update(self: "UpdateHandlers", value: Any) -> None:  # noqa: ANN401 any setting
+        self.update({name: value})
+
+    update.__doc__ = f"Set `{name}` for the images to come; as `update`."
+    return update
+
+
+class UpdateHandlers:
+    """The handlers of `MAPPER_PARAMS`, `CROSSTALK_PARAMS` and `ROBOT_DETECTION_PARAMS`."""
+
+    def update(self, changes: Mapping[str, Any]) -> None:
+        """Change settings, all or none.
+
+        Raises:
+            ConfigError: a setting that is unknown or not live, or a value that is not allowed.
+        """
+        raise NotImplementedError
+
+    update_min_range = _update_of("filtering.min_range")
+    update_intensity = _update_of("filtering.intensity_threshold")
+    update_mounting_orientation_roll = _update_of("mounting.orientation.roll")
+    update_mounting_orientation_pitch = _update_of("mounting.orientation.pitch")
+    update_mounting_orientation_yaw = _update_of("mounting.orientation.yaw")
+    update_occupied_threshold = _update_of("mapping.occupied_threshold")
+    update_mapping_free_threshold = _update_of("mapping.free_threshold")
+    update_mapping_aggregation = _update_of("mapping.aggregation")
+    update_mapping_carve_no_return = _update_of("mapping.carve_no_return")
+    update_mapping_integrator = _update_of("mapping.integrator")
+    update_mapping_detail = _update_of("mapping.detail")
+    update_mapping_threads = _update_of("mapping.threads")
+    update_mapping_within_ping_motion = _update_of("mapping.within_ping_motion")
+    update_mapping_max_swath_voxels = _update_of("mapping.max_swath_voxels")
+    update_angular_cone = _update_of("mapping.angular_cone_width")
+    update_frame_skip = _update_of("processing.frame_skip")
+    update_crosstalk_enabled = _update_of("crosstalk.enabled")
+    update_crosstalk_morpho_enabled = _update_of("crosstalk.morpho_enabled")
+    update_crosstalk_morpho_kernel_size = _update_of("crosstalk.morpho_kernel_size")
+    update_crosstalk_morpho_kernel_shape = _update_of("crosstalk.morpho_kernel_shape")
+    update_crosstalk_azimuth_enabled = _update_of("crosstalk.azimuth_enabled")
+    update_crosstalk_azimuth_threshold = _update_of("crosstalk.azimuth_threshold")
+    update_crosstalk_fft_enabled = _update_of("crosstalk.fft_enabled")
+    update_crosstalk_filter_width = _update_of("crosstalk.filter_width")
+    update_crosstalk_filter_strength = _update_of("crosstalk.filter_strength")
+    update_crosstalk_dc_preserve_ratio = _update_of("crosstalk.dc_preserve_ratio")
+    update_terrain_detection_min_threshold = _update_of("terrain_detection.min_threshold")
+    update_terrain_detection_max_threshold = _update_of("terrain_detection.max_threshold")
+    update_robot_detection_enabled = _update_of("robot_detection.enabled")
+    update_robot_detection_min_threshold = _update_of("robot_detection.min_threshold")
+    update_robot_detection_min_samples = _update_of("robot_detection.min_samples")
+    update_robot_detection_keep_out = _update_of("robot_detection.keep_out")
+    update_robot_detection_expire_sec = _update_of("robot_detection.expire_sec")

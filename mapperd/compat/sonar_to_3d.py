@@ -18,16 +18,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapperd.compat.flat_config import config_from_flat
+from mapperd.compat.parameters import UPDATES, UpdateHandlers
+from mapperd.config.changes import with_values
 from mapperd.config.paths import MAP_NAME, map_path
 from mapperd.config.tree import Config
-from mapperd.errors import MapError, StoreError
+from mapperd.errors import ConfigError, MapError, StoreError
 from mapperd.export.formats import write_map
 from mapperd.geometry.frames import rigid_transform
 from mapperd.imaging.filter_chain import check_filters, filter_ping_image
-from mapperd.imaging.ping_image import ping_image_of_array
+from mapperd.imaging.ping_image import MAX_RANGE_M as MAX_RANGE_LIMIT_M
+from mapperd.imaging.ping_image import PingImage, ping_image_of_array
+from mapperd.imaging.robots import Sighting, Sightings
 from mapperd.mapping.content import MapContent
 from mapperd.mapping.queries import MapQueries, memory_stats
-from mapperd.mapping.sonar_map import SonarMap, Voxels
+from mapperd.mapping.sonar_map import PingStats, SonarMap, Voxels
 from mapperd.store.stored_map import StoredMap
 from mapperd.store.tile_store import TileStore
 
@@ -64,11 +68,19 @@ def robot_pose(position: ArrayLike, orientation: ArrayLike) -> NDArray[np.float6
 Floats = NDArray[np.float64]
 
 
-class FrameStats(TypedDict):
-    """What one image did: counts of images and voxels, times in seconds.
+MAX_RANGE_M = 10.0
+"""Default of `max_range`, as published."""
 
-    `num_occupied` and `num_free` are the voxels that this image gave evidence of either kind,
-    `num_voxels` those that the map has observed so far.
+SECOND_NS = 1_000_000_000
+OCCUPIED, FREE = "mapping.occupied_threshold", "mapping.free_threshold"
+
+
+class FrameStats(TypedDict):
+    """What one image did: counts of images, voxels and robots, times in seconds.
+
+    An image that `frame_skip` leaves out is in `frame_count` only. `num_occupied` and `num_free`
+    are the voxels that this image gave evidence of either kind, `num_voxels` those that the map
+    has observed so far.
     """
 
     frame_count: int
@@ -76,6 +88,7 @@ class FrameStats(TypedDict):
     num_voxels: int
     num_occupied: int
     num_free: int
+    num_robots: int
     processing_time: float
     average_processing_time: float
 
@@ -96,17 +109,20 @@ class PointCloud(TypedDict):
     processed_count: int
 
 
-class SonarTo3DMapper:
+class SonarTo3DMapper(UpdateHandlers):
     """A map that images of a sonar are added to.
 
     With `use_outofcore` the map is the content of the file `outofcore_map_path`, which `mapperctl`
     also reads; without a path it is temporary. At most `outofcore_cache_size` tiles are in
     memory, and one thread uses the mapper. Its context (`with`) and `close` save.
 
+    With `robot_detection_enabled`, samples are terrain or robots by their brightness: the keys
+    `terrain_detection_*` and `robot_detection_*`.
+
     Args:
         config: the published mapper's flat keys, such as `voxel_resolution`, listed in
-            docs/reference/library.md. Each key has a default.
-        clock: seconds, for the processing times.
+            docs/reference/library.md, and `max_range` in metres. Each key has a default.
+        clock: seconds, for the processing times and the age of robots.
 
     Raises:
         ConfigError: an unknown key, a value that is not allowed, or a filter that is on without
@@ -120,9 +136,12 @@ class SonarTo3DMapper:
         *,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        self._config = config_from_flat(config or {})
+        flat = {"max_range": MAX_RANGE_M} | dict(config or {})
+        self.update_max_range(flat.pop("max_range"))
+        self._config = config_from_flat(flat)
         check_filters(self._config)
         self._clock = clock
+        self._robots = Sightings()
         self._frames = self._processed = 0
         self._seconds = 0.0
         self._map = SonarMap(self._config)
@@ -202,16 +221,65 @@ class SonarTo3DMapper:
         """The settings in force."""
         return self._config
 
+    def update(self, changes: Mapping[str, Any]) -> None:
+        """Change settings for the images to come, all or none; the map stays.
+
+        A lower `mapping.occupied_threshold` takes `mapping.free_threshold` with it.
+
+        Args:
+            changes: values by full name, `filtering.min_range`; settings that are live
+                (docs/reference/configuration.md).
+
+        Raises:
+            ConfigError: a setting that is unknown or not live, or a value that is not allowed.
+        """
+        for name in changes:
+            if name not in UPDATES:
+                raise ConfigError(f"{name}: cannot change in a map that is there", f"$.{name}")
+        values = {name: _plain(value) for name, value in changes.items()}
+        highest = values.get(OCCUPIED, 1.0)
+        if isinstance(highest, int | float):
+            values.setdefault(FREE, min(highest, self._config.mapping.free_threshold))
+        try:
+            config = with_values(self._config, values)
+        except ConfigError as error:
+            text = str(error).removeprefix(": ").removeprefix("$.").removeprefix(": ")
+            raise ConfigError(text, error.path) from error
+        check_filters(config)
+        self._map.reconfigure(config)
+        self._config = config
+
+    def update_max_range(self, value: float | np.floating[Any]) -> None:
+        """Set the far edge of the last row, metres, for images that come without `max_range`.
+
+        Raises:
+            ConfigError: not above 0, or more than 10 km.
+        """
+        range_m = _plain(value)
+        if not isinstance(range_m, int | float) or not 0 < range_m <= MAX_RANGE_LIMIT_M:
+            text = f"max_range: {value!r} is not allowed; allowed: above 0, at most "
+            raise ConfigError(f"{text}{MAX_RANGE_LIMIT_M:g} (m)", "max_range")
+        self._max_range_m = float(range_m)
+
+    @property
+    def robot_detections(self) -> list[Sighting]:
+        """Robots of the last `robot_detection_expire_sec` seconds, oldest first.
+
+        Their times are nanoseconds of the clock.
+        """
+        now_ns = round(self._clock() * SECOND_NS)
+        return self._robots.since(now_ns, self._config.robot_detection.expire_sec)
+
     def process_sonar_image(
         self,
         polar_image: ArrayLike,
         robot_position: ArrayLike,
         robot_orientation: ArrayLike,
         *,
-        max_range: float,
+        max_range: float | None = None,
         bearings: ArrayLike | None = None,
     ) -> FrameStats:
-        """Add one image.
+        """Add one image; with `frame_skip` N, the first of every N.
 
         The whole of every beam is used (the published mapper left out every second beam of 512,
         and free space between its samples).
@@ -222,7 +290,7 @@ class SonarTo3DMapper:
             robot_position: (3,) metres in the map: x forward or east, y left or north, z up.
             robot_orientation: (4,) unit quaternion [qx, qy, qz, qw] that takes robot coordinates
                 (x forward, y left, z up) to map coordinates.
-            max_range: metres, far edge of the last row.
+            max_range: metres, far edge of the last row; None for the key `max_range`.
             bearings: (beams,) radians, increasing, positive to starboard; None for beams uniform
                 in sine over `horizontal_fov`.
 
@@ -232,27 +300,45 @@ class SonarTo3DMapper:
         """
         start = self._clock()
         self._frames += 1
-        echo = ping_image_of_array(polar_image, max_range, bearings, self._config.sonar)
-        echo, _ = filter_ping_image(echo, self._config)
-        map_T_base = robot_pose(robot_position, robot_orientation)  # noqa: N806 frames are named
-        try:
-            changed = self._map.integrate(echo, map_T_base @ self._map.base_T_sonar)
-        finally:
-            if self._store is not None:  # tiles may leave memory as they are now
-                self._store.advance(self._store.position)
-        self._processed += 1
+        skipped = (self._frames - 1) % self._config.processing.frame_skip > 0
+        occupied = free = robots = 0
+        if not skipped:
+            range_m = self._max_range_m if max_range is None else max_range
+            echo = ping_image_of_array(polar_image, range_m, bearings, self._config.sonar)
+            map_T_base = robot_pose(robot_position, robot_orientation)  # noqa: N806 frames are named
+            changed, robots = self._integrate(echo, map_T_base, round(start * SECOND_NS))
+            occupied, free = changed.occupied, changed.free
+            self._processed += 1
         known = self._map.core.known_count()
-        elapsed = self._clock() - start
+        elapsed = 0.0 if skipped else self._clock() - start
         self._seconds += elapsed
         return FrameStats(
             frame_count=self._frames,
             processed_count=self._processed,
             num_voxels=known,
-            num_occupied=changed.occupied,
-            num_free=changed.free,
+            num_occupied=occupied,
+            num_free=free,
+            num_robots=robots,
             processing_time=elapsed,
-            average_processing_time=self._seconds / self._processed,
+            average_processing_time=self._seconds / max(self._processed, 1),
         )
+
+    def _integrate(
+        self,
+        echo: PingImage,
+        map_T_base: Floats,  # noqa: N803 frames are named
+        t_ns: int,
+    ) -> tuple[PingStats, int]:
+        """Filter and add an image; return what changed and the number of robots in it."""
+        echo, robots = filter_ping_image(echo, self._config)
+        map_T_sonar = map_T_base @ self._map.base_T_sonar  # noqa: N806 frames are named
+        try:
+            changed = self._map.integrate(echo, map_T_sonar)
+        finally:
+            if self._store is not None:  # tiles may leave memory as they are now
+                self._store.advance(self._store.position)
+        self._robots.add(Sighting(t_ns, one.position_m(map_T_sonar), one) for one in robots)
+        return changed, len(robots)
 
     def get_point_cloud(self, include_free: bool = False) -> PointCloud:  # noqa: FBT001, FBT002
         """Occupied voxels, and free ones if asked for (the published mapper only warned).
@@ -312,7 +398,7 @@ class SonarTo3DMapper:
         self._map.core.merge(*(other._map.core for other in others))  # noqa: SLF001 same class
 
     def reset_map(self) -> None:
-        """Forget all voxels, also those on disk, and counters; the settings stay.
+        """Forget all voxels, also those on disk, robots and counters; the settings stay.
 
         Raises:
             StoreError: the map's file cannot be written; nothing is changed.
@@ -321,6 +407,7 @@ class SonarTo3DMapper:
             self._store.reset()
         else:
             self._map = SonarMap(self._config)
+        self._robots = Sightings()
         self._frames = self._processed = 0
         self._seconds = 0.0
 
@@ -389,6 +476,10 @@ class SonarTo3DMapper:
         """
         self._map.load(filename)
         return True
+
+
+def _plain(value: object) -> object:
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _together(batches: Iterable[Voxels]) -> Voxels:

@@ -4,7 +4,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mapperd import SonarMapperConfig, SonarTo3DMapper
 from mapperd.compat.flat_config import config_from_flat
+from mapperd.compat.parameters import (
+    CROSSTALK_PARAMS,
+    MAPPER_PARAMS,
+    ParameterManager,
+    ParameterNode,
+)
+from mapperd.config.layers import Layered
+from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 
@@ -111,7 +120,11 @@ def test_low_max_ratio_takes_the_min_ratio_along() -> None:
         ({"morpho_kernel_shape": "star"}, "morpho_kernel_shape: .*rect or ellipse or cross"),
         ({"use_cpp_backend": False}, "use_cpp_backend: only True is allowed"),
         ({"dynamic_expansion": False}, "dynamic_expansion: only True is allowed"),
-        ({"frame_skip": 5}, "frame_skip: only 1"),
+        ({"frame_skip": 0}, "frame_skip: .*>= 1"),
+        (
+            {"robot_detection_enabled": True, "robot_detection_min_threshold": 90},
+            "robot_detection_",
+        ),
         ({"outofcore_cache_size": 0}, "outofcore_cache_size: .*>= 1"),
         ({"outofcore_tile_size": 0.1, "use_outofcore": True}, "^outofcore_tile_size 0.1 is less"),
     ],
@@ -126,8 +139,76 @@ def test_what_is_off_may_be_reported() -> None:
     assert config_from_flat({"use_outofcore": False, "frame_skip": np.int32(1)}) == Config()
 
 
+def test_robots_terrain_and_frame_skip_have_their_keys() -> None:
+    flat = {
+        "robot_detection_enabled": True,
+        "robot_detection_min_threshold": 200,
+        "robot_detection_keep_out": True,
+        "terrain_detection_min_threshold": 60,
+        "terrain_detection_max_threshold": 190,
+        "frame_skip": 3,
+    }
+    config = config_from_flat(flat)
+    assert config.robot_detection.enabled
+    assert config.robot_detection.keep_out
+    assert config.robot_detection.min_threshold == 200
+    terrain = config.terrain_detection
+    assert (terrain.min_threshold, terrain.max_threshold) == (60, 190)
+    assert config.processing.frame_skip == 3
+
+
 def test_crosstalk_has_its_keys() -> None:
     flat = {"crosstalk_enabled": True, "morpho_kernel_size": 7, "azimuth_threshold": 0.6}
     crosstalk = config_from_flat(flat).crosstalk
     assert crosstalk.enabled
     assert (crosstalk.morpho_kernel_size, crosstalk.azimuth_threshold) == (7, 0.6)
+
+
+class RosNode:
+    """A node of ROS 2, whose values are wrapped."""
+
+    class Parameter:
+        def __init__(self, value: object) -> None:
+            self.value = value
+
+    def __init__(self, values: dict[str, object]) -> None:
+        self.values = values
+
+    def has_parameter(self, name: str) -> bool:
+        return name in self.values
+
+    def get_parameter(self, name: str) -> Parameter:
+        return self.Parameter(self.values[name])
+
+
+def test_mapper_configuration_has_every_published_key_and_its_default() -> None:
+    defaults = SonarMapperConfig().to_mapper_dict()
+    assert set(PUBLISHED) <= set(defaults)
+    assert config_from_flat(defaults) == Config()
+    assert SonarMapperConfig(L_occ=2.0).L_occ == 2.0
+    with pytest.raises(ConfigError, match=r"min_range: .*>= 0"):
+        SonarMapperConfig(min_range=-1)
+    with pytest.raises(TypeError, match="colour"):
+        SonarMapperConfig(colour=1)
+
+
+def test_mapper_is_configured_from_the_parameters_of_a_node() -> None:
+    store = ConfigStore(Layered(config_from_flat({"voxel_resolution": 0.2, "L_occ": 2.0})))
+    node = ParameterNode(store)
+    ParameterManager.declare_all(node, (*MAPPER_PARAMS, *CROSSTALK_PARAMS))
+    mapper = SonarTo3DMapper(SonarMapperConfig.from_ros_params(node).to_mapper_dict())
+    assert mapper.config == store.current
+    ros = RosNode(
+        {
+            "mounting.orientation.roll": 1.0,
+            "mounting.orientation.pitch": 30.0,
+            "mounting.orientation.yaw": 0.0,
+            "mounting.position.x": 1.0,
+            "outofcore.use": False,
+            "iwlo.sharpness": 2.0,
+        }
+    )
+    config = SonarMapperConfig.from_ros_params(ros)
+    assert config.sonar_orientation == (1.0, 30.0, 0.0)
+    assert config.sonar_position == (0.0, 0.0, -0.5)  # not all of it is declared
+    assert (config.sharpness, config.use_outofcore) == (2.0, False)

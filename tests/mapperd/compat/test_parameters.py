@@ -3,17 +3,20 @@ from typing import Any
 
 import pytest
 
+from mapperd import SonarTo3DMapper
 from mapperd.compat.parameters import (
     CROSSTALK_PARAMS,
     MAPPER_PARAMS,
+    OF_THE_NODE,
     ROBOT_DETECTION_PARAMS,
+    VISUALIZER_PARAMS,
     WORLD_INIT_PARAMS,
     ParameterDef,
     ParameterManager,
     ParameterNode,
     SetParametersResult,
 )
-from mapperd.config.catalog import parameters
+from mapperd.config.catalog import parameters, value_of
 from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore, Refused
 from mapperd.config.tree import Config
@@ -53,7 +56,8 @@ def test_lists_hold_the_settings_as_they_are() -> None:
         setting = parameters()[one.name]
         assert (one.default, one.description) == (setting.default, setting.description)
         assert one.read_only != setting.dynamic
-        assert bool(one.handler) != one.read_only
+        of_the_mapper = not one.name.startswith(OF_THE_NODE)
+        assert bool(one.handler) == (of_the_mapper and not one.read_only)
     assert MAPPER_PARAMS[0].name == "sonar.horizontal_fov"
     handlers = {one.name: one.handler for one in MAPPER_PARAMS}
     assert handlers[THRESHOLD] == "update_intensity"
@@ -107,6 +111,44 @@ def test_handler_that_refuses_undoes_all() -> None:
     assert mapper.reported[-1] == ("min_range", 1.0)
     assert not node.set_parameters({MIN_RANGE: 2.0, THRESHOLD: 200}).successful
     assert mapper.reported[-2:] == [("min_range", 2.0), ("min_range", 1.0)]
+
+
+def test_every_handler_is_a_method_of_the_mapper() -> None:
+    store, mapper = ConfigStore(Layered()), SonarTo3DMapper({"voxel_resolution": 0.2})
+    node = ParameterNode(store)
+    definitions = (*MAPPER_PARAMS, *CROSSTALK_PARAMS, *ROBOT_DETECTION_PARAMS)
+    ParameterManager.declare_all(node, definitions)
+    callback = ParameterManager.create_callback(node, definitions, mapper)
+    node.add_on_set_parameters_callback(callback)
+    values = {
+        MIN_RANGE: 1.0,
+        THRESHOLD: 50.0,
+        "mounting.orientation.pitch": 30.0,
+        "mapping.free_threshold": 0.75,  # above occupied_threshold as it was
+        "mapping.occupied_threshold": 0.8,
+        "mapping.angular_cone_width": 1.0,
+        "mapping.integrator": "rays",
+        "processing.frame_skip": 2,
+        "crosstalk.enabled": True,
+        "crosstalk.morpho_kernel_shape": "cross",
+        "terrain_detection.max_threshold": 170.0,
+        "robot_detection.enabled": True,
+        "time_sync.policy": "latest",  # of the node
+    }
+    assert node.set_parameters(values) == SetParametersResult(True)  # noqa: FBT003
+    for name, value in values.items():
+        assert value_of(store.current, name) == value
+        if not name.startswith(OF_THE_NODE):
+            assert value_of(mapper.config, name) == value, name
+    assert not node.set_parameters({"robot_detection.min_threshold": 100}).successful
+    assert mapper.config.robot_detection.min_threshold == 180
+
+
+def test_parameters_of_the_visualizer_are_settings() -> None:
+    node = ParameterNode(ConfigStore(Layered()))
+    ParameterManager.declare_all(node, VISUALIZER_PARAMS)
+    assert node.has_parameter("mapping.occupied_threshold")
+    assert not node.has_parameter(MIN_RANGE)
 
 
 def test_refusal_elsewhere_takes_the_handlers_back() -> None:

@@ -67,6 +67,9 @@ def test_map_on_disk_is_that_in_memory_with_one_tile_of_it_in_memory(tmp_path: P
         assert (
             mapper.get_memory_stats()["num_leaf_nodes"] < cloud["num_occupied"] + cloud["num_free"]
         )
+        for one in (mapper, in_memory):
+            one.update_occupied_threshold(0.9)
+            one.update_occupied_threshold(0.7)
         for suffix in ("map", "bt", "ot", "ply"):
             for name, one in (("disk", mapper), ("memory", in_memory)):
                 assert one.save_map(tmp_path / f"{name}.{suffix}")
@@ -286,3 +289,101 @@ def mapped_image(image: np.ndarray, config: dict[str, Any]) -> np.ndarray:
     mapper = SonarTo3DMapper(COARSE | config)
     mapper.process_sonar_image(image, *HOME, max_range=5.0)
     return np.asarray(mapper.get_point_cloud()["points"])
+
+
+def test_range_is_a_setting_unless_it_comes_with_the_image() -> None:
+    given, default, changed = SonarTo3DMapper(COARSE | {"max_range": 5.0}), mapped(), mapped()
+    given.process_sonar_image(wall(), *HOME)
+    assert (given.get_point_cloud()["points"] == default.get_point_cloud()["points"]).all()
+    published = SonarTo3DMapper(COARSE)
+    published.process_sonar_image(wall(), *HOME)  # its range is 10 m
+    assert 5.5 < published.get_point_cloud()["points"][:, 0].max() < 6.5
+    changed.reset_map()
+    changed.update_max_range(np.float32(10.0))
+    changed.process_sonar_image(wall(), *HOME)
+    assert len(changed.get_point_cloud()["points"]) == len(published.get_point_cloud()["points"])
+    for bad in (0, -1.0, math.nan, 1e6, "far"):
+        with pytest.raises(ConfigError, match=r"max_range: .*allowed: above 0"):
+            SonarTo3DMapper({"max_range": bad})
+
+
+def test_first_of_every_few_images_is_mapped() -> None:
+    mapper = SonarTo3DMapper(COARSE | {"frame_skip": 3})
+    stats = [mapper.process_sonar_image(wall(), *HOME, max_range=5.0) for _ in range(7)]
+    assert [one["processed_count"] for one in stats] == [1, 1, 1, 2, 2, 2, 3]
+    assert [one["num_occupied"] > 0 for one in stats] == [True, False, False] * 2 + [True]
+    assert (stats[1]["processing_time"], stats[1]["frame_count"]) == (0.0, 2)
+    thrice = mapped(times=3).get_point_cloud()
+    assert (mapper.get_point_cloud()["probabilities"] == thrice["probabilities"]).all()
+
+
+def bright() -> np.ndarray:
+    """A wall as dark as terrain, and a robot 1.5 m away, 0.3 of the fan to port."""
+    image = wall() // 2
+    image[14:16, 20:23] = 240
+    return image
+
+
+def test_robots_are_reported_by_their_bands_and_kept_out_on_request() -> None:
+    ticks = itertools.count(100.0, 1.0)
+    bands = {"robot_detection_enabled": True, "robot_detection_expire_sec": 5.0}
+    mapper = SonarTo3DMapper(COARSE | bands, clock=lambda: next(ticks))
+    stats = mapper.process_sonar_image(bright(), [10.0, 0, 0], HOME[1], max_range=5.0)
+    assert stats["num_robots"] == 1
+    (seen,) = mapper.robot_detections
+    assert seen.robot.samples == 6
+    assert seen.t_ns == 100 * 10**9
+    assert math.dist(seen.position_m, (10.0, 0.0, -0.5)) == pytest.approx(1.5, abs=0.01)
+    assert seen.position_m[1] > 0
+    for _ in range(5):
+        left = mapper.robot_detections
+    assert left == []
+
+    def nearest_m(config: dict[str, Any]) -> float:
+        one = SonarTo3DMapper(COARSE | bands | config)
+        for _ in range(3):
+            one.process_sonar_image(bright(), *HOME, max_range=5.0)
+        return float(np.linalg.norm(one.get_point_cloud()["points"], axis=1).min())
+
+    assert nearest_m({}) < 2 < nearest_m({"robot_detection_keep_out": True})
+    assert nearest_m({"terrain_detection_min_threshold": 150}) < 2
+    nothing = SonarTo3DMapper(
+        COARSE | bands | {"robot_detection_keep_out": True, "terrain_detection_min_threshold": 150}
+    )
+    nothing.process_sonar_image(bright(), *HOME, max_range=5.0)
+    assert nothing.get_point_cloud()["num_occupied"] == 0
+    nothing.reset_map()
+    assert nothing.robot_detections == []
+
+
+def test_settings_change_for_the_images_to_come() -> None:
+    mapper = mapped()
+    mapper.update_intensity(np.int64(220))
+    stats = mapper.process_sonar_image(wall(), *HOME, max_range=5.0)
+    assert stats["num_occupied"] == 0
+    mapper.update_mounting_orientation_yaw(90)
+    mapper.update_intensity(35)
+    for _ in range(3):
+        mapper.process_sonar_image(wall(), *HOME, max_range=5.0)
+    assert mapper.get_point_cloud()["points"][:, 1].max() == pytest.approx(3.0, abs=0.3)
+    before = mapper.config
+    for name, value, words in (
+        ("filtering.min_range", -1, "^filtering.min_range: -1 is not allowed; allowed: "),
+        ("iwlo.L_occ", 2.0, "iwlo.L_occ: cannot change in a map that is there"),
+        ("colour", 2.0, "colour: cannot change"),
+        ("mapping.free_threshold", 0.9, "free_threshold 0.9 is above occupied_threshold"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            mapper.update({"mapping.detail": 2.0, name: value})
+        assert mapper.config == before
+    mapper.update_occupied_threshold(0.3)
+    assert mapper.config.mapping.free_threshold == 0.3
+
+
+def test_published_example_runs() -> None:
+    config = {"voxel_resolution": 0.1, "intensity_threshold": 120, "use_outofcore": False}
+    mapper = SonarTo3DMapper(config)
+    stats = mapper.process_sonar_image(wall(), *HOME)
+    cloud = mapper.get_point_cloud()
+    assert stats["num_occupied"] > 0
+    assert cloud["points"].shape == (len(cloud["probabilities"]), 3)
