@@ -8,7 +8,6 @@ from mapperd.config.tree import CrosstalkConfig
 from mapperd.errors import ConfigError, MapError
 from mapperd.imaging.crosstalk import without_stripes
 
-
 Shape = Literal["rect", "ellipse", "cross"]
 
 
