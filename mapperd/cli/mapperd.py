@@ -41,7 +41,7 @@ from mapperd.export.picture import can_draw
 from mapperd.export.trajectory import Trajectory
 from mapperd.imaging.filter_chain import check_filters
 from mapperd.io import make_folder
-from mapperd.odometry.formats import check_libraries
+from mapperd.odometry.formats import check_levelling, check_libraries
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.pipeline.watchdog import process_progress
 from mapperd.telemetry.broker import check_telemetry
@@ -144,6 +144,8 @@ def _live(arguments: Arguments) -> DaemonExit:
         return _without_settings()
     store = ConfigStore(_settings(arguments))
     check_libraries(store.current.odometry, decoding=arguments.pose is None)
+    if arguments.pose is None:
+        check_levelling(store.current)
     check_telemetry(store.current, os.environ)
     make_folder(arguments.out)
     _check_picture()

@@ -3,7 +3,8 @@
 from importlib.util import find_spec
 
 from mapperd.config.link_address import parse_address
-from mapperd.config.odometry import FormatSettings, OdometryFusionConfig
+from mapperd.config.odometry import NOBODY, FormatSettings, OdometryFusionConfig
+from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, missing_extra
 from mapperd.odometry.decoder import Decoder, LineDecoder, ReadLine
 from mapperd.odometry.native import MAX_LINE_BYTES as JSON_BYTES
@@ -12,7 +13,7 @@ from mapperd.odometry.water_linked import MAX_JSON_LINE_BYTES as DVL_JSON_BYTES
 from mapperd.odometry.water_linked import MAX_SERIAL_LINE_BYTES as DVL_SERIAL_BYTES
 from mapperd.odometry.water_linked import read_water_linked_json, read_water_linked_serial
 
-__all__ = ["check_libraries", "make_decoder"]
+__all__ = ["check_levelling", "check_libraries", "make_decoder"]
 
 _LINES: dict[str, tuple[ReadLine, int]] = {
     "native_json": (read_native_json, JSON_BYTES),
@@ -59,6 +60,29 @@ def check_libraries(settings: OdometryFusionConfig, *, decoding: bool) -> None:
         if parse_address(source.link).kind == "serial" and find_spec("serial") is None:
             text = f"serial links: {missing_extra('pyserial', 'serial')}"
             raise ConfigError(text, "$.odometry.sources")
+
+
+WITH_ACCELERATION = ("native", "native_json", "native_serial", "mavlink")
+
+
+def check_levelling(config: Config) -> None:
+    """Check that a source can measure the gravity that `world_init` needs.
+
+    Raises:
+        ConfigError: levelling is on, and the source of the attitude sends no accelerations.
+    """
+    owner = config.odometry.owners.attitude
+    able = owner != NOBODY and any(
+        source.format in WITH_ACCELERATION and owner in ("", source.name)
+        for source in config.odometry.sources
+    )
+    if config.world_init.enabled and not able:
+        path = "$.world_init.enabled"
+        raise ConfigError(
+            f"{path}: no source of the attitude sends accelerations, so nothing would ever be "
+            f"mapped; formats that do: {', '.join(WITH_ACCELERATION)}",
+            path,
+        )
 
 
 def _nmea(*, datagrams: bool) -> Decoder:

@@ -8,16 +8,19 @@ wrong length made us wait for: 280 bytes at most, none of a datagram.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
 from mapperd.config.odometry import FormatSettings
 from mapperd.errors import Reject
 from mapperd.odometry.clock import Leaders, Precedence
 from mapperd.odometry.decoder import CountersState, DecoderCounters
-from mapperd.odometry.mavlink_messages import ORDER, READERS
+from mapperd.odometry.mavlink_messages import ACCELERATIONS, ORDER, READERS, specific_force
 from mapperd.odometry.records import Clock, Odometry
 
 __all__ = ["BootClock", "MavlinkDecoder", "MavlinkFrames", "stamp_of_us"]
@@ -187,16 +190,31 @@ RESETS = 256
 """The estimator's own counter has 8 bits; each reboot counts as a step above them."""
 
 
+MAX_APART_NS = 200_000_000
+"""An acceleration belongs to the next attitude that arrives within this time."""
+
+
+class _Force(NamedTuple):
+    """An acceleration that waits for its attitude: what was measured, and when it arrived."""
+
+    mps2: NDArray[np.float64]
+    arrival_ns: int | None
+
+
 class _MavlinkState(NamedTuple):
     counters: CountersState
     frames: tuple[int, bytes, bool]
     leaders: Leaders
     boot: tuple[int, int, int | None]
     resets: int
+    force: tuple[list[float], int | None] | None = None
+    force_rank: int | None = None
 
 
 class MavlinkDecoder:
     """Reads one link, UDP or serial.
+
+    Accelerations come in messages of their own; each is added to the next attitude.
 
     Attributes:
         counters: what came in and what became of it.
@@ -209,6 +227,8 @@ class MavlinkDecoder:
         self._precedence = Precedence(ORDER)
         self._boot = BootClock()
         self._resets = 0
+        self._force: _Force | None = None
+        self._force_rank = len(ACCELERATIONS)
 
     def feed(self, data: bytes, arrival_ns: int | None) -> Iterator[Odometry | Reject]:
         """Take the next bytes."""
@@ -232,6 +252,8 @@ class MavlinkDecoder:
             self._precedence.state(),
             self._boot.state(),
             self._resets,
+            None if self._force is None else (self._force.mps2.tolist(), self._force.arrival_ns),
+            self._force_rank,
         )
 
     def restore(self, state: Any) -> None:  # noqa: ANN401 as read from a checkpoint
@@ -243,6 +265,10 @@ class MavlinkDecoder:
         self._precedence.restore(known.leaders)
         self._boot.restore(*known.boot)
         self._resets = known.resets
+        self._force = None
+        if known.force is not None:
+            self._force = _Force(np.array(known.force[0]), known.force[1])
+        self._force_rank = len(ACCELERATIONS) if known.force_rank is None else known.force_rank
 
     def _read(self, message: Any, arrival_ns: int | None) -> Odometry | Reject | None:  # noqa: ANN401
         name = message.get_type()
@@ -251,6 +277,8 @@ class MavlinkDecoder:
         if not self._is_ours(message):
             self.counters.ignore("other_system")
             return None
+        if name in ACCELERATIONS:
+            return self._felt(ACCELERATIONS.index(name), message, arrival_ns)
         reader = READERS.get(name)
         fields = None if reader is None else reader(message, self._settings)
         if fields is None:
@@ -262,7 +290,29 @@ class MavlinkDecoder:
         odometry_or_less = self._precedence.filtered(name, odometry, arrival_ns)
         if odometry_or_less is None:
             self.counters.ignore("superseded")
-        return odometry_or_less
+            return None
+        return self._with_force(odometry_or_less, arrival_ns)
+
+    def _felt(self, rank: int, message: Any, arrival_ns: int | None) -> Reject | None:  # noqa: ANN401
+        """Remember an acceleration, unless a better message with one is there."""
+        force = specific_force(message) if rank <= self._force_rank else None
+        if force is None:
+            self.counters.ignore("superseded")
+        elif isinstance(force, Reject):
+            return force
+        else:
+            self._force, self._force_rank = _Force(force, arrival_ns), rank
+        return None
+
+    def _with_force(self, odometry: Odometry, arrival_ns: int | None) -> Odometry:
+        force = self._force
+        if force is None or odometry.map_q_base is None:
+            return odometry
+        self._force = None
+        arrivals_ns = [one for one in (force.arrival_ns, arrival_ns) if one is not None]
+        if arrivals_ns and max(arrivals_ns) - min(arrivals_ns) > MAX_APART_NS:
+            return odometry
+        return replace(odometry, specific_force_mps2=force.mps2)
 
     def _is_ours(self, message: Any) -> bool:  # noqa: ANN401
         system, component = self._settings.mavlink_system_id, self._settings.mavlink_component_id

@@ -38,7 +38,7 @@ from mapperd.odometry.records import (
     turned_covariance,
 )
 
-__all__ = ["ORDER", "READERS", "Fields"]
+__all__ = ["ACCELERATIONS", "ORDER", "READERS", "Fields", "specific_force"]
 
 Fields = dict[str, Any]
 """Fields of an `Odometry`, but for its time."""
@@ -208,6 +208,29 @@ def _distance(m: Any, _: FormatSettings) -> Fields | Reject | None:  # noqa: ANN
     if not m.min_distance <= m.current_distance <= m.max_distance:
         return Reject("out_of_range", f"{m.current_distance} cm exceeds the sensor's range")
     return {"altitude_m": m.current_distance * 0.01}
+
+
+ACCELERATIONS = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "SCALED_IMU2")
+"""Messages with an acceleration, best first; their units are those of ArduPilot and PX4."""
+
+MG_MPS2 = GRAVITY_MPS2 / 1000
+ACCELERATION_UPDATED = 0b111
+MAX_ACCELERATION_MPS2 = 1e3
+
+
+def specific_force(m: Any) -> Floats | Reject | None:  # noqa: ANN401
+    """What the accelerometer of one of `ACCELERATIONS` measures: (3,) m/s2, base axes.
+
+    Returns:
+        None where the message has no new acceleration.
+    """
+    unit = MG_MPS2
+    if m.get_type() == "HIGHRES_IMU":
+        if m.fields_updated & ACCELERATION_UPDATED != ACCELERATION_UPDATED:
+            return None
+        unit = 1.0
+    force = [unit * axis for axis in (m.xacc, m.yacc, m.zacc)]
+    return bad_numbers("acc", force, MAX_ACCELERATION_MPS2) or turned(BODY_TO_FLU["frd"], force)
 
 
 READERS: dict[str, Callable[[Any, FormatSettings], Fields | Reject | None]] = {

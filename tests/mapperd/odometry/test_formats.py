@@ -5,10 +5,11 @@ from typing import get_args
 
 import pytest
 
+from mapperd.config.loader import config_from_text
 from mapperd.config.odometry import FormatName, FormatSettings
 from mapperd.errors import ConfigError
 from mapperd.odometry.decoder import MAX_NAMES, DecoderCounters
-from mapperd.odometry.formats import make_decoder
+from mapperd.odometry.formats import check_levelling, make_decoder
 
 NAMES: tuple[FormatName, ...] = get_args(FormatName)
 
@@ -71,3 +72,33 @@ def test_names_from_the_wire_do_not_fill_the_memory() -> None:
         assert isinstance(counter, Counter)
         assert len(counter) == MAX_NAMES + 1
         assert counter.total() == 10 * MAX_NAMES
+
+
+LEVELLING = "world_init: {{enabled: {}}}\nodometry: {{sources: [{}], owners: {{attitude: {}}}}}"
+DVL, PILOT = "{name: dvl, format: water_linked_json}", "{name: ap, format: mavlink}"
+
+
+@pytest.mark.parametrize(
+    ("sources", "owner", "able"),
+    [
+        (PILOT, "''", True),
+        (f"{DVL}, {PILOT}", "''", True),
+        (f"{DVL}, {PILOT}", "ap", True),
+        (f"{DVL}, {PILOT}", "dvl", False),
+        (DVL, "''", False),
+        ("{name: gps, format: nmea}", "gps", False),
+        (PILOT, "none", False),
+    ],
+)
+def test_levelling_without_accelerations_is_refused(
+    sources: str, owner: str, *, able: bool
+) -> None:
+    check_levelling(config_from_text(LEVELLING.format("false", sources, owner)))
+    config = config_from_text(LEVELLING.format("true", sources, owner))
+    if able:
+        check_levelling(config)
+        return
+    with pytest.raises(
+        ConfigError, match=r"world_init\.enabled: no source .* formats that do: nat"
+    ):
+        check_levelling(config)

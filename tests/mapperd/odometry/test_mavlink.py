@@ -2,13 +2,19 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.quaternion import Quaternion
 
-from mapperd.config.odometry import FormatSettings, OdometryFusionConfig, OdometrySourceConfig
+from mapperd.config.odometry import (
+    FormatSettings,
+    OdometryFusionConfig,
+    OdometrySourceConfig,
+    WorldInitConfig,
+)
 from mapperd.config.tree import Config
 from mapperd.errors import Reject
 from mapperd.geometry.frames import quaternion_to_matrix
@@ -361,3 +367,73 @@ def test_payload_without_its_zeros_is_whole() -> None:
     data = Autopilot().local_position((0, 0, 0))
     assert len(data) < 12 + 28
     assert odometry(data).position_m == pytest.approx([0, 0, 0])
+
+
+IMUS = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "SCALED_IMU2")
+AT_REST_FRD = (0.0, 0.0, -9.80665)
+
+
+def forces(records: Any) -> list[list[float] | None]:
+    return [
+        None if one.specific_force_mps2 is None else one.specific_force_mps2.round(2).tolist()
+        for one in records
+    ]
+
+
+@pytest.mark.parametrize("kind", IMUS)
+@pytest.mark.parametrize("version", [1, 2])
+def test_acceleration_goes_with_the_next_attitude(kind: str, version: int) -> None:
+    autopilot, decoder = Autopilot(version=version), MavlinkDecoder(SETTINGS)
+    data = autopilot.imu(kind, (0.98, -1.96, -9.6)) + autopilot.local_position((0, 0, 0))
+    data += autopilot.attitude((0, 0, 0)) * 2
+    assert forces(decoder.feed(data, None)) == [None, [0.98, 1.96, 9.6], None]
+    assert not decoder.counters.ignored
+
+
+def test_acceleration_of_long_ago_or_of_a_worse_message_is_left_out() -> None:
+    autopilot, decoder = Autopilot(), MavlinkDecoder(SETTINGS)
+    imu, attitude = autopilot.imu("SCALED_IMU2", AT_REST_FRD), autopilot.attitude((0, 0, 0))
+    assert list(decoder.feed(imu, 0)) == []
+    assert forces(decoder.feed(attitude, 3 * SECOND // 10)) == [None]
+    list(decoder.feed(imu, SECOND))
+    assert forces(decoder.feed(attitude, SECOND * 11 // 10)) == [[0, 0, 9.81]]
+    list(decoder.feed(autopilot.imu("SCALED_IMU", (0.0, 0.0, -9.7)) + imu, 2 * SECOND))
+    assert forces(decoder.feed(attitude, 2 * SECOND)) == [[0, 0, 9.7]]
+    assert decoder.counters.ignored == {"superseded": 1}
+    assert list(decoder.feed(autopilot.imu("HIGHRES_IMU", AT_REST_FRD, updated=3), None)) == []
+    (bad,) = decoder.feed(autopilot.imu("HIGHRES_IMU", (0.0, 0.0, NAN)), None)
+    assert isinstance(bad, Reject)
+    assert bad.reason == "not_finite"
+
+
+def test_waiting_acceleration_is_part_of_the_state() -> None:
+    autopilot, decoder, other = Autopilot(), MavlinkDecoder(SETTINGS), MavlinkDecoder(SETTINGS)
+    list(decoder.feed(autopilot.imu("SCALED_IMU", AT_REST_FRD), 0))
+    other.restore(msgspec.json.decode(msgspec.json.encode(decoder.state())))
+    data = autopilot.imu("RAW_IMU", (0.0, 0.0, -9.6)) + autopilot.attitude((0, 0, 0))
+    assert forces(other.feed(data, 0)) == forces(decoder.feed(data, 0)) == [[0, 0, 9.81]]
+    earlier = msgspec.json.decode(msgspec.json.encode(MavlinkDecoder(SETTINGS).state()[:5]))
+    other.restore(earlier)
+    assert forces(other.feed(autopilot.attitude((0, 0, 0)), 0)) == [None]
+
+
+def test_world_of_a_tilted_autopilot_is_levelled_by_its_accelerations() -> None:
+    config = Config(
+        odometry=OdometryFusionConfig(sources=(OdometrySourceConfig(name="ap", format="mavlink"),)),
+        world_init=WorldInitConfig(enabled=True, init_samples=20),
+    )
+    bridge, autopilot, t_ns = OdometryBridge(config), Autopilot(), SECOND
+    tilted = (0.0, 9.80665 * 0.5, -9.80665 * math.sqrt(0.75))  # 30 degrees to starboard
+    for _ in range(40):
+        autopilot.boot_ms += 100
+        t_ns += SECOND // 10
+        for data in (
+            autopilot.imu("SCALED_IMU", tilted),
+            autopilot.attitude((0, 0, 0)),
+            autopilot.local_position((1, 0, 0)),
+        ):
+            bridge.feed("ap", data, t_ns)
+    fused = bridge.fusion.at(t_ns - SECOND // 5)
+    assert isinstance(fused, FusedPose)
+    port = quaternion_to_matrix(fused.pose.map_q_base)[:, 1]
+    assert abs(port[2]) == pytest.approx(0.5, abs=0.01)

@@ -63,6 +63,21 @@ class Autopilot:
         message = common.MAVLink_global_position_int_message(self.boot_ms, **(fields | changes))
         return self.packed(message)
 
+    def imu(self, kind: str, force_frd_mps2: tuple[float, ...], updated: int = 7) -> bytes:
+        """A measured acceleration; of HIGHRES_IMU in m/s2, of the others in thousandths of g."""
+        still = (0,) * 6
+        if kind == "HIGHRES_IMU":
+            tail = (0.0, 0.0, 0.0, 0.0, updated)
+            return self.packed(
+                common.MAVLink_highres_imu_message(
+                    self.boot_ms * 1000, *force_frd_mps2, *still, *tail
+                )
+            )
+        milli_g = [round(axis / 9.80665e-3) for axis in force_frd_mps2]
+        make = getattr(common, f"MAVLink_{kind.lower()}_message")
+        stamp = self.boot_ms * (1000 if kind == "RAW_IMU" else 1)
+        return self.packed(make(stamp, *milli_g, *still))
+
     def pressure(self, hpa: float) -> bytes:
         return self.packed(common.MAVLink_scaled_pressure2_message(self.boot_ms, hpa, 0.0, 1500))
 
