@@ -1,16 +1,20 @@
-"""Maps in the files of Nav2's map server: a .yaml beside a .pgm image.
+"""Maps in the files of Nav2's map server: a .yaml beside a .pgm, .png or .bmp image.
 
 How a pixel becomes a cell is that of the map server's documentation. Darkness is 1 - pixel / 255,
-or pixel / 255 with `negate`. Row 0 of the image is the far end of y.
+or pixel / 255 with `negate`; of colours it is that of their mean. Row 0 of the image is the far
+end of y.
 
 - trinary: occupied where darkness is above `occupied_thresh`, free below `free_thresh`, else
-  unknown;
-- scale: the same two, and percent between them; without an alpha channel nothing is unknown;
+  unknown; an alpha channel counts as another colour;
+- scale: the same two, and percent between them; pixels that are not opaque are unknown;
 - raw: the pixel is the cell, above 100 unknown; `negate` and the thresholds are ignored.
 """
 
+import importlib.util
 import math
 import re
+import struct
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,7 +24,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from mapperd.config.loader import YamlProblem, parse_yaml
-from mapperd.errors import MapError
+from mapperd.errors import MapError, missing_extra
 from mapperd.io import atomic_file
 from mapperd.localization.grid_map import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, GridMap
 
@@ -48,7 +52,7 @@ def pgm_pixels(data: bytes, name: str) -> NDArray[np.uint8]:
     """
     header = HEADER.match(data[:LONGEST_HEADER])
     if header is None:
-        raise MapError(f"{name}: no binary grey image (P5)", "bad_map_file")
+        raise MapError(f"{name}: no binary grey image (PGM, P5), PNG or BMP", "bad_map_file")
     width, height, brightest = (int(number) for number in header.groups())
     if not 0 < brightest <= BRIGHTEST:
         raise MapError(
@@ -78,10 +82,66 @@ def pgm_bytes(pixels: NDArray[np.uint8]) -> bytes:
     return b"P5\n%d %d\n255\n" % (width, height) + np.ascontiguousarray(pixels).tobytes()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pixels:
+    """An image.
+
+    Attributes:
+        total: (height, width), sum of the channels.
+        channels: each of them up to 255.
+        alpha: (height, width) opacity up to 255; None without that channel.
+    """
+
+    total: NDArray[np.unsignedinteger]
+    channels: int = 1
+    alpha: NDArray[np.uint8] | None = None
+
+
+PNG, BMP = b"\x89PNG\r\n\x1a\n", b"BM"
+PNG_SIZE, BMP_SIZE = struct.Struct(">16x2I"), struct.Struct("<18x2i")
+ALPHA_CHANNELS = 4
+
+
+def _pixels_of(data: bytes, name: str) -> _Pixels:
+    """The pixels of a whole file, by what it is and not by its suffix.
+
+    Raises:
+        MapError: it is no such image, not all of one, or needs a library (`bad_map_file`).
+    """
+    layout = next(
+        (at for magic, at in ((PNG, PNG_SIZE), (BMP, BMP_SIZE)) if data[:8].startswith(magic)), None
+    )
+    if layout is None:
+        return _Pixels(pgm_pixels(data, name))
+    if len(data) < layout.size:
+        raise MapError(f"{name}: not a whole image", "bad_map_file")
+    width, height = layout.unpack_from(data)
+    if not 0 < width * abs(height) <= MAX_CELLS:
+        raise MapError(
+            f"{name}: {width} x {abs(height)} pixels; allowed: up to {MAX_CELLS}", "bad_map_file"
+        )
+    if importlib.util.find_spec("cv2") is None:
+        raise MapError(f"{name}: {missing_extra('OpenCV', 'filters')}", "bad_map_file")
+    import cv2  # noqa: PLC0415 an extra
+
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is None or image.shape[:2] != (abs(height), width):
+        raise MapError(f"{name}: not a whole image", "bad_map_file")
+    if image.dtype == np.uint16:
+        image = np.rint(image / np.float32(257)).astype(np.uint8)
+    colours = np.atleast_3d(image)
+    count = colours.shape[2]
+    alpha = colours[..., -1].astype(np.uint8) if count == ALPHA_CHANNELS else None
+    return _Pixels(colours.sum(axis=2, dtype=np.uint16), count, alpha)
+
+
 Mode = Literal["trinary", "scale", "raw"]
 
 MAX_YAML_BYTES = 64 * 1024
-MAX_HEADER_BYTES = 4096
+MAX_IMAGE_BYTES = ALPHA_CHANNELS * MAX_CELLS + 4096
 UNKNOWN_PIXEL = {"trinary": 205, "raw": 255}
 FREE_PIXEL, OCCUPIED_PIXEL = 254, 0
 
@@ -122,8 +182,8 @@ def read_nav2_map(path: Path) -> GridMap:
     """
     about = _described(_read(path, MAX_YAML_BYTES), str(path))
     image = path.parent / about.image
-    pixels = pgm_pixels(_read(image, MAX_CELLS + MAX_HEADER_BYTES), str(image))
-    return GridMap(_cells(pixels[::-1], about), about.resolution, *about.origin)
+    pixels = _pixels_of(_read(image, MAX_IMAGE_BYTES), str(image))
+    return GridMap(_cells(pixels, about)[::-1], about.resolution, *about.origin)
 
 
 def image_of(path: Path) -> str:
@@ -188,21 +248,28 @@ def _described(data: bytes, name: str) -> _Description:
         raise MapError(f"{name}: {error}", "bad_map_file") from error
 
 
-def _cells(pixels: NDArray[np.uint8], about: _Description) -> NDArray[np.int8]:
-    """Cells of all 256 pixels there can be, looked up."""
-    value = np.arange(256)
+def _cells(pixels: _Pixels, about: _Description) -> NDArray[np.int8]:
+    """Cells of all sums of channels there can be, looked up."""
+    total, channels = pixels.total, pixels.channels
+    if pixels.alpha is not None and about.mode != "trinary":
+        total, channels = total - pixels.alpha, channels - 1
+    value = np.arange(BRIGHTEST * channels + 1)
     if about.mode == "raw":
-        known = np.where(value <= OCCUPIED, value, UNKNOWN)
+        mean = np.rint(value / channels)
+        known = np.where(mean <= OCCUPIED, mean, UNKNOWN)
     else:
-        darkness = value / 255 if about.negate else 1 - value / 255
+        brightness = value / (BRIGHTEST * channels)
+        darkness = brightness if about.negate else 1 - brightness
         span = about.occupied_thresh - about.free_thresh
         if about.mode == "scale" and span > 0:
             between = np.rint(100 * (darkness - about.free_thresh) / span)
         else:
-            between = np.full(256, UNKNOWN)
+            between = np.full(len(value), UNKNOWN)
         known = np.where(darkness < about.free_thresh, FREE, between)
         known = np.where(darkness > about.occupied_thresh, OCCUPIED, known)
-    cells: NDArray[np.int8] = known.astype(np.int8)[pixels]
+    cells: NDArray[np.int8] = known.astype(np.int8)[total]
+    if pixels.alpha is not None and about.mode == "scale":
+        cells[pixels.alpha < BRIGHTEST] = UNKNOWN
     return cells
 
 

@@ -1,5 +1,7 @@
+import io
 import math
 import re
+import struct
 from pathlib import Path
 from typing import Any, get_args
 
@@ -8,6 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from PIL import Image
 
 from mapperd.errors import ExportError, MapError
 from mapperd.localization.grid_map import FREE, OCCUPIED, UNKNOWN, GridMap
@@ -135,6 +138,83 @@ def test_any_bytes_are_an_image_or_refused(head: bytes, body: bytes) -> None:
     width, height = map(int, re.sub(rb"#.*", b"", head + body).split()[:2])
     assert pixels.shape == (height, width)
     assert pixels.dtype == np.uint8
+
+
+FORMATS = ("png", "bmp")
+
+
+def encoded(image: np.ndarray, kind: str) -> bytes:
+    """By Pillow, another writer than the one that reads."""
+    file = io.BytesIO()
+    Image.fromarray(image).save(file, kind)
+    return file.getvalue()
+
+
+def cells_of(folder: Path, image: bytes, kind: str, more: str = "") -> list[list[int]]:
+    text = YAML.replace("map.pgm", f"map.{kind}") + more
+    path = written(folder, text, image, f"map.{kind}")
+    rows: list[list[int]] = read_nav2_map(path).occupancy[::-1].tolist()
+    return rows
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("mode", get_args(Mode))
+def test_pictures_are_the_map_of_the_grey_image(tmp_path: Path, kind: str, mode: str) -> None:
+    more = f"mode: {mode}\n"
+    expected = cells(tmp_path, YAML + more)
+    grey = PIXELS
+    for image in (grey, np.dstack([grey] * 3)):
+        assert cells_of(tmp_path, encoded(image, kind), kind, more) == expected
+    if kind == "png":
+        deep = encoded(grey.astype(np.uint16) * 257, kind)
+        assert cells_of(tmp_path, deep, kind, more) == expected
+        flat = Image.fromarray(grey).convert("P")
+        file = io.BytesIO()
+        flat.save(file, "png")
+        assert cells_of(tmp_path, file.getvalue(), kind, more) == expected
+
+
+def test_colours_count_by_their_mean(tmp_path: Path) -> None:
+    image = np.array([[[255, 0, 0], [255, 255, 240], [0, 10, 30], [90, 90, 93]]], dtype=np.uint8)
+    for kind in FORMATS:
+        assert cells_of(tmp_path, encoded(image, kind), kind) == [[100, 0, 100, -1]]
+        raw = cells_of(tmp_path, encoded(image, kind), kind, "mode: raw\n")
+        assert raw == [[85, -1, 13, 91]]
+
+
+def test_opacity_is_a_colour_in_trinary_and_makes_unknown_in_scale(tmp_path: Path) -> None:
+    grey = np.array([[0, 0, 254, 254]], dtype=np.uint8)
+    alpha = np.array([[255, 0, 255, 0]], dtype=np.uint8)
+    image = encoded(np.dstack([grey, grey, grey, alpha]), "png")
+    # Darkness is 0.75, 1, 0.003, 0.253 with the opacity as a fourth colour.
+    assert cells_of(tmp_path, image, "png") == [[100, 100, 0, -1]]
+    assert cells_of(tmp_path, image, "png", "mode: scale\n") == [[100, -1, 0, -1]]
+    assert cells_of(tmp_path, image, "png", "mode: raw\n") == [[0, 0, -1, -1]]
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_pictures_that_are_invalid_are_reported_why(tmp_path: Path, kind: str) -> None:
+    image = encoded(np.zeros((9, 7), np.uint8), kind)
+    at, order = (16, ">II") if kind == "png" else (18, "<ii")
+    huge = bytearray(image)
+    struct.pack_into(order, huge, at, 100_000, 100_000)
+    for data, words in (
+        (image[:10], "not a whole image"),
+        (image[:40], "not a whole image"),
+        (bytes(huge), "100000 x 100000 pixels; allowed"),
+        (b"GIF89a", r"no binary grey image \(PGM, P5\), PNG or BMP"),
+    ):
+        with pytest.raises(MapError, match=words) as caught:
+            cells_of(tmp_path, data, kind)
+        assert caught.value.reason == "bad_map_file"
+
+
+def test_picture_without_its_library_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(MapError, match="OpenCV cannot be imported"):
+        cells_of(tmp_path, encoded(PIXELS, "png"), "png")
 
 
 def random_cells(values: list[int]) -> NDArray[np.int8]:
