@@ -65,9 +65,9 @@ class OperationError(MapperdError):
     """A request cannot be carried out; nothing changed.
 
     Attributes:
-        reason: short and stable: `bad_name`, `bad_format`, `cannot_write`, `no_store`, `busy`; of
-            localization also `localization_off`, `bad_pose`, `wrong_frame`, `no_map`,
-            `no_such_map`, `bad_map`, `no_filter`, `no_free_cells`, `first_map_only`.
+        reason: short and stable: `bad_name`, `bad_format`, `cannot_write`, `no_store`, `busy`,
+            `no_session`; of localization also `localization_off`, `bad_pose`, `wrong_frame`,
+            `no_map`, `no_such_map`, `bad_map`, `no_filter`, `no_free_cells`, `first_map_only`.
     """
 
     def __init__(self, message: str, reason: str) -> None:

@@ -42,6 +42,7 @@ class Arguments:
         integrator: overrides the setting; None keeps it.
         start_s, duration_s: the part of the recording to map.
         allow_damaged: map data that fail their checksum, too.
+        view_port: port of the page that shows the replay; None shows none.
     """
 
     replay: tuple[Path, ...]
@@ -54,7 +55,10 @@ class Arguments:
     start_s: float
     duration_s: float | None
     allow_damaged: bool = False
+    view_port: int | None = None
 
+
+VIEW_PORT = 8080
 
 COMMANDS = ("doctor", "init")
 """The first word of other command lines."""
@@ -72,6 +76,10 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
         parser.error(_unknown(rest))
     if not args.replay and args.start:
         parser.error("--start needs --replay")
+    if args.view is not None and not args.replay:
+        parser.error("--view needs --replay; for a running daemon: mapperctl view")
+    if args.view is not None and args.store is not None:
+        parser.error("--view cannot be combined with --store; mapperctl view MAP follows the file")
     if args.store is not None and (not args.replay or args.start or args.duration):
         parser.error("--store needs --replay, without --start and --duration")
     if args.allow_damaged and not args.replay:
@@ -89,6 +97,7 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
         start_s=args.start,
         duration_s=args.duration,
         allow_damaged=args.allow_damaged,
+        view_port=args.view,
     )
 
 
@@ -169,6 +178,14 @@ def _parser() -> CommandParser:
         type=_seconds,
         default=0.0,
         help="skip the first S seconds",
+    )
+    add(
+        "--view",
+        metavar="PORT",
+        nargs="?",
+        type=int,
+        const=VIEW_PORT,
+        help=f"show the replay in the browser, until Ctrl-C (default port: {VIEW_PORT})",
     )
     add("--duration", metavar="S", type=_positive, help="map S seconds and stop")
     add(

@@ -9,13 +9,14 @@ from dataclasses import replace
 from enum import IntEnum
 from functools import partial
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import msgspec
 
 from mapperd.cli.arguments import Arguments, parse_arguments
 from mapperd.cli.doctor import doctor
 from mapperd.cli.init import init
+from mapperd.cli.mapperctl.errors import CtlError
 from mapperd.cli.replay import map_recordings, unreadable
 from mapperd.cli.surroundings import listen, odometry_lines, sonar_lines
 from mapperd.config.layers import Layered, load_settings, settings_files
@@ -46,6 +47,10 @@ from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.pipeline.watchdog import process_progress
 from mapperd.telemetry.broker import check_telemetry
 from oculus_driver.errors import OculusError, RecordingError, SettingsError
+
+if TYPE_CHECKING:
+    from mapperd.cli.mapperctl.view import ReplayView
+    from mapperd.mapping.sonar_map import SonarMap
 
 __all__ = ["DaemonExit", "main"]
 
@@ -106,11 +111,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         settings = error.reason in ("other_parameters", "newer_version", "not_a_store")
         return _fail(DaemonExit.BAD_CONFIG if settings else DaemonExit.CANNOT_WRITE, error)
     except (MapperdError, OculusError) as error:
-        return _fail(next(code for kind, code in _EXITS.items() if isinstance(error, kind)), error)
+        return _fail(_exit_of(error), error)
     except KeyboardInterrupt:
         return _fail(
             DaemonExit.INTERRUPTED, f"interrupted; results in {arguments.out} may be missing"
         )
+
+
+def _exit_of(error: Exception) -> DaemonExit:
+    if isinstance(error, CtlError):  # of the page
+        return DaemonExit(error.code)
+    return next(code for kind, code in _EXITS.items() if isinstance(error, kind))
 
 
 def _check_picture() -> None:
@@ -176,14 +187,31 @@ def _replay(arguments: Arguments) -> DaemonExit:
     def settings() -> Config:
         return _settings(arguments).config
 
-    with contextlib.closing(Trajectory(arguments.out)) as trajectory:
+    pages: list[ReplayView] = []
+
+    def show(sonar_map: "SonarMap") -> "ReplayView | None":
+        if arguments.view_port is None:
+            return None
+        from mapperd.cli.mapperctl.view import ReplayView  # noqa: PLC0415 of the extra `topside`
+
+        page = stack.enter_context(ReplayView(arguments.view_port, sonar_map, _source(arguments)))
+        pages.append(page)
+        _print(page.line)
+        return page
+
+    with contextlib.ExitStack() as stack:
+        trajectory = stack.enter_context(contextlib.closing(Trajectory(arguments.out)))
         try:
-            sonar_map, summary = map_recordings(arguments, settings, ready, trajectory)
+            sonar_map, summary = map_recordings(arguments, settings, ready, trajectory, show)
         except KeyboardInterrupt:
             return _fail(DaemonExit.INTERRUPTED, "interrupted; nothing was written")
-        with contextlib.closing(sonar_map):
-            write_results(arguments.out, sonar_map, summary, trajectory)
-    return _verdict(arguments, summary)
+        stack.callback(sonar_map.close)
+        write_results(arguments.out, sonar_map, summary, trajectory)
+        code = _verdict(arguments, summary)
+        for page in pages:
+            _print("the page stays until Ctrl-C")
+            page.wait()
+    return code
 
 
 def _given_files(arguments: Arguments) -> list[Path]:

@@ -6,7 +6,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,6 +35,9 @@ from mapperd.session.replay_to_store import map_into_store
 from mapperd.store.stored_map import StoredMap
 from mapperd.store.tile_store import TileStore
 from oculus_driver.errors import RecordingError
+
+if TYPE_CHECKING:
+    from mapperd.cli.mapperctl.view import ReplayView
 
 __all__ = ["map_recordings", "unreadable"]
 
@@ -68,6 +71,7 @@ def map_recordings(
     settings: Callable[[], Config],
     ready: Callable[[], None],
     trajectory: Trajectory,
+    show: "Callable[[SonarMap], ReplayView | None]" = lambda _: None,
 ) -> tuple[MapContent, dict[str, Any]]:
     """Check everything that can be checked, then map; return the map, open, and the summary.
 
@@ -76,6 +80,7 @@ def map_recordings(
         settings: the user's.
         ready: called when nothing speaks against mapping.
         trajectory: receives the poses of the mapped pings.
+        show: returns the page that shows the replay, or None.
 
     Raises:
         ConfigError: the settings are wrong, or those of the sessions make no common map.
@@ -102,8 +107,14 @@ def map_recordings(
         return _stored(sessions, sonar_map.config, arguments.pose, arguments.store, trajectory)
     window = Window(arguments.start_s, arguments.duration_s)
     if sonar_map.config.outofcore.use:
+        if arguments.view_port is not None:
+            raise ReplayError(
+                "--view shows a map in memory, and outofcore.use is set; with --store MAP, "
+                "mapperctl view MAP shows the file while it grows"
+            )
         return _mapped_on_disk(runs, sonar_map, window, arguments.out, trajectory)
-    return sonar_map, _mapped(runs, sonar_map, window, trajectory)
+    page = show(sonar_map)
+    return sonar_map, _replayed(runs, sonar_map, window, trajectory, page=page)(sonar_map)
 
 
 def _mapped_on_disk(
@@ -117,16 +128,9 @@ def _mapped_on_disk(
             path, sonar_map, tile_size_m=settings.tile_size, cache_tiles=settings.cache_size
         ) as store:
             persistence = TilePersistence(store, sonar_map)
-            summary = _replayed(runs, sonar_map, window, trajectory, persistence)
+            summary = _replayed(runs, sonar_map, window, trajectory, persistence=persistence)
         whole = StoredMap(path, sonar_map.config)  # stays readable without its name
     return whole, summary(whole)
-
-
-def _mapped(
-    runs: Sequence[Run], sonar_map: SonarMap, window: Window, trajectory: Trajectory
-) -> dict[str, Any]:
-    """Map in memory; return the summary."""
-    return _replayed(runs, sonar_map, window, trajectory)(sonar_map)
 
 
 def _replayed(
@@ -134,7 +138,9 @@ def _replayed(
     sonar_map: SonarMap,
     window: Window,
     trajectory: Trajectory,
+    *,
     persistence: MapPersistence | None = None,
+    page: "ReplayView | None" = None,
 ) -> Callable[[MapContent], dict[str, Any]]:
     """Run the replays, one after the other into one map; return what makes the summary of it."""
     counters = PipelineCounters()
@@ -145,8 +151,13 @@ def _replayed(
     for run in runs:
         replay = run.replay(sonar_map, window, counters, persistence)
         replay.pipeline.executor.on_mapped = trajectory.add
+        if page is not None:
+            replay.pipeline.executor.on_ping = page.put
         for _ in replay.run(run.session):
             trajectory.flush()
+            if page is not None:
+                onboard = None if run.localization is None else run.localization.onboard
+                page.update(counters, None if onboard is None else onboard.facts())
             bar.show((done_bytes + run.session.bytes_read) / size_bytes, counters.pings_mapped)
         done_bytes += run.session.bytes_read
     bar.close(counters.pings_mapped)

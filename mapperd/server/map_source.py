@@ -7,7 +7,9 @@ map's locks, for some milliseconds at most.
 import math
 import weakref
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from collections.abc import Set as AbstractSet
+from pathlib import Path
 from typing import Protocol, Self
 
 import numpy as np
@@ -21,10 +23,10 @@ from mapperd.server.map_index import BlockIndex, ChangedRows, StoredBricks, vect
 from mapperd.server.priority_queue import Part
 from mapperd.server.subscription import Subscription
 from mapperd.store.metadata import MapIdentity, fresh
-from mapperd.store.tile_store import TileStore
+from mapperd.store.tiles import Key
 from mapperd.wire.messages import Interest, MapFacts, Resume, Vector
 
-__all__ = ["MapSource", "MapStorage", "MapView", "Source", "why_not"]
+__all__ = ["MapFile", "MapSource", "MapStorage", "MapView", "Source", "why_not"]
 
 
 def why_not(  # noqa: PLR0911 one reason each
@@ -84,11 +86,30 @@ NO_BRICKS = np.zeros((0, 3), np.int32)
 Origin = tuple[float, float] | None
 
 
+class MapFile(Protocol):
+    """The map's file: `TileStore` while this process writes it."""
+
+    @property
+    def path(self) -> Path:
+        """Return where it is."""
+
+    @property
+    def identity(self) -> MapIdentity:
+        """Return which map it holds."""
+
+    @property
+    def lost(self) -> AbstractSet[Key]:
+        """Return the damaged bricks."""
+
+    def suspect(self, keys: Iterable[Key]) -> None:
+        """Report bricks that were found damaged."""
+
+
 class MapStorage(Protocol):
     """Storage of the map: `mapperd.pipeline.persistence`."""
 
     @property
-    def store(self) -> TileStore | None:
+    def store(self) -> MapFile | None:
         """The map's file; None if the map is only in memory."""
 
 
@@ -264,6 +285,7 @@ class MapSource:
             rows = None
             if version != self._file_version or in_file < 0:
                 rows = self._files.changed_since(in_file)
+                self._core.raise_revision(rows.revision)  # if another process writes the file
             bricks = NO_BRICKS if rows is None else rows.keys
             changed = self._core.changed_blocks(since, bricks)
             if self._files.version() == version:

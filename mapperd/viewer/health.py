@@ -106,8 +106,8 @@ class Health:
         self.ahead_ns = None
 
     def age_s(self, stamp_ns: int | None, unix_ns: int) -> float | None:
-        """Age of a time stamp of the daemon."""
-        if stamp_ns is None:
+        """Age of a time stamp of the daemon; None where nothing is live."""
+        if stamp_ns is None or self.phase.startswith(("file", "replay")):
             return None
         return max(0.0, (unix_ns + (self.ahead_ns or 0) - stamp_ns) / 1e9)
 

@@ -455,6 +455,13 @@ def _particles(text: str) -> int:
 def add_view(command: argparse.ArgumentParser) -> None:
     """Add the arguments of `view`."""
     add = command.add_argument
+    add(
+        "file",
+        metavar="FILE",
+        nargs="?",
+        type=Path,
+        help="show this map file instead of a daemon: a daemon's map, .map, .bt, .ot",
+    )
     add("--port", metavar="N", type=_port, default=8080, help="port of the page; default: 8080")
     add(
         "--host",
@@ -494,7 +501,7 @@ EPILOG = f"""examples:
   mapperctl status
   mapperctl set filtering.min_range=1.5
   mapperctl export harbour.ply
-  mapperctl view --open
+  mapperctl view dive/map.bt --open
   mapperctl diff before.map after.map
 
 {EXIT_CODES}"""
@@ -549,7 +556,7 @@ def parser() -> CommandParser:
     reset.add_argument("--yes", action="store_true", help="do not ask")
     _command(commands, "reload", "reload the settings files")
     _command(commands, "snapshot", "flush the map and the recording to disk")
-    add_view(_command(commands, "view", "serve the live map as a page in the browser"))
+    add_view(_command(commands, "view", "show the live map, or a map file, in the browser"))
     about = "serve Foxglove and Lichtblick"
     add_foxglove(_command(commands, "foxglove", about, "Serve Foxglove and Lichtblick."))
     add_record(_command(commands, "record", "record the map stream"))

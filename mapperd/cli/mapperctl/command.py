@@ -50,9 +50,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _lines(args: argparse.Namespace) -> Iterator[str]:
     if args.command == "view":
-        from mapperd.cli.mapperctl.view import run_view  # noqa: PLC0415 only it needs numpy
+        from mapperd.cli.mapperctl import view  # noqa: PLC0415 only it needs numpy
 
-        yield from run_view(args, *_stream(args))
+        if args.file is None:
+            yield from view.run_view(args, *_stream(args))
+        else:
+            yield from view.run_file_view(args, _settings(args).config)
         return
     if args.command == "foxglove":
         from mapperd.cli.mapperctl.foxglove import run_foxglove  # noqa: PLC0415 needs numpy

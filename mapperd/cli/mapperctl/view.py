@@ -1,4 +1,4 @@
-"""`mapperctl view`: serve the page, open to this computer's browsers alone."""
+"""`mapperctl view` and `mapperd --view`: serve the page, by default to this computer alone."""
 
 import argparse
 import asyncio
@@ -6,16 +6,26 @@ import contextlib
 import functools
 import ipaddress
 import json
+import shlex
 import signal
+import threading
+import time
 import webbrowser
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import urlsplit
 
 from mapperd.cli.mapperctl.errors import CtlError, CtlExit
 from mapperd.client import Interest, MapClient, StreamError
-from mapperd.errors import missing_extra
+from mapperd.config.tree import Config
+from mapperd.daemon.map_server import MapServer, saved_map
+from mapperd.errors import MapperdError, missing_extra
 from mapperd.foxglove.recording import FoxgloveRecording
+from mapperd.localization.status import LocalizationFacts
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.worker import StatusSnapshot
 from mapperd.viewer.app import VIEW_WANTS, ViewerPage
 from mapperd.wire.auth import is_loopback
 
@@ -24,7 +34,7 @@ if TYPE_CHECKING:
 
     from viser import ViserServer
 
-__all__ = ["open_page", "run_view", "same_origin"]
+__all__ = ["ReplayView", "open_page", "run_file_view", "run_view", "same_origin"]
 
 
 def open_page(host: str, port: int) -> "ViserServer":
@@ -106,6 +116,9 @@ def _never_shared(*_: object, **__: object) -> None:
     return
 
 
+UPDATE_S = 0.2
+"""Period of the facts of a replay."""
+
 REFUSED = ("wrong_token", "needs_token", "no_permission", "not_trusted")
 
 
@@ -123,28 +136,135 @@ def run_view(
     Raises:
         CtlError: the page cannot be served, or the daemon will not have us.
     """
+    may_change = is_loopback(args.host) or args.allow_changes
+    with _page(args) as (server, line):
+        yield line
+        asyncio.run(_follow(server, _client(args, address, token, tls), may_change=may_change))
+
+
+def run_file_view(args: argparse.Namespace, config: Config) -> Iterator[str]:
+    """Serve the page for a map file, and follow the file while it is written.
+
+    Args:
+        args: parsed command line.
+        config: settings that the file does not contain.
+
+    Raises:
+        CtlError: the page cannot be served, or the file is no map.
+    """
+    if args.socket or args.address:
+        raise CtlError("a file needs neither --socket nor --address", CtlExit.USAGE)
+    try:
+        sonar_map, store = saved_map(args.file, config)
+        shown = MapServer(sonar_map, store, str(args.file), "file")
+    except MapperdError as error:
+        hint = f"mapperd --replay {shlex.quote(str(args.file))} --view"
+        rest = f"; if it is a recording: {hint}" if args.file.exists() else ""
+        raise CtlError(f"{error}{rest}", CtlExit.USAGE) from error
+    with _page(args) as (server, line):
+        yield line
+        asyncio.run(_show(server, shown, args))
+
+
+class ReplayView:
+    """The page of a running replay, in a thread of its own, `with`; use from one other thread.
+
+    Args:
+        port: of the page.
+        sonar_map: create this before mapping begins.
+        what: what is replayed, for people.
+
+    Raises:
+        CtlError: the page cannot be served.
+
+    Attributes:
+        put: takes the results of pings.
+        line: says where the page is.
+    """
+
+    def __init__(self, port: int, sonar_map: SonarMap, what: str) -> None:
+        self._shown = MapServer(sonar_map, None, what, "replay")
+        self.put = self._shown.feed.put
+        self._args = argparse.Namespace(
+            host="127.0.0.1", port=port, level=0, radius=0.0, open=False, json=False
+        )
+        self._updated_s = 0.0
+        self._stop: Callable[[], object] = lambda: None
+        with contextlib.ExitStack() as undo:
+            self._server, self.line = undo.enter_context(_page(self._args))
+            self._open = undo.pop_all()
+
+    def __enter__(self) -> Self:
+        self._thread = threading.Thread(target=asyncio.run, args=[self._run()], name="page")
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop()
+        self._thread.join()
+        self._open.close()
+
+    def update(self, counters: PipelineCounters, localization: LocalizationFacts | None) -> None:
+        """Show how far the replay is; now and then."""
+        now_s = time.monotonic()
+        if now_s - self._updated_s < UPDATE_S:
+            return
+        self._updated_s = now_s
+        pings = {
+            "total": counters.pings_total,
+            "mapped": counters.pings_mapped,
+            "dropped": dict(counters.pings_dropped),
+        }
+        self._shown.facts = StatusSnapshot(
+            pings, None, {}, {"source": "odometry"}, [], None, None, {}, {}, 0, localization
+        )
+
+    def wait(self) -> None:
+        """Keep the page open until Ctrl-C."""
+        self._shown.phase = "replay finished"
+        with contextlib.suppress(KeyboardInterrupt):
+            self._thread.join()
+
+    async def _run(self) -> None:
+        task = asyncio.ensure_future(_show(self._server, self._shown, self._args))
+        self._stop = partial(asyncio.get_running_loop().call_soon_threadsafe, task.cancel)
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+
+async def _show(server: "ViserServer", shown: MapServer, args: argparse.Namespace) -> None:
+    """Serve the map and the page in one event loop."""
+    async with shown.serving() as address:
+        await _follow(server, _client(args, address, None, None), may_change=False)
+
+
+@contextlib.contextmanager
+def _page(args: argparse.Namespace) -> Iterator[tuple["ViserServer", str]]:
+    """Serve an empty page; yields it and the line that names it."""
     server = open_page(args.host, args.port)
     try:
         url = f"http://{_named(args.host)}:{server.get_port()}"
         if args.open:
             webbrowser.open(url)
-        yield json.dumps({"url": url}) if args.json else f"the map is shown at {url}"
-        client = MapClient(
-            address,
-            token=token,
-            tls=tls,
-            wants=VIEW_WANTS,
-            interest=Interest(level=args.level, radius_m=args.radius),
-            name="mapperctl view",
-        )
-        asyncio.run(
-            _follow(server, client, may_change=is_loopback(args.host) or args.allow_changes)
-        )
+        yield server, json.dumps({"url": url}) if args.json else f"the map is shown at {url}"
     except StreamError as error:
         code = CtlExit.NO_PERMISSION if error.reason in REFUSED else CtlExit.PROTOCOL
         raise CtlError(str(error), code) from error
     finally:
         server.stop()
+
+
+def _client(
+    args: argparse.Namespace, address: str, token: bytes | None, tls: "ssl.SSLContext | None"
+) -> MapClient:
+    return MapClient(
+        address,
+        token=token,
+        tls=tls,
+        wants=VIEW_WANTS,
+        interest=Interest(level=args.level, radius_m=args.radius),
+        name="mapperctl view",
+    )
 
 
 async def _follow(server: "ViserServer", client: MapClient, *, may_change: bool) -> None:

@@ -2,8 +2,10 @@ import importlib.util
 import json
 import os
 import random
+import signal
 import subprocess
 import sys
+import urllib.request
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -392,3 +394,36 @@ def test_extra_that_the_settings_need_is_missed_at_the_start(
     assert live(tmp_path, settings) == DaemonExit.BAD_CONFIG
     (line,) = capsys.readouterr().err.splitlines()
     assert "pip install" in line
+
+
+@pytest.mark.net
+def test_a_replay_is_shown_in_the_browser_until_interrupted(
+    recording: Path, quick_config: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("viser", reason="the extra `topside` is not installed")
+    words = ["--replay", recording, "--config", quick_config, "--out", tmp_path / "out"]
+    command = [sys.executable, "-m", "mapperd", *map(str, words), "--view", "0"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:  # noqa: S603
+        assert process.stderr is not None
+        url = ""
+        for line in process.stderr:
+            url = line.split()[-1] if "the map is shown at" in line else url
+            if "until Ctrl-C" in line:
+                break
+        with urllib.request.urlopen(url, timeout=60) as page:  # noqa: S310 our own
+            assert page.status == 200
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == DaemonExit.OK
+    assert summary_in(tmp_path / "out")["pings_mapped"] == 5
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [(["--view"], "mapperctl view"), (["--replay", "a", "--store", "b", "--view"], "view MAP")],
+)
+def test_what_cannot_be_viewed_names_the_alternative(
+    words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert (ended.value.code, hint in capsys.readouterr().err) == (DaemonExit.USAGE, True)

@@ -1,16 +1,30 @@
 """Who may talk to the page, and the error when it cannot be served."""
 
 import asyncio
+import contextlib
 import sys
 import webbrowser
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mapperd.cli.mapperctl.arguments import parser
 from mapperd.cli.mapperctl.command import main
 from mapperd.cli.mapperctl.errors import CtlError, CtlExit
 from mapperd.cli.mapperctl.view import open_page, run_view, same_origin
+from mapperd.client import AskError, MapClient
+from mapperd.daemon.map_server import MapServer, saved_map
+from mapperd.mapping.content import MapContent
+from mapperd.store.stored_map import StoredMap
+from tests.mapperd.store.dive import CONFIG, dive_on, open_store
+from tests.support.mapperctl import call
+from tests.support.maps import FREE, OCCUPIED, map_of
+
+__all__ = ["call"]
+
+Call = Callable[..., tuple[int, list[str], str]]
 
 pytestmark = pytest.mark.net
 
@@ -81,3 +95,71 @@ def test_what_cannot_be_is_refused(words: list[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         parser().parse_args(["view", *words])
     assert ended.value.code == CtlExit.USAGE
+
+
+def test_a_map_file_is_served_as_a_daemon_serves_its_map(tmp_path: Path) -> None:
+    path = tmp_path / "a.map"
+    sonar_map = map_of(OCCUPIED, FREE)
+    sonar_map.save(path)
+
+    async def follow() -> None:
+        async with serving(path) as client:
+            await until_cells(client, sonar_map)
+            assert (await client.ask("status"))["phase"] == "file"
+            with pytest.raises(AskError, match="no daemon maps live"):
+                await client.ask("reset")
+
+    asyncio.run(follow())
+
+
+def test_a_daemon_s_file_is_followed_while_it_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "dive.map"
+    sonar_map, store = open_store(path)
+
+    async def follow() -> None:
+        dive_on(sonar_map, store, 0, 3)
+        store.save()
+        async with serving(path) as client:
+            before = await until_cells(client, StoredMap(path, CONFIG))
+            dive_on(sonar_map, store, 3, 9)
+            store.save()
+            assert await until_cells(client, StoredMap(path, CONFIG)) > before
+
+    with store:
+        asyncio.run(follow())
+
+
+@contextlib.asynccontextmanager
+async def serving(path: Path) -> AsyncIterator[MapClient]:
+    sonar_map, store = saved_map(path, CONFIG)
+    server = MapServer(sonar_map, store, str(path), "file")
+    async with server.serving() as address, MapClient(address) as client:
+        yield client
+
+
+async def until_cells(client: MapClient, content: MapContent) -> int:
+    """Wait until a client has exactly the occupied voxels of a map; return their number."""
+    wanted = [batch.centres_m for batch in content.occupied().batches()]
+    content.close()
+    centres_m = np.concatenate(wanted)
+    expected = centres_m[np.lexsort(centres_m.T)]
+    found = np.empty((0, 3))
+    async with asyncio.timeout(60):
+        async for _ in client.changes():
+            if client.mirror is not None:
+                found = client.mirror.cells("occupied").centres_m
+            if len(found) == len(expected):
+                break
+    np.testing.assert_allclose(found[np.lexsort(found.T)], expected, atol=1e-6)
+    return len(found)
+
+
+def test_what_is_no_map_is_one_line(tmp_path: Path, call: Call) -> None:
+    recording = tmp_path / "dive one.mcap"
+    recording.write_bytes(b"\x89MCAP0\r\n")
+    code, _, error = call("view", recording)
+    assert (code, "mapperd --replay" in error, "dive one.mcap' --view" in error) == (2, True, True)
+    code, _, error = call("view", tmp_path / "none.map")
+    assert (code, "no such file" in error) == (2, True)
+    code, _, error = call("view", recording, "--socket", tmp_path / "a.sock")
+    assert (code, "--socket" in error) == (2, True)
