@@ -113,8 +113,7 @@ def map_recordings(
                 "mapperctl view MAP shows the file while it grows"
             )
         return _mapped_on_disk(runs, sonar_map, window, arguments.out, trajectory)
-    page = show(sonar_map)
-    return sonar_map, _replayed(runs, sonar_map, window, trajectory, page=page)(sonar_map)
+    return sonar_map, _mapped(runs, sonar_map, window, trajectory, show(sonar_map))
 
 
 def _mapped_on_disk(
@@ -131,6 +130,17 @@ def _mapped_on_disk(
             summary = _replayed(runs, sonar_map, window, trajectory, persistence=persistence)
         whole = StoredMap(path, sonar_map.config)  # stays readable without its name
     return whole, summary(whole)
+
+
+def _mapped(
+    runs: Sequence[Run],
+    sonar_map: SonarMap,
+    window: Window,
+    trajectory: Trajectory,
+    page: "ReplayView | None" = None,
+) -> dict[str, Any]:
+    """Map in memory; return the summary."""
+    return _replayed(runs, sonar_map, window, trajectory, page=page)(sonar_map)
 
 
 def _replayed(
