@@ -64,9 +64,41 @@ def test_classic_writes_what_the_plugin_published(tmp_path: Path) -> None:
     assert (tmp_path / "points.ply").stat().st_size > 10_000
 
 
+def test_classic_mode_honours_range_rows_products_and_camera(tmp_path: Path) -> None:
+    argv = ["render", "flat_floor", "--mode", "classic", "--pose", "0,0,-4,0,10,0"]
+    argv += ["--camera", "256x57", "--only", "raw_scan,depth"]
+    scans = []
+    for name, more in (("plain", []), ("fine", ["--scan-rows", "800"]), ("near", ["--range", "8"])):
+        assert main([*argv, "--out", str(tmp_path / name), *more]) == 0
+        found = sorted(path.name for path in (tmp_path / name).iterdir())
+        assert found == ["classic.npz", "depth.png", "raw_scan.png"]
+        arrays = np.load(tmp_path / name / "classic.npz")
+        assert sorted(arrays) == ["depth_m", "raw_scan"]
+        scans.append(arrays)
+    plain, fine, near = scans
+    assert plain["raw_scan"].shape == (400, 578)
+    assert fine["raw_scan"].shape == (800, 1136)
+    assert near["depth_m"].max() <= 8.0 < plain["depth_m"].max() <= 17.0
+    middle = near["raw_scan"][:, 289] > 0.3  # above empty water
+    assert middle.any()
+    # The nearest echo lies higher in the picture, the shorter the range.
+    assert np.flatnonzero(middle).max() < np.flatnonzero(plain["raw_scan"][:, 289] > 0.3).max()
+
+
 @pytest.mark.parametrize(
     ("argv", "reason"),
     [
+        (
+            ["render", "flat_floor", "--out", "x", "--mode", "classic", "--only", "truth"],
+            "classic mode has no product truth; it has depth",
+        ),
+        *(
+            (
+                ["render", "flat_floor", "--out", "x", "--mode", "classic", *option],
+                f"{option[0]} has no effect in classic mode",
+            )
+            for option in (["--effects", "all"], ["--height", "300"], ["--colours", "inferno"])
+        ),
         (["render", "nowhere", "--out", "x"], "no scene is named nowhere"),
         (["render", "flat_floor", "--out", "x", "--only", "fun"], "no product is called fun"),
         (["validate", "--out", "x", "--only", "V99"], "no case is named V99"),

@@ -160,3 +160,12 @@ def test_no_fire_message_asks_for_what_cannot_be(demand: FireRequest, model: str
     assert sonar.told_speed_mps is None or 1300.0 <= sonar.told_speed_mps <= 1700.0
     period = period_s(demand, sonar, WATER, 10_000)
     assert 2.0 * sonar.range_m / 1600.0 < period <= 1.0
+
+
+def test_settings_that_modes_share_stay_when_the_mode_changes() -> None:
+    own = {"side_lobe_db": 20.0, "tvg_spreading_log": 20.0, "pulse_s": 5e-4, "forced_rows": 200}
+    sonar = sonar_preset("M1200d", 1, array_gain_db=30.0, crosstalk_db=None, **own)
+    made = settings_for(FireRequest(mode=2, flags=METRES, range_demand=5.0), sonar, WATER)
+    assert made.frequency_hz == sonar_preset("M1200d", 2).frequency_hz
+    assert (made.array_gain_db, made.crosstalk_db) == (30.0, None)
+    assert {name: getattr(made, name) for name in own} == own

@@ -1,12 +1,14 @@
+import math
 import re
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 from sonar_sim.errors import SceneError
 from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene.scene import Bubbles, Sea, Sediment
-from sonar_sim.scene.sonar import SonarSettings
+from sonar_sim.scene.sonar import SonarSettings, sonar_preset
 from sonar_sim.scene.water import Water
 from sonar_sim.scene_file import load_scenario, scene_names
 
@@ -52,6 +54,48 @@ vehicle: {odometry: {rate_hz: 50, outages_s: [[1, 2]]}}
     assert (scenario.sonar.frequency_hz, scenario.sonar.rows) == (2.1e6, 300)
     assert (scenario.sonar.bits, scenario.sonar.told_speed_mps) == (16, 1480.0)
     assert scenario.vehicle.errors.outages_s == ((1.0, 2.0),)
+
+
+def test_every_parameter_of_the_sonar_can_be_set(load: Load) -> None:
+    sonar = load("""
+sonar:
+  {model: M1200d, mode: 2, range_m: 4, beams: 256, bits: 16, gain_percent: 70, gamma_byte: 127,
+   rows: 300, told_speed_mps: 1480, frequency_khz: 900, aperture_deg: 90, beam_width_deg: 0.5,
+   vertical_width_deg: 11, max_range_m: 30, base_row_mm: 3, pulse_ms: 0.5, source_level_db: 190,
+   array_gain_db: 30, side_lobe_db: 20, noise_excess_db: 35, tvg_spreading_log: 20,
+   crosstalk_db: -50}
+""").sonar
+    expected = SonarSettings(
+        frequency_hz=900e3,
+        beams=256,
+        half_aperture_rad=math.radians(45),
+        beam_width_rad=math.radians(0.5),
+        side_lobe_db=20,
+        vertical_width_rad=math.radians(11),
+        demanded_range_m=4,
+        base_row_m=0.003,
+        source_level_db=190,
+        array_gain_db=30,
+        noise_excess_db=35,
+        gain_percent=70,
+        tvg_spreading_log=20,
+        gamma_byte=127,
+        model="M1200d",
+        mode=2,
+        max_range_m=30,
+        bits=16,
+        forced_rows=300,
+        told_speed_mps=1480,
+        pulse_s=0.5e-3,
+        crosstalk_db=-50,
+    )
+    standard = sonar_preset("M1200d", 2)
+    for field in fields(SonarSettings):
+        value = getattr(sonar, field.name)
+        assert value == pytest.approx(getattr(expected, field.name)), field.name
+        if field.name not in ("model", "mode"):
+            assert value != getattr(standard, field.name), field.name
+    assert load("sonar: {model: M1200d, mode: 2}").sonar == standard
 
 
 def test_ping_rate_is_no_higher_than_the_sound_allows(load: Load) -> None:

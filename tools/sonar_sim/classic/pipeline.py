@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.classic import scan as fourth
-from sonar_sim.classic import scan as third
+from sonar_sim.classic import scan
 from sonar_sim.raycast.depth_camera import Pinhole
 
 DOWN = np.array([[-1, -2, -1], [0, 0, 0], [1, 2, 1]], dtype=np.float32) / 8.0
@@ -117,9 +116,9 @@ CLOUD_FROM_M = 0.4
 """Nearer points are left out of its point cloud."""
 
 
-def classic_camera(width: int = 760, height: int = 169) -> Pinhole:
+def classic_camera(width: int = 760, height: int = 169, far_m: float = scan.RANGE_M) -> Pinhole:
     """The depth camera of the plugin's example: 88.65°, clipped at 0.1 and 17 m."""
-    return Pinhole(width, height, HORIZONTAL_RAD, near_m=0.1, far_m=17.0)
+    return Pinhole(width, height, HORIZONTAL_RAD, near_m=0.1, far_m=far_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,8 +129,8 @@ class ClassicImages:
         depth_m: float32 (height, width), 0 where nothing is.
         normals: float32 (height, width, 3), 0 to 1.
         snr: float32 (height, width), 0 to 1.
-        raw_scan: float32 (400, columns).
-        fan: uint8 (400, columns, 3), red first.
+        raw_scan: float32 (rows, columns).
+        fan: uint8 (rows, columns, 3), red first.
     """
 
     depth_m: NDArray[np.float32] = field(repr=False)
@@ -159,6 +158,9 @@ def classic_images(
     depth_m: NDArray[np.float32],
     horizontal_rad: float = HORIZONTAL_RAD,
     generator: np.random.Generator | None = None,
+    *,
+    rows: int = scan.ROWS,
+    range_m: float = scan.RANGE_M,
 ) -> ClassicImages:
     """Run the plugin's pipeline.
 
@@ -167,11 +169,14 @@ def classic_images(
         horizontal_rad: field of view across.
         generator: of its speckle; a fixed one if none is given. The draws are ours, not those of
             the C++ library that the plugin was built with.
+        rows: of the plan view; 400 in the plugin.
+        range_m: that the rows cover; 17 m in the plugin.
     """
     focal_px = depth_m.shape[1] / (2.0 * math.tan(horizontal_rad / 2.0))
     x, y = places(depth_m.shape, focal_px)
     bent = normals(depth_m, focal_px)
     levels = snr(depth_m, bent[..., 2], x, y)
-    strewn = third.projected(depth_m, levels, x, y, third.sector_mask(horizontal_rad))
-    raw = third.speckled(third.blurred(strewn), generator or np.random.default_rng(1))
-    return ClassicImages(depth_m, bent, levels, raw, fourth.picture(raw, horizontal_rad))
+    empty = scan.sector_mask(horizontal_rad, rows)
+    strewn = scan.projected(depth_m, levels, x, y, empty, range_m=range_m)
+    raw = scan.speckled(scan.blurred(strewn), generator or np.random.default_rng(1))
+    return ClassicImages(depth_m, bent, levels, raw, scan.picture(raw, horizontal_rad))

@@ -15,19 +15,19 @@ BROADER_PX = (3, 9)
 """Width and height of the ellipse by which echoes grow."""
 
 
-def columns_of(horizontal_rad: float) -> int:
+def columns_of(horizontal_rad: float, rows: int = ROWS) -> int:
     """Width of the plan view."""
-    return 2 * int(ROWS * math.sin(horizontal_rad / 2.0)) + 20
+    return 2 * int(rows * math.sin(horizontal_rad / 2.0)) + 20
 
 
-def sector_mask(horizontal_rad: float) -> NDArray[np.float32]:
-    """Empty water: 0.2 in the outer two thirds of the range, 0 in the inner, (400, columns)."""
-    columns = columns_of(horizontal_rad)
-    scan = np.zeros((ROWS, columns), dtype=np.float32)
+def sector_mask(horizontal_rad: float, rows: int = ROWS) -> NDArray[np.float32]:
+    """Empty water: 0.2 in the outer two thirds of the range, 0 in the inner, (rows, columns)."""
+    columns = columns_of(horizontal_rad, rows)
+    scan = np.zeros((rows, columns), dtype=np.float32)
     half_deg = math.degrees(horizontal_rad) / 2.0
-    for radius, value in ((ROWS, float(PEDESTAL)), (ROWS // 3, 0.0)):
+    for radius, value in ((rows, float(PEDESTAL)), (rows // 3, 0.0)):
         cv2.ellipse(
-            scan, (columns // 2, ROWS), (radius, radius), -90, -half_deg, half_deg, (value,), -1
+            scan, (columns // 2, rows), (radius, radius), -90, -half_deg, half_deg, (value,), -1
         )
     return scan
 
@@ -37,16 +37,19 @@ def cells(
     x: NDArray[np.float32],
     y: NDArray[np.float32],
     columns: int,
+    *,
+    rows: int = ROWS,
+    range_m: float = RANGE_M,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
     """Row and column of each depth pixel, and whether they lie in the plan view."""
     depth_m = np.nan_to_num(depth_m, nan=0.0, posinf=1e6, neginf=0.0)
     ahead_m = depth_m * np.sqrt(y[:, None] ** 2 + np.float32(1.0))
     aside_m = x[None, :] * ahead_m
-    per_m = np.float32(ROWS / RANGE_M)
-    row = ROWS - 1 - np.trunc(ahead_m * per_m).astype(np.int64)
+    per_m = np.float32(rows / range_m)
+    row = rows - 1 - np.trunc(ahead_m * per_m).astype(np.int64)
     column = columns // 2 + np.trunc(aside_m * per_m).astype(np.int64)
-    inside = (row > 0) & (row < ROWS) & (column > 0) & (column < columns)
-    return row, column, inside & (aside_m**2 + ahead_m**2 < RANGE_M**2)
+    inside = (row > 0) & (row < rows) & (column > 0) & (column < columns)
+    return row, column, inside & (aside_m**2 + ahead_m**2 < range_m**2)
 
 
 def projected(
@@ -55,9 +58,12 @@ def projected(
     x: NDArray[np.float32],
     y: NDArray[np.float32],
     scan: NDArray[np.float32],
+    *,
+    range_m: float = RANGE_M,
 ) -> NDArray[np.float32]:
     """Write each pixel into its cell; whichever comes last in the picture stays."""
-    row, column, inside = cells(depth_m, x, y, scan.shape[1])
+    rows, columns = scan.shape
+    row, column, inside = cells(depth_m, x, y, columns, rows=rows, range_m=range_m)
     written = inside & (depth_m != 0.0) & (snr != 0.0)
     result = scan.copy()
     # Of equal places the last value is assigned, as in the original's loop.

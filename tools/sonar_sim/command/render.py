@@ -10,9 +10,11 @@ from tqdm import tqdm
 
 from oculus_driver.render import COLOURS, Style
 from sonar_sim.classic import classic_camera
+from sonar_sim.classic.scan import RANGE_M
 from sonar_sim.classic.writer import write_classic
 from sonar_sim.command.arguments import count, names, pose, positive, seed, size, time_on
-from sonar_sim.errors import OK
+from sonar_sim.effects.plan import AUTO
+from sonar_sim.errors import OK, SonarSimError
 from sonar_sim.geometry.pose import FramePose
 from sonar_sim.products import PRODUCTS, ProductRenderer, write_products
 from sonar_sim.products.writer import ProductSettings
@@ -22,6 +24,8 @@ from sonar_sim.scene_file import load_scenario
 
 NAME = "render"
 HELP = "write pings of a scene with their ground truth as PNG, NPZ and PLY"
+
+HEIGHT_PX, COLOUR_MAP = 900, "inferno"
 
 Draw = Callable[[Path, int, float, FramePose], list[Path]]
 """Writes a ping into a folder: number, time, and the sonar's pose."""
@@ -44,21 +48,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--only", metavar="A,B", type=names, default=(), help=f"products: {', '.join(PRODUCTS)}")
     add(
         "--effects",
-        default="auto",
         help="auto, all, none or names, separated by commas; then +name and -name (default: auto)",
     )
-    add("--range", metavar="M", type=positive, dest="range_m", help="range (default: the scene's)")
+    add(
+        "--range",
+        metavar="M",
+        type=positive,
+        dest="range_m",
+        help="range (default: the scene's; classic: 17)",
+    )
     add("--seed", metavar="N", type=seed, default=0)
     add("--camera", metavar="WxH", type=size, help="pixels of the depth and normal images")
-    add("--height", metavar="PX", type=count, default=900, help="height of the fan picture")
+    add("--height", metavar="PX", type=count, help="height of the fan picture (default: 900)")
     add("--scan-rows", metavar="N", type=count, default=400, help="rows of the raw scan")
-    add("--colours", choices=tuple(COLOURS), default="inferno")
+    add("--colours", choices=tuple(COLOURS), help="of the fan picture (default: inferno)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Write, one folder a ping if there are several."""
     scenario = load_scenario(args.scene)
-    if args.range_m is not None:
+    if args.range_m is not None and args.mode == "physical":
         sonar = replace(scenario.sonar, demanded_range_m=args.range_m)
         scenario = replace(scenario, sonar=sonar)
     stops = list(_stops(args, scenario))
@@ -91,9 +100,9 @@ def _physical(args: argparse.Namespace, scenario: Scenario) -> Draw:
     if args.camera is not None:
         camera = replace(camera, width=args.camera[0], height=args.camera[1])
     sounder = ProductRenderer(
-        scenario.scene, scenario.sonar, camera, args.seed, effects=args.effects
+        scenario.scene, scenario.sonar, camera, args.seed, effects=args.effects or AUTO
     )
-    style = Style(height_px=args.height, colours=args.colours)
+    style = Style(height_px=args.height or HEIGHT_PX, colours=args.colours or COLOUR_MAP)
     look = ProductSettings(style, args.scan_rows)
 
     def draw(folder: Path, ping_id: int, time_s: float, map_T_sonar: FramePose) -> list[Path]:  # noqa: N803
@@ -105,11 +114,21 @@ def _physical(args: argparse.Namespace, scenario: Scenario) -> Draw:
 
 
 def _classic(args: argparse.Namespace, scenario: Scenario) -> Draw:
-    """The published pipeline's products, from the same place."""
-    camera = classic_camera(*(args.camera or (760, 169)))
+    """The published pipeline's products, from the same place.
+
+    Raises:
+        SonarSimError: an option that the pipeline has nothing for.
+    """
+    for option in ("effects", "height", "colours"):
+        if getattr(args, option) is not None:
+            raise SonarSimError(f"--{option} has no effect in classic mode")
+    range_m = args.range_m or RANGE_M
+    width, height = args.camera or (760, 169)
+    camera = classic_camera(width, height, far_m=range_m)
 
     def draw(folder: Path, ping_id: int, time_s: float, map_T_sonar: FramePose) -> list[Path]:  # noqa: N803
         view = DepthCamera(scenario.scene, time_s).look(camera, map_T_sonar)
-        return write_classic(folder, view, args.seed + ping_id)
+        seed = args.seed + ping_id
+        return write_classic(folder, view, seed, args.only, rows=args.scan_rows, range_m=range_m)
 
     return draw

@@ -18,6 +18,18 @@ MAX_SALT_PPT = 42.0
 LINK_SPEED = (0, 255)
 """Bytes that mean: as fast as the link."""
 
+OF_ALL_MODES = (
+    "side_lobe_db",
+    "source_level_db",
+    "array_gain_db",
+    "noise_excess_db",
+    "tvg_spreading_log",
+    "forced_rows",
+    "pulse_s",
+    "crosstalk_db",
+)
+"""Settings of a scenario's sonar that its modes share, and that fire messages lack."""
+
 PROCESSING_S = 0.002
 """Between the last echo and the first byte."""
 
@@ -70,7 +82,10 @@ def settings_for(demand: FireRequest, sonar: SonarSettings, water: Water) -> Son
     """
     part = part_number_of(sonar.model)
     mode = demand.mode if _has_mode(sonar.model, demand.mode) else 1
-    base = sonar if mode == sonar.mode else sonar_preset(sonar.model, mode)
+    base = sonar
+    if mode != sonar.mode:
+        kept = {name: getattr(sonar, name) for name in OF_ALL_MODES}
+        base = sonar_preset(sonar.model, mode, **kept)
     gain = demand.gain_percent if math.isfinite(demand.gain_percent) else base.gain_percent
     return replace(
         base,
@@ -80,8 +95,6 @@ def settings_for(demand: FireRequest, sonar: SonarSettings, water: Water) -> Son
         gamma_byte=demand.gamma,
         bits=requested_bits(demand),
         told_speed_mps=_assumed_speed_mps(demand, water),
-        source_level_db=sonar.source_level_db,
-        noise_excess_db=sonar.noise_excess_db,
     )
 
 

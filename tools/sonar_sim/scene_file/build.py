@@ -1,5 +1,6 @@
 """From a checked file to a scenario."""
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -173,8 +174,22 @@ def _water(section: schema.WaterSection) -> Water:
     return Water(**values)
 
 
+_SONAR_UNITS = {
+    "frequency_khz": ("frequency_hz", KILO),
+    "aperture_deg": ("half_aperture_rad", math.radians(0.5)),
+    "beam_width_deg": ("beam_width_rad", math.radians(1.0)),
+    "vertical_width_deg": ("vertical_width_rad", math.radians(1.0)),
+    "base_row_mm": ("base_row_m", 1 / MILLI),
+    "pulse_ms": ("pulse_s", 1 / MILLI),
+}
+"""Field of the sonar, and its unit, of what the file has in other units."""
+
+
 def _sonar(section: schema.SonarSection) -> SonarSettings:
     values = {k: v for k, v in msgspec.structs.asdict(section).items() if v is not msgspec.UNSET}
+    for name, (field, factor) in _SONAR_UNITS.items():
+        if name in values:
+            values[field] = values.pop(name) * factor
     values["demanded_range_m"] = values.pop("range_m")
     values["forced_rows"] = values.pop("rows")
     del values["ping_rate_hz"]

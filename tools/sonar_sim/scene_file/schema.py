@@ -384,9 +384,41 @@ class SonarSection(Section, frozen=True):
         Annotated[float, Meta(ge=1300, le=1700)] | None,
         field_info("Speed of sound that it assumes.", "m/s"),
     ] = None
+    frequency_khz: Annotated[
+        Annotated[float, Meta(ge=10, le=10000)] | UnsetType,
+        field_info("Acoustic frequency.", "kHz"),
+    ] = UNSET
+    aperture_deg: Annotated[
+        Annotated[float, Meta(gt=0, le=178)] | UnsetType,
+        field_info("Between the outermost beams.", "°"),
+    ] = UNSET
+    beam_width_deg: Annotated[
+        Annotated[float, Meta(ge=0.05, le=30)] | UnsetType,
+        field_info("Of a beam in azimuth at -3 dB, one way.", "°"),
+    ] = UNSET
+    vertical_width_deg: Annotated[
+        Annotated[float, Meta(ge=0.5, le=90)] | UnsetType,
+        field_info("Of the fan in elevation at -3 dB, one way.", "°"),
+    ] = UNSET
+    max_range_m: Annotated[
+        Annotated[float, Meta(ge=0.1, le=200)] | UnsetType,
+        field_info("What may be asked for.", "m"),
+    ] = UNSET
+    base_row_mm: Annotated[
+        Annotated[float, Meta(ge=0.5, le=1000)] | UnsetType,
+        field_info("Finest spacing of rows.", "mm"),
+    ] = UNSET
+    pulse_ms: Annotated[
+        Annotated[float, Meta(gt=0, le=1000)] | UnsetType,
+        field_info("Length of the chirp, for the Doppler shift.", "ms"),
+    ] = UNSET
     source_level_db: Annotated[
         Annotated[float, Meta(ge=0, le=260)] | UnsetType,
         field_info("Source level.", "dB re 1 µPa at 1 m"),
+    ] = UNSET
+    array_gain_db: Annotated[
+        Annotated[float, Meta(ge=0, le=100)] | UnsetType,
+        field_info("Of the receiving array against thermal noise.", "dB"),
     ] = UNSET
     side_lobe_db: Annotated[
         Annotated[float, Meta(ge=13.3, le=80)] | UnsetType,
