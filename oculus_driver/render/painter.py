@@ -11,8 +11,8 @@ import numpy as np
 
 from oculus_driver.bearings import edges_rad
 from oculus_driver.errors import OculusError
+from oculus_driver.fan import FanGeometry, fit_fan, ring_ranges_m
 from oculus_driver.ping import caption_lines
-from oculus_driver.render.fan import FanGeometry, fit_fan
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -217,21 +217,8 @@ def _draw_line(frame: NDArray[np.uint8], points: NDArray[np.float64]) -> None:
     cv2.polylines(frame, [fixed[0]], False, LINE, 1, cv2.LINE_AA, 4)  # noqa: FBT003 - OpenCV's
 
 
-_MAX_RINGS: Final = 6
-_SLACK: Final = 2e-3
-"""Images end slightly before the requested range: 1.998 m get a ring at 2 m."""
-
 _SPOKE_STEPS_DEG: Final = (5, 10, 15, 30, 45)
 _MAX_SPOKES: Final = 9
-
-
-def ring_ranges_m(max_range_m: float) -> list[float]:
-    """Return at most six ranges, multiples of 1, 2 or 5 times a power of ten."""
-    step = 10.0 ** math.floor(math.log10(max_range_m / _MAX_RINGS))
-    factor = next(f for f in (1, 2, 5, 10, 20) if max_range_m / (f * step) <= _MAX_RINGS + 1e-9)
-    step *= factor
-    count = math.floor(max_range_m / step * (1.0 + _SLACK))
-    return [round(step * index, 9) for index in range(1, count + 1)]
 
 
 def spoke_bearings_deg(bearings_rad: NDArray[np.float64]) -> list[int]:

@@ -11,10 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oculus_driver import OculusError, Ping, bearing_table_cdeg, decode_ping
+from oculus_driver.fan import ring_ranges_m
 from oculus_driver.ping import caption_lines, format_time
 from oculus_driver.render import Painter, Style, fit_fan, warp_to_fan
 from oculus_driver.render.files import PngFolder, VideoFile
-from oculus_driver.render.painter import ring_ranges_m, spoke_bearings_deg
+from oculus_driver.render.painter import spoke_bearings_deg
 
 if TYPE_CHECKING:
     from collections.abc import Callable

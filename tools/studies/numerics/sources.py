@@ -59,7 +59,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
         "mapperd/export/geotiff.py",
         *_in("tools/mapper_survey/", "coverage.py export.py"),
     ),
-    "pictures of pings": _in("oculus_driver/", "render/fan.py render/painter.py ping.py"),
+    "pictures of pings": _in("oculus_driver/", "fan.py render/painter.py ping.py"),
     "`meshes`, `tracing` (Embree)": (
         "cpp/python/acoustics/tracing.cpp",
         ACOUSTICS + "neighbours.cpp",

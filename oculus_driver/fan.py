@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -79,3 +80,17 @@ def fit_fan(
         positions.astype(np.float32),
         outside,
     )
+
+
+_MAX_RINGS: Final = 6
+_SLACK: Final = 2e-3
+"""Images end slightly before the requested range: 1.998 m get a ring at 2 m."""
+
+
+def ring_ranges_m(max_range_m: float) -> list[float]:
+    """Return at most six ranges, multiples of 1, 2 or 5 times a power of ten."""
+    step = 10.0 ** math.floor(math.log10(max_range_m / _MAX_RINGS))
+    factor = next(f for f in (1, 2, 5, 10, 20) if max_range_m / (f * step) <= _MAX_RINGS + 1e-9)
+    step *= factor
+    count = math.floor(max_range_m / step * (1.0 + _SLACK))
+    return [round(step * index, 9) for index in range(1, count + 1)]
