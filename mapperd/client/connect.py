@@ -60,7 +60,8 @@ def daemon_address(address: str) -> DaemonAddress:
     host, sign, port = address.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     if not (sign and host and port.isascii() and port.isdigit() and 0 < int(port) < 1 << 16):
-        raise ValueError(f"{address!r}: expected HOST:PORT or the path of a socket")
+        example = "" if ":" in address else f", such as {address}:7471,"
+        raise ValueError(f"{address!r}: expected HOST:PORT{example} or the path of a socket")
     return DaemonAddress(host=host, port=int(port))
 
 
@@ -146,6 +147,8 @@ def reason_of(error: OSError) -> str:
         return "the server has no TLS: connect without it"
     if isinstance(error, PermissionError):
         raise EndedError(f"cannot connect: {error.strerror}", "no_permission") from error
+    if error.errno and error.errno > 0 and not isinstance(error, ssl.SSLError):
+        return os.strerror(error.errno)  # asyncio's text is that of its call
     return str(error.strerror or error) or type(error).__name__
 
 

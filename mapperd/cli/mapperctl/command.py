@@ -94,10 +94,13 @@ def _stream(args: argparse.Namespace) -> tuple[str, bytes | None, ssl.SSLContext
     if args.address and args.socket:
         raise CtlError("--socket or --address, not both", CtlExit.USAGE)
     if args.address:
+        from mapperd.client.connect import daemon_address  # noqa: PLC0415 needs numpy
+
         try:
+            daemon_address(args.address)
             path = _token_path(args, _settings(args).config)
             token = None if path is None else read_token(path)
-        except ConfigError as error:
+        except (ConfigError, ValueError) as error:
             raise CtlError(str(error), CtlExit.USAGE) from error
         return args.address, token, _tls(args.tls_ca)
     if args.socket:

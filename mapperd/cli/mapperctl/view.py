@@ -8,6 +8,7 @@ import ipaddress
 import json
 import shlex
 import signal
+import sys
 import threading
 import time
 import webbrowser
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import urlsplit
 
 from mapperd.cli.mapperctl.errors import CtlError, CtlExit
-from mapperd.client import Interest, MapClient, StreamError
+from mapperd.client import Interest, LinkChanged, MapClient, StreamError
 from mapperd.config.tree import Config
 from mapperd.daemon.map_server import MapServer, saved_map
 from mapperd.errors import MapperdError, missing_extra
@@ -272,7 +273,30 @@ async def _follow(server: "ViserServer", client: MapClient, *, may_change: bool)
     with contextlib.suppress(NotImplementedError, RuntimeError):  # a thread, or no Unix
         loop.add_signal_handler(signal.SIGTERM, lambda: loop.create_task(client.close()))
     async with client:
-        await ViewerPage(server, client, may_change=may_change, recorder=FoxgloveRecording).run()
+        page = ViewerPage(server, client, may_change=may_change, recorder=FoxgloveRecording)
+        reporting = asyncio.create_task(_report_link(client))
+        try:
+            await page.run()
+        finally:
+            reporting.cancel()
+
+
+async def _report_link(client: MapClient) -> None:
+    """Report each outage of the link in one line; the page shows it, too."""
+    is_reported = False
+    with contextlib.suppress(StreamError):  # the page raises it
+        async for change in client.changes():
+            if not isinstance(change, LinkChanged):
+                continue
+            link = change.link
+            if link.state == "connected":
+                if is_reported:
+                    sys.stderr.write(f"mapperctl: {link.address}: connected\n")
+                is_reported = False
+            elif link.reason and not is_reported:
+                text = f"{link.address}: no daemon answers: {link.reason}; trying again"
+                sys.stderr.write(f"mapperctl: {text}\n")
+                is_reported = True
 
 
 def _named(host: str) -> str:

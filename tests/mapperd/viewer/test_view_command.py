@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import socket
 import sys
 import webbrowser
 from collections.abc import AsyncIterator, Callable
@@ -13,7 +14,7 @@ import pytest
 from mapperd.cli.mapperctl.arguments import parser
 from mapperd.cli.mapperctl.command import main
 from mapperd.cli.mapperctl.errors import CtlError, CtlExit
-from mapperd.cli.mapperctl.view import open_page, run_view, same_origin
+from mapperd.cli.mapperctl.view import _report_link, open_page, run_view, same_origin
 from mapperd.client import AskError, MapClient
 from mapperd.daemon.map_server import MapServer, saved_map
 from mapperd.mapping.content import MapContent
@@ -163,3 +164,31 @@ def test_what_is_no_map_is_one_line(tmp_path: Path, call: Call) -> None:
     assert (code, "no such file" in error) == (2, True)
     code, _, error = call("view", recording, "--socket", tmp_path / "a.sock")
     assert (code, "--socket" in error) == (2, True)
+
+
+@pytest.mark.parametrize("command", [["view"], ["status"], ["export", "a.ply"]])
+def test_an_address_without_a_port_is_one_line(
+    command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*command, "--address", "192.168.2.2"]) == CtlExit.USAGE
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.count("\n") == 1
+    assert "192.168.2.2" in output.err
+    assert ":7471" in output.err
+
+
+def test_the_command_reports_each_outage_once(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+
+        async def work() -> None:
+            async with MapClient(address, token=b"x") as client:
+                reporting = asyncio.create_task(_report_link(client))
+                await asyncio.sleep(1.0)  # several attempts
+            await reporting
+
+        asyncio.run(work())
+    expected = f"mapperctl: {address}: no daemon answers: Connection refused; trying again\n"
+    assert capsys.readouterr().err == expected
