@@ -6,6 +6,8 @@ from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from mapperd.config.catalog import parameters
+
 if TYPE_CHECKING:
     from viser import ClientHandle, GuiTabHandle, ViserServer
 
@@ -111,6 +113,12 @@ def _limits(allowed: str) -> tuple[float | None, float | None]:
     return low, high
 
 
+_NAMES = tuple(parameters())
+"""Settings in the order of the configuration."""
+
+START, END = 1000, 1_000_000
+"""Places in the tab: behind the search; behind settings that this version knows."""
+
 NOTE_TIMEOUT_S = 6.0
 
 SetSettings = Callable[[dict[str, Any]], Awaitable[dict[str, Any]]]
@@ -148,9 +156,8 @@ class SettingsPanel:
     def take(self, facts: Mapping[str, Any]) -> None:
         """Update settings: first all of them, then those that changed."""
         self._facts.update(facts)
-        for section, controls in controls_of(self._facts).items():
-            if section not in self._forms:
-                self._add_form(section, controls)
+        for section, controls in controls_of(facts).items():
+            self._add_controls(section, controls)
         for name in facts:
             if name in self._controls:
                 self._refresh(name)
@@ -174,39 +181,43 @@ class SettingsPanel:
         elif count:
             self._note.content = f"{count} live settings. Edit, then **Apply**."
 
-    def _add_form(self, section: str, controls: list[Control]) -> None:
-        gui = self._server.gui
-        with self._tab, gui.add_form(section, expand_by_default=False) as form:
+    def _add_controls(self, section: str, controls: list[Control]) -> None:
+        """Add the controls that are new; settings arrive in any order, in several messages."""
+        if section not in self._forms:
+            self._forms[section] = self._add_form(section)
+        with self._forms[section]:
             for control in controls:
-                self._controls[control.name] = (control, self._add(control))
-            button = gui.add_button(f"Apply {section}", color="cyan")
-        self._forms[section] = form
-        names = [control.name for control in controls]
-        button.on_click(lambda event: self._send(event.client, names))
-        form.on_submit(lambda event: self._send(event.client, names))
+                if control.name not in self._controls:
+                    self._controls[control.name] = (control, self._add(control))
+
+    def _add_form(self, section: str) -> Any:  # noqa: ANN401 of viser
+        gui = self._server.gui
+        place = next((k for k, name in enumerate(_NAMES) if name.startswith(f"{section}.")), END)
+        with self._tab:
+            form = gui.add_form(section, expand_by_default=False, order=float(START + place))
+        with form:
+            button = gui.add_button(f"Apply {section}", color="cyan", order=float(2 * END))
+        button.on_click(lambda event: self._send(event.client, section))
+        form.on_submit(lambda event: self._send(event.client, section))
+        return form
 
     def _add(self, control: Control) -> Any:  # noqa: ANN401 of viser
-        gui, value, hint = self._server.gui, control.value, control.hint
+        """Add a control in its place; without limits, which a browser clamps to in silence."""
+        gui, value, label = self._server.gui, control.value, control.label
+        place = _NAMES.index(control.name) if control.name in _NAMES else END
+        more: dict[str, Any] = {"hint": control.hint, "order": float(START + place)}
         if control.kind == "switch":
-            return gui.add_checkbox(control.label, value, hint=hint)
+            return gui.add_checkbox(label, value, **more)
         if control.kind == "choice":
-            return gui.add_dropdown(control.label, control.choices, initial_value=value, hint=hint)
+            return gui.add_dropdown(label, control.choices, initial_value=value, **more)
         if control.kind == "number":
-            return gui.add_number(
-                control.label,
-                value,
-                min=control.low,
-                max=control.high,
-                step=1 if control.whole else None,
-                hint=hint,
-            )
-        return gui.add_text(control.label, value, hint=hint)
+            return gui.add_number(label, value, step=1 if control.whole else None, **more)
+        return gui.add_text(label, value, **more)
 
-    def _send(self, client: "ClientHandle | None", names: list[str]) -> None:
+    def _send(self, client: "ClientHandle | None", section: str) -> None:
         changes = {}
-        for name in names:
-            control, handle = self._controls[name]
-            if handle.value != control.value:
+        for name, (control, handle) in self._controls.items():
+            if control.section == section and handle.value != control.value:
                 changes[name] = value_from(control, handle.value)
         if changes:
             self._apply(client, changes)
