@@ -53,6 +53,8 @@ class Actors:
         self._scene = scene
         for name in LAYERS:
             scene.add_frame(f"/{name}", show_axes=False)
+        scene.add_frame("/grid", show_axes=True, axes_length=1.0, axes_radius=0.02)
+        self._floor_m: float | None = None
         self._vehicle = scene.add_frame("/vehicle", show_axes=False, visible=False)
         self._sonar = scene.add_frame("/sonar", show_axes=False, visible=False)
         for part in vehicle_parts(VEHICLE_M):
@@ -76,6 +78,23 @@ class Actors:
         self._pieces = 0
         self._robots: set[str] = set()
         self._nodes = Nodes()
+
+    def floor(self, z_m: float) -> None:
+        """Draw the grid under the map: cells of 1 m, lines of 10 m, axes at the map's origin."""
+        if z_m == self._floor_m:
+            return
+        self._floor_m = z_m
+        self._scene.add_grid(
+            "/grid/floor",
+            infinite_grid=True,
+            cell_size=1.0,
+            cell_color=(60, 70, 85),
+            section_size=10.0,
+            section_color=(110, 125, 145),
+            fade_distance=150.0,
+            shadow_opacity=0.0,
+            position=(0.0, 0.0, z_m),
+        )
 
     def pose(self, pose: PoseMessage) -> None:
         """Move the vehicle."""
@@ -204,7 +223,7 @@ class Actors:
         self._path_sent = self._pieces = 0
 
     def show(self, name: str, *, shown: bool) -> None:
-        """Show or hide one kind: one of `LAYERS`, or `sonar/fan`."""
+        """Show or hide one kind: one of `LAYERS`, `grid`, or `sonar/fan`."""
         node = self._scene.get_handle_by_name(f"/{name}")
         if node is not None:
             node.visible = shown

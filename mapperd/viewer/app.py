@@ -18,8 +18,16 @@ from mapperd.viewer.map_layer import MapLayer
 from mapperd.viewer.panel import Panel
 from mapperd.viewer.save import MapRecorder, SaveControls
 from mapperd.viewer.settings import SettingsPanel
+from mapperd.viewer.sonar_panel import IMAGE_S, SonarPanel
 from mapperd.viewer.tools import Tools, pick
-from mapperd.wire.messages import PoseMessage, SettingsMessage, StatusMessage, Want
+from mapperd.wire.messages import (
+    ImageMessage,
+    PoseMessage,
+    ReturnsMessage,
+    SettingsMessage,
+    StatusMessage,
+    Want,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -42,6 +50,8 @@ VIEW_WANTS: tuple[Want, ...] = (
     "settings",
     "events",  # for recordings
 )
+
+IMAGE: tuple[Want, ...] = ("image",)
 
 MAP_S = 0.25
 """Period of map updates in browsers."""
@@ -98,6 +108,15 @@ class ViewerPage:
             recorder=recorder,
             begin=lambda work: self._post(lambda: self._begin(work())),
         )
+        self._sonar = SonarPanel(
+            server,
+            self._panel.tabs.add_tab("Sonar"),
+            self._panel.sonar_window,
+            post=self._post,
+            apply=self._apply,
+            shown=self._want_images,
+        )
+        self._wants: tuple[Want, ...] = VIEW_WANTS
         tab = self._panel.tabs.add_tab("Settings")
         self._settings = SettingsPanel(server, tab, self._apply)
         self._pose: PoseMessage | None = None
@@ -110,7 +129,8 @@ class ViewerPage:
 
     async def run(self) -> None:
         """Show the client's state until the client is closed."""
-        others = [asyncio.create_task(self._draw()), asyncio.create_task(self._update_status())]
+        works = (self._draw(), self._update_status(), self._draw_sonar())
+        others = [asyncio.create_task(work) for work in works]
         try:
             async for change in self._client.changes():
                 self.take(change)
@@ -134,9 +154,15 @@ class ViewerPage:
             case StatusMessage():
                 self.health.heartbeat(change.stamp_ns, time.time_ns())
                 self.health.take_status(change.status, change.link, time.monotonic())
+                self._sonar.take_status(change.status)
             case SettingsMessage():
                 self._settings.take(change.facts)
+                self._sonar.take_settings(change.facts)
+            case ImageMessage():
+                self._sonar.take_image(change)
             case _:
+                if isinstance(change, ReturnsMessage):
+                    self._sonar.take_returns(change)
                 self._actors.take(change, self._client.path, float(self._vehicle_m[2]))
 
     @property
@@ -166,6 +192,7 @@ class ViewerPage:
         self._low_m, self._high_m = np.full(3, np.inf), np.full(3, -np.inf)
         mirror = self._client.mirror
         if mirror is not None:
+            self.health.north_up = mirror.facts.origin_deg is not None
             odds = np.exp(mirror.facts.occupied_log_odds)
             self._panel.new_map(float(odds / (1 + odds)))
             self.map.change(self._panel.look)
@@ -179,6 +206,7 @@ class ViewerPage:
     def _take_pose(self, pose: PoseMessage) -> None:
         self._pose = pose
         self.health.pose_ns = pose.stamp_ns
+        self.health.position_m, self.health.yaw_rad = pose.position_m, self._yaw
         now_s = time.monotonic()
         if now_s - self._posed_s < POSE_S:
             return
@@ -216,8 +244,24 @@ class ViewerPage:
             return
         self._low_m, self._high_m = bounds
         self._panel.heights(float(bounds[0][2]), float(bounds[1][2]))
+        self._actors.floor(float(bounds[0][2]))
         for client in self._server.get_clients().values():
             self._place(client)
+
+    async def _draw_sonar(self) -> None:
+        """Send the newest sonar image while somebody watches."""
+        while True:
+            await asyncio.sleep(IMAGE_S)
+            if self._server.get_clients():
+                self._sonar.draw()
+
+    def _want_images(self) -> None:
+        """Request images only while a browser shows them."""
+        shown = self._sonar.is_live and bool(self._server.get_clients())
+        wants = (*VIEW_WANTS, *IMAGE) if shown else VIEW_WANTS
+        if wants != self._wants:
+            self._wants = wants
+            self._begin(self._client.change(wants=wants))
 
     async def _update_status(self) -> None:
         """Show the status twice a second, with or without a connection."""
@@ -235,6 +279,7 @@ class ViewerPage:
             await asyncio.sleep(STATUS_PERIOD_S)
 
     def _welcome(self, client: "ClientHandle") -> None:
+        self._want_images()
         self._tools.add(client, "follow")
         self._place(client)
 
@@ -248,6 +293,7 @@ class ViewerPage:
             client.camera.position, client.camera.look_at = at_m, towards_m
 
     def _farewell(self, client_id: int) -> None:
+        self._want_images()
         self._tools.forget(client_id)
         self._cameras.forget(client_id)
         self._placed.discard(client_id)
@@ -280,6 +326,8 @@ class ViewerPage:
 
         def begin() -> None:
             if not self._may_change:
+                self._settings.reset(changes)
+                self._sonar.reset(changes)
                 self._note(
                     client, "Refused", "Browsers on other computers may not change settings.", "red"
                 )
@@ -301,6 +349,7 @@ class ViewerPage:
                 else str(error)
             )
             self._settings.reset(changes)
+            self._sonar.reset(changes)
             self._note(client, "Refused", text, "red")
             return
         text = "\n".join(f"{name}: {was} is now {now}" for name, (was, now) in changed.items())

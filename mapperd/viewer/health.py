@@ -1,6 +1,7 @@
 """State of the connection and the daemon, for the page."""
 
 import html
+import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,7 +10,7 @@ from typing import Any
 from mapperd.client.changes import ConnectionStatus
 from mapperd.viewer.colours import Legend
 
-__all__ = ["Health", "banner_html", "health_html", "legend_html", "text_of"]
+__all__ = ["Health", "banner_html", "health_html", "legend_html", "summary_html", "text_of"]
 
 WINDOW_S = 3.0
 """Window of rates."""
@@ -60,6 +61,9 @@ class Health:
         pose_ns, map_ns: newest stamps, Unix time of the daemon's clock.
         phase: phase of the daemon, one word.
         problems: what keeps the daemon from mapping, with the remedy.
+        recording: state of the daemon's recording and its bytes; None where it records nothing.
+        position_m, yaw_rad: of the vehicle; None before the first pose.
+        north_up: x is east and y north, so that there is a compass heading.
         page_bytes, page_nodes, page_cells, page_waiting: the map in browsers.
     """
 
@@ -76,6 +80,10 @@ class Health:
     map_ns: int | None = None
     phase: str = ""
     problems: tuple[str, ...] = ()
+    recording: tuple[str, int] | None = None
+    position_m: tuple[float, float, float] | None = None
+    yaw_rad: float = 0.0
+    north_up: bool = False
     page_bytes: int = 0
     page_nodes: int = 0
     page_cells: int = 0
@@ -122,6 +130,14 @@ class Health:
         self.phase = str(status.get("phase", self.phase))
         problems = status.get("problems", ())
         self.problems = tuple(str(one["text"]) for one in problems if isinstance(one, Mapping))
+        if "recording" in status:
+            recording = status["recording"]
+            self.recording = None
+            if isinstance(recording, Mapping):
+                words = (str(recording.get("state")), str(recording.get("reason") or ""))
+                written = recording.get("bytes_written")
+                size = int(written) if isinstance(written, int | float) else 0
+                self.recording = (": ".join(filter(None, words)), size)
         trip = link.get("round_trip_s")
         self.round_trip_s = float(trip) if isinstance(trip, int | float) else None
         left = link.get("left")
@@ -157,18 +173,23 @@ def health_html(health: Health, now_s: float, unix_ns: int) -> str:
     )
     drops = ", ".join(f"{html.escape(k)} {v}" for k, v in sorted(health.dropped.items()) if v)
     waiting = f"drawing, {health.page_waiting} parts to go" if health.page_waiting else ""
-    problems = "".join(
-        f'<div style="color:{AMBER};margin:3px 0">&#9888; {html.escape(one)}</div>'
-        for one in health.problems
-    )
-    notes = problems + "".join(
-        f'<div style="opacity:.7">{n}</div>' for n in (reason, drops, waiting) if n
-    )
+    notes = "".join(f'<div style="opacity:.85">{n}</div>' for n in (reason, drops, waiting) if n)
     return (
         f'<div style="font-size:13px;line-height:1.45;padding:0 10px">'
         f'<div style="font-weight:700;font-size:16px;color:{colour}">&#9679; {state}</div>'
-        f'{notes}<table style="width:100%;border-collapse:collapse;margin-top:4px">{cells}</table>'
+        f"{_vehicle(health)}{_recording(health)}{_problems(health)}{notes}"
+        f'<table style="width:100%;border-collapse:collapse;margin-top:4px">{cells}</table>'
         f"</div>"
+    )
+
+
+def summary_html(health: Health, now_s: float) -> str:
+    """A summary for phones: the vehicle, what is recorded, and a lost connection."""
+    state, colour, _ = _state(health, now_s)
+    lost = "" if health.connected else f'<b style="color:{colour}">&#9679; {state}</b>'
+    return (
+        '<div data-phone style="padding:6px 10px;line-height:1.5">'
+        f"{lost}{_vehicle(health)}{_recording(health)}{_problems(health)}</div>"
     )
 
 
@@ -206,7 +227,7 @@ def text_of(value: float | None, unit: str, digits: int) -> str:
     return "&ndash;" if value is None else f"{value:.{digits}f} {unit}"
 
 
-_LABEL = 'style="opacity:.65;padding-right:6px;white-space:nowrap"'
+_LABEL = 'style="opacity:.85;padding-right:6px;white-space:nowrap"'
 _VALUE = (
     'style="text-align:right;padding-right:10px;white-space:nowrap;'
     'font-variant-numeric:tabular-nums"'
@@ -226,6 +247,38 @@ def _state(health: Health, now_s: float) -> tuple[str, str, str]:
     reason = f"{address}: {html.escape(link.reason)}" if link.reason else address
     first = "NO LINK" if link.connects == 0 else "LINK LOST"
     return f"{first} {since}", RED, reason
+
+
+def _vehicle(health: Health) -> str:
+    """Position, depth and heading in large letters."""
+    if health.position_m is None:
+        return ""
+    x_m, y_m, z_m = health.position_m
+    yaw_deg = round(math.degrees(health.yaw_rad)) + 0.0  # no -0
+    heading = f"heading {(90 - yaw_deg) % 360:03.0f}&deg;" if health.north_up else None
+    return (
+        '<div data-vehicle style="font-size:15px;font-variant-numeric:tabular-nums">'
+        f"depth <b>{-z_m:.2f} m</b> &middot; {heading or f'yaw {yaw_deg:+.0f}&deg;'}<br>"
+        f"x {x_m:.2f} m &middot; y {y_m:.2f} m</div>"
+    )
+
+
+def _recording(health: Health) -> str:
+    if not health.connected or health.phase != "mapping":
+        return ""
+    if health.recording is None:
+        return f'<div data-recording style="color:{AMBER}">not recorded</div>'
+    state, size = health.recording
+    colour = RED if state == "logging" else AMBER
+    text = f"recording: {size / 1e6:,.0f} MB" if state == "logging" else f"recording {state}"
+    return f'<div data-recording style="color:{colour}">&#9679; {html.escape(text)}</div>'
+
+
+def _problems(health: Health) -> str:
+    return "".join(
+        f'<div style="color:{AMBER};margin:3px 0">&#9888; {html.escape(one)}</div>'
+        for one in health.problems
+    )
 
 
 def _per_s(rate: float | None, digits: int) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from mapperd.viewer.actors import LAYERS
 from mapperd.viewer.chunks import Filter
 from mapperd.viewer.colours import MODES, Mode, Scale, legend_of
-from mapperd.viewer.health import Health, banner_html, health_html, legend_html
+from mapperd.viewer.health import Health, banner_html, health_html, legend_html, summary_html
 from mapperd.viewer.map_layer import MapStyle, Shape
 
 if TYPE_CHECKING:
@@ -20,6 +20,35 @@ __all__ = ["Panel", "Span"]
 SHAPES: tuple[Shape, ...] = ("auto", "cubes", "points")
 STEP_M = 0.5
 RANGES = {"probability": (0.5, 1.0), "age": (1.0, 1000.0), "count": (1.0, 128.0)}
+
+STYLE = """<style>
+:root { --mantine-color-dimmed: #cbd5e1 !important; }
+label, .mantine-InputWrapper-label, .mantine-Text-root {
+  color: #dbe3ec; letter-spacing: 0 !important;
+}
+.mantine-Slider-markLabel { color: #cbd5e1; font-size: 11px; }
+[data-phone] { display: none; }
+@media (max-width: 36em) {
+  [data-phone] { display: block; }
+  .mantine-Paper-root:has(> div > .mantine-ScrollArea-root) { width: 100% !important; }
+  .mantine-ScrollArea-content > div { width: 100% !important; }
+  .mantine-ScrollArea-content > div > div:has(> .mantine-Divider-root) {
+    display: flex; flex-direction: column;
+  }
+  div:has(> .mantine-Tabs-root + .mantine-Tabs-root) { display: contents; }
+  div > .mantine-Tabs-root:has(+ .mantine-Tabs-root) { order: -1; }
+  div:has(canvas):has(+ .mantine-Paper-root) { height: 40% !important; }
+  div:has(canvas):has(+ .mantine-Paper-root [style*="display: none"] > .mantine-Divider-root) {
+    height: calc(100% - 3.5em) !important;
+  }
+}
+</style>"""
+"""Legible labels. On a phone the panels are a sheet below the map: sonar image, controls, link."""
+
+GRID_TEXT = (
+    '<div style="font-size:13px;padding:0 10px 10px;opacity:.85">grid 1 m, thick lines 10 m; axes '
+    "of 1 m at the origin: red x, green y, blue z</div>"
+)
 
 Post = Callable[[Callable[[], object]], None]
 
@@ -59,6 +88,7 @@ class _Handles:
     """Controls of viser."""
 
     health: Any = None
+    summary: Any = None
     banner: Any = None
     legend: Any = None
     colour: Any = None
@@ -92,6 +122,10 @@ class Panel:
         self._handles = _Handles()
         self._span = Span()
         self._threshold: float | None = None
+        window = server.gui.add_panel()  # first, as a phone stacks the panels in this order
+        self.sonar_window = window.add_tab("sonar")
+        window.float(x=15, y=15, width=420)
+        window.expand()  # a phone shows panels collapsed
         self._status = server.gui.add_panel()
         with self._status.add_tab("link"):
             self._handles.banner = server.gui.add_html("")
@@ -99,6 +133,8 @@ class Panel:
             self._handles.legend = server.gui.add_html("")
         self._status.float(x=15, y=-95, width=330)  # above the axes; notes come on top
         server.gui.main_panel.float(x=-15, y=15, width=330)
+        server.gui.add_html(STYLE)
+        self._handles.summary = server.gui.add_html("")
         self.tabs: GuiTabGroupHandle = server.gui.add_tab_group()
         self.view_tab: GuiTabHandle = self.tabs.add_tab("View")
         with self.view_tab:
@@ -149,6 +185,7 @@ class Panel:
             self._status.expand()  # it may be collapsed
         self._handles.last["up"] = "yes" if health.connected else "no"
         self._write("health", health_html(health, now_s, unix_ns))
+        self._write("summary", summary_html(health, now_s))
         self._write("banner", banner_html(health, now_s))
 
     def _add_map(self) -> None:
@@ -186,6 +223,7 @@ class Panel:
             box.on_update(lambda _: self._post(lambda: show(name, box.value)))
 
         with self._server.gui.add_folder("Layers", expand_by_default=False):
+            layer("grid", "grid")
             layer("fan", "sonar/fan")
             for name in LAYERS:
                 layer(name, name)
@@ -215,7 +253,7 @@ class Panel:
 
     def _update_legend(self) -> None:
         mode: Mode = self._handles.colour.value
-        self._write("legend", legend_html(legend_of(Scale(mode, *self._range(mode)))))
+        self._write("legend", legend_html(legend_of(Scale(mode, *self._range(mode)))) + GRID_TEXT)
 
     def _write(self, name: str, text: str) -> None:
         if self._handles.last.get(name) != text:

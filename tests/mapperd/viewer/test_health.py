@@ -1,10 +1,19 @@
 """How the page shows the connection."""
 
+import math
+
 import pytest
 
 from mapperd.client import ConnectionStatus
 from mapperd.viewer.colours import Scale, legend_of
-from mapperd.viewer.health import Health, Rate, banner_html, health_html, legend_html
+from mapperd.viewer.health import (
+    Health,
+    Rate,
+    banner_html,
+    health_html,
+    legend_html,
+    summary_html,
+)
 
 SECOND = 1_000_000_000
 
@@ -119,3 +128,23 @@ def test_a_lost_link_is_lost_since_the_first_failure_not_the_last() -> None:
     take("connected", 120.0, connects=3)
     take("waiting", 130.0, connects=3)
     assert "LINK LOST 5 s" in banner_html(health, 135.0)
+
+
+def test_the_vehicle_and_the_recording_are_shown() -> None:
+    health = linked("connected")
+    assert "depth" not in health_html(health, 0.0, 0)
+    health.position_m, health.yaw_rad = (1.5, -2.0, -3.25), math.radians(30)
+    health.take_status({"phase": "mapping", "recording": None}, {}, 0.0)
+    text = health_html(health, 0.0, 0)
+    for message in ("depth <b>3.25 m</b>", "yaw +30&deg;", "x 1.50 m", "y -2.00 m", "not recorded"):
+        assert message in text
+    assert "depth <b>3.25 m</b>" in summary_html(health, 0.0)
+    health.north_up = True
+    assert "heading 060&deg;" in health_html(health, 0.0, 0)
+    recording = {"state": "logging", "reason": None, "bytes_written": 12_300_000}
+    health.take_status({"recording": recording}, {}, 1.0)
+    assert "recording: 12 MB" in health_html(health, 0.0, 0)
+    assert "recording: 12 MB" in summary_html(health, 0.0)
+    paused = recording | {"state": "paused", "reason": "no space left"}
+    health.take_status({"recording": paused}, {}, 2.0)
+    assert "recording paused: no space left" in health_html(health, 0.0, 0)

@@ -90,6 +90,7 @@ def settled(render: Callable[[], Any], patience: int = 20) -> Any:
 
 def test_the_picture_is_that_of_the_map(serving: Serving, page: "Page") -> None:
     draw_points(serving, page)
+    serving.do(lambda: serving.view._show("grid", shown=False))
     panel = serving.view._panel
     cells = mirror_of(some_map()).cells("occupied")
     low, high = cells.centres_m.min(axis=0), cells.centres_m.max(axis=0)

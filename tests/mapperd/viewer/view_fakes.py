@@ -75,6 +75,7 @@ class FakeClient:
         self.path: NDArray[np.float64] = np.zeros((0, 3))
         self.values: dict[str, Any] = {}
         self.refuses: dict[str, str] = {}
+        self.wants: tuple[str, ...] = ()
         self._blocks = blocks
         self._queue: asyncio.Queue[ClientChange | None] = asyncio.Queue()
 
@@ -110,6 +111,9 @@ class FakeClient:
         connects = self.link.connects + (state == "connected")
         self.link = ConnectionStatus(state, self.link.address, reason, time.monotonic(), connects)
         self.feed(LinkChanged(self.link))
+
+    async def change(self, *, wants: tuple[str, ...]) -> None:
+        self.wants = wants
 
     async def set(self, changes: Mapping[str, Any]) -> dict[str, Any]:
         if self.refuses.keys() & changes.keys():
