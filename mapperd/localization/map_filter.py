@@ -342,7 +342,7 @@ class MapFilter:
         if verdict is None:
             return
         self.verdict, self._unverified_m = verdict, 0.0
-        if verdict.refuted:
+        if verdict.refuted or (dropped and verdict.doubted):
             self._refute(window.recent())
         elif not dropped:
             self.confirmed |= verdict.verified

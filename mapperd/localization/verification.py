@@ -52,6 +52,9 @@ DECISIVE = 6.0
 REFUTING = 4.0
 """Ratio by which a distant pose has to be better."""
 
+DOUBTING = 1.5
+"""Ratio by which a distant pose has to be better if the last scans suddenly fit worse."""
+
 CLOUD_POSES = 250
 """Particles of a cloud that are scored beside the searched poses."""
 
@@ -134,6 +137,11 @@ class Verdict(NamedTuple):
     def refuted(self) -> bool:
         """A distant pose is better by a decisive ratio."""
         return min(self.margin, self.recent_margin, self.cloud_margin) < -REFUTING
+
+    @property
+    def doubted(self) -> bool:
+        """A distant pose explains the last scan better."""
+        return self.cloud_margin < -DOUBTING
 
 
 class _Round(NamedTuple):
@@ -228,17 +236,24 @@ def verify(
     samples = [_drawn(cloud.poses, cloud.weights, CLOUD_POSES, random) for cloud in clouds]
     poses = np.concatenate([poses, *samples])
     scores = evidence.scores(poses, ROUNDS[-1])
-    off = poses - place
-    near = np.hypot(off[:, 0], off[:, 1]) < ELSEWHERE_M
-    near &= np.abs(np.remainder(off[:, 2] + math.pi, math.tau) - math.pi) < SAME_RAD
     total, last = scores.sum(axis=0), scores[-1]
+    near = about = _are_near(poses, place)
+    if near.any():  # an estimate beside the best pose is as far from that as distant poses are
+        near = _are_near(poses, poses[np.argmax(np.where(about, total, -math.inf))])
     return Verdict(
         _margin(total[near], total[~near]),
         _margin(scores[-RECENT:, near].sum(axis=0), scores[-RECENT:, ~near].sum(axis=0)),
         _margin(last[searched : searched + CLOUD_POSES], last[~near]),
-        bool(near[:searched][np.argmax(total[:searched])]),
+        bool(about[:searched][np.argmax(total[:searched])]),
         len(window.keyframes),
     )
+
+
+def _are_near(poses: Floats, place: Floats) -> NDArray[np.bool_]:
+    """(N,) whether poses are no distant ones, seen from a place."""
+    off = poses - place
+    near: NDArray[np.bool_] = np.hypot(off[:, 0], off[:, 1]) < ELSEWHERE_M
+    return near & (np.abs(np.remainder(off[:, 2] + math.pi, math.tau) - math.pi) < SAME_RAD)
 
 
 def _margin(inside: Floats, outside: Floats) -> float:

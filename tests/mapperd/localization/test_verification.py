@@ -7,6 +7,7 @@ import pytest
 
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.grid_map import GridMap
+from mapperd.localization.hypothesis import FitWatch
 from mapperd.localization.map_filter import FilterState, MapFilter
 from mapperd.localization.models import core_grid
 from mapperd.localization.particle_filter import RangeMap
@@ -14,6 +15,7 @@ from mapperd.localization.scan import Scan, scan_of_ranges
 from mapperd.localization.update_gate import PlanarPose
 from mapperd.localization.verification import (
     DECISIVE,
+    DOUBTING,
     MAX_SCANS,
     MIN_RETURNS,
     MIN_SCANS,
@@ -24,6 +26,7 @@ from mapperd.localization.verification import (
     Verdict,
     verify,
 )
+from mapperd.localization.weighting import MapWeighing
 from mapperd.store.checkpoint import decode_state, encode_state
 from tests.mapperd.localization.test_hypothesis import SIGMA, off_m, profile
 
@@ -138,6 +141,39 @@ def test_verdicts_need_a_decisive_ratio() -> None:
             sound._replace(cloud_margin=worse),
         ):
             assert doubtful.refuted == (sign > 0.0)
+
+
+def test_pose_is_compared_with_poses_far_from_the_best_one_of_its_place() -> None:
+    """An estimate that is 0.9 m off lies as far from the truth as poses beyond it."""
+    grid, poses = tank(post=True), circle(MAX_SCANS)
+    particles, window = on(grid), ScanWindow()
+    x_m, y_m, yaw_rad = poses[-1]
+    place = np.array([x_m - 0.9 * math.cos(yaw_rad), y_m - 0.9 * math.sin(yaw_rad), yaw_rad])
+    particles.start_at(PlanarGaussian(place[0], place[1], place[2], SIGMA))
+    for k, pose in enumerate(poses):
+        now = PlanarPose(*pose)
+        window = window.after(window.last or now, Keyframe(now, 0.0, seen(grid, pose, k)), 0.1)
+    weighing = MapWeighing(grid, profile())
+    verdict = verify(weighing, window, place, [particles.particles], (1, 1))
+    assert verdict is not None
+    assert verdict.verified
+    far = np.array([x_m - 1.1 * math.cos(yaw_rad), y_m - 1.1 * math.sin(yaw_rad), yaw_rad])
+    verdict = verify(weighing, window, far, [particles.particles], (1, 1))
+    assert verdict is not None
+    assert not verdict.verified
+
+
+@pytest.mark.parametrize("dropped", [False, True])
+def test_better_distant_pose_counts_more_where_scans_suddenly_fit_worse(
+    monkeypatch: pytest.MonkeyPatch, *, dropped: bool
+) -> None:
+    doubtful = Verdict(9.0, 9.0, -DOUBTING - 0.1, found=True, scans=1)
+    monkeypatch.setattr("mapperd.localization.map_filter.verify", lambda *_: doubtful)
+    monkeypatch.setattr(FitWatch, "dropped", lambda *_: dropped)
+    grid, poses = tank(), circle(20)
+    particles = on(grid)
+    particles.start_at(PlanarGaussian(*poses[0], SIGMA))
+    assert drive(particles, grid, poses)[-1].ambiguous == dropped
 
 
 def keyframe(x_m: float, yaw_rad: float = 0.0, returns: int = MIN_RETURNS) -> Keyframe:
