@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from mapperd.config.aliases import IGNORED
 from mapperd.config.catalog import Parameter, parameters, value_of
 from mapperd.config.live import ConfigStore, Refused
 from mapperd.config.tree import Config
@@ -67,6 +68,14 @@ class SetParametersResult:
     reason: str = ""
 
 
+FIXED: dict[str, Any] = {
+    "octree.dynamic_expansion": True,
+    "octree.use_cpp_backend": True,
+    "topics.marker": "/sonar_3d_map_markers",
+    "visualization.pointcloud_publish_rate": 10.0,
+}
+"""Published parameters without effect: a node reads their published defaults."""
+
 OF_THE_NODE = ("time_sync", "slam_quality", "frames", "topics", "visualization")
 """Sections that no mapper has handlers for."""
 
@@ -74,7 +83,12 @@ Callback = Callable[[Mapping[str, Any]], SetParametersResult]
 
 
 def _definitions(*sections: str) -> tuple[ParameterDef, ...]:
-    return tuple(
+    fixed = (
+        ParameterDef(name, value, f"No effect: {IGNORED[name]}.", read_only=True, handler="")
+        for name, value in FIXED.items()
+        if name.partition(".")[0] in sections
+    )
+    settings = (
         ParameterDef(
             one.name,
             one.default,
@@ -85,6 +99,7 @@ def _definitions(*sections: str) -> tuple[ParameterDef, ...]:
         for one in parameters().values()
         if one.name.partition(".")[0] in sections
     )
+    return (*settings, *fixed)
 
 
 def _handler(setting: Parameter) -> str:
@@ -137,14 +152,14 @@ class ParameterNode:
         """
         name = definition.name
         setting = parameters().get(name)
-        if setting is None:
+        if setting is None and name not in FIXED:
             raise ConfigError(f"{name}: there is no such setting", f"$.{name}")
         if name in self._declared:
             raise ConfigError(f"{name}: is declared already", f"$.{name}")
-        if not definition.read_only and not setting.dynamic:
+        if not definition.read_only and not (setting and setting.dynamic):
             raise ConfigError(f"{name}: cannot change while running", f"$.{name}")
         self._declared[name] = definition
-        return value_of(self._store.current, name)
+        return self.get_parameter(name)
 
     def has_parameter(self, name: str) -> bool:
         """Whether a parameter is declared."""
@@ -158,7 +173,7 @@ class ParameterNode:
         """
         if name not in self._declared:
             raise ConfigError(f"{name}: is not declared", f"$.{name}")
-        return value_of(self._store.current, name)
+        return FIXED[name] if name in FIXED else value_of(self._store.current, name)
 
     def set_parameters(self, changes: Mapping[str, Any]) -> SetParametersResult:
         """Change parameters, all or none."""

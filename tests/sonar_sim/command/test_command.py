@@ -66,7 +66,7 @@ def test_classic_writes_what_the_plugin_published(tmp_path: Path) -> None:
 
 def test_classic_mode_honours_range_rows_products_and_camera(tmp_path: Path) -> None:
     argv = ["render", "flat_floor", "--mode", "classic", "--pose", "0,0,-4,0,10,0"]
-    argv += ["--camera", "256x57", "--only", "raw_scan,depth"]
+    argv += ["--camera", "256x57", "--only", "image_depth_raw_sonar,depth"]
     scans = []
     for name, more in (("plain", []), ("fine", ["--scan-rows", "800"]), ("near", ["--range", "8"])):
         assert main([*argv, "--out", str(tmp_path / name), *more]) == 0

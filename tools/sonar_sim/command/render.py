@@ -25,6 +25,16 @@ from sonar_sim.scene_file import load_scenario
 NAME = "render"
 HELP = "write pings of a scene with their ground truth as PNG, NPZ and PLY"
 
+PUBLISHED_NAMES = {
+    "point_cloud": "points",
+    "image_depth": "depth",
+    "image_depth_normals": "normals",
+    "image_depth_multibeam": "snr",
+    "image_depth_raw_sonar": "raw_scan",
+    "image_depth_sonar": "fan",
+}
+"""Product by its topic of the published plugin."""
+
 HEIGHT_PX, COLOUR_MAP = 900, "inferno"
 
 Draw = Callable[[Path, int, float, FramePose], list[Path]]
@@ -67,6 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write, one folder a ping if there are several."""
     scenario = load_scenario(args.scene)
+    args.only = tuple(PUBLISHED_NAMES.get(name, name) for name in args.only)
     if args.range_m is not None and args.mode == "physical":
         sonar = replace(scenario.sonar, demanded_range_m=args.range_m)
         scenario = replace(scenario, sonar=sonar)
