@@ -135,6 +135,7 @@ class LocalizationWatch:
         self._map = ""
         self._state = ""
         self._level = "OK"
+        self._warning: str | None = None
 
     def update(self, facts: LocalizationFacts) -> None:
         """Report changes."""
@@ -144,6 +145,10 @@ class LocalizationWatch:
             self._events.add(
                 Severity.NOTICE, "map_loaded", f"localizing on {self._map}", map=self._map
             )
+        if facts.warning != self._warning:
+            self._warning = facts.warning
+            if facts.warning is not None:
+                self._events.add(Severity.WARNING, "localization_model", facts.warning)
         self._look_at_state(facts)
         self._look_at_level(facts)
 

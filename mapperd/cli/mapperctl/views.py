@@ -117,6 +117,8 @@ def localization_lines(state: Values) -> Iterator[str]:
         yield plain(f"elsewhere {share:.1f} % of the weight{_ambiguous(state)}")
     diagnostics = state.get("diagnostics") or {}
     yield plain(f"levels    {diagnostics.get('level')}: {diagnostics.get('text')}")
+    if state.get("warning"):
+        yield plain(f"warning   {state['warning']}")
     for cluster in state.get("clusters") or ():
         yield plain(f"cluster   {100 * cluster['mass']:.1f} % at {_pose(cluster)}")
     if state.get("map_odom"):

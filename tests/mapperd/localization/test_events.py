@@ -1,5 +1,7 @@
 """Changes of localization are reported once."""
 
+from dataclasses import replace
+
 import pytest
 
 from mapperd.daemon.status import LocalizationWatch
@@ -50,6 +52,14 @@ def test_another_map_and_a_level_are_reported() -> None:
         ("map_loaded", "notice"),
         ("localization_std", "warning"),
         ("localization_std", "notice"),
+    ]
+
+
+def test_what_the_model_does_not_do_is_reported_once() -> None:
+    warned = replace(facts(0.0), warning="it compares a slice")
+    assert reported(facts(0.0), warned, warned, facts(0.0), warned)[2:] == [
+        ("localization_model", "warning"),
+        ("localization_model", "warning"),
     ]
 
 

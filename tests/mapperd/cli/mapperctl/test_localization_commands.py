@@ -137,6 +137,10 @@ def test_lines_report_where_and_how_sure() -> None:
     ]
 
 
+def test_lines_report_what_the_model_does_not_do() -> None:
+    assert "warning   amcl: a slice" in lines(elsewhere=0.2, warning="amcl: a slice")
+
+
 def test_lines_before_there_is_anything() -> None:
     assert lines(
         elsewhere=None, state="waiting for a map", known=None, transform=None, counts={}
