@@ -105,13 +105,13 @@ class Live:
         self._config = config
         self._poses = poses
         self._events = events
-        self._clock = clock or host_clock()
+        self.now_ns = clock or host_clock()
         self._is_new_connection = False
         self._start_offset_ns = unix_offset_ns()
         self.queue = ChunkQueue()
-        self.recorder = Recorder(config, session, self._clock)
+        self.recorder = Recorder(config, session, self.now_ns)
         encodings = {source.name: encoding_of(source) for source in config.odometry.sources}
-        self.ingest = Ingest(self.recorder, self.queue, encodings, self._clock)
+        self.ingest = Ingest(self.recorder, self.queue, encodings, self.now_ns)
         self.mapping = self._mapping_thread(sonar_map)
         self._requests = Requests(self.ingest, None if localization is None else localization.maps)
         self.links = self._odometry_links()
@@ -123,7 +123,7 @@ class Live:
             on_chunk=self._receive_sonar,
             on_status=partial(self.ingest.receive, STATUS, gap=False),
             on_state=self._log_sonar_state,
-            clock=self._clock,
+            clock=self.now_ns,
             max_pings=1,  # nobody reads them: the mapping thread decodes the bytes, as in a replay
         )
         self.control = SonarControl(self._sonar, config, events)
@@ -231,8 +231,8 @@ class Live:
             Backlog(sonar_map.config.behind),
             self.persistence,
             remark=self.ingest.remark,
-            clock=self._clock,
-            read_snapshot=snapshot_reader(self._clock),
+            clock=self.now_ns,
+            read_snapshot=snapshot_reader(self.now_ns),
         )
 
     def _odometry_links(self) -> list[OdometryLink]:
@@ -241,7 +241,7 @@ class Live:
                 source.name,
                 parse_address(source.link),
                 partial(self.ingest.receive, source.name),
-                self._clock,
+                self.now_ns,
                 self._log_link_state,
                 decoded=partial(self._poses.decoded, source.name),
             )

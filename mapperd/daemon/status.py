@@ -28,6 +28,7 @@ def status_of(
     parts = _parts(live, facts, uptime_s)
     return {
         "reason": live.link.reason,
+        "t_s": live.now_ns() / 1e9,
         "problems": [{"code": one.code, "text": one.text} for one in problems_of(parts, config)],
         "version": __version__,
         "session": live.session,

@@ -498,7 +498,7 @@ answers; 73 cannot write; 75 try again later; 76 protocol mismatch;
 77 permission denied; 78 invalid settings; 130 interrupted"""
 
 EPILOG = f"""examples:
-  mapperctl status
+  mapperctl status --watch
   mapperctl set filtering.min_range=1.5
   mapperctl export harbour.ply
   mapperctl view dive/map.bt --open
@@ -537,9 +537,10 @@ def parser() -> CommandParser:
     top.add_argument("--version", action="version", version=f"mapperctl {__version__}")
     commands = top.add_subparsers(metavar="COMMAND", required=True, dest="command")
     status = _command(commands, "status", "print the state of the daemon")
-    status.add_argument("--once", action="store_true", help="print once and exit")
+    status.add_argument("--watch", action="store_true", help="repeat until interrupted")
+    status.add_argument("--once", action="store_true", help="with --json: print one object")
     status.add_argument(
-        "--every", metavar="S", type=_period, default=1.0, help="period; default: 1 s"
+        "--every", metavar="S", type=_period, help="repeat at this period; default: 1 s"
     )
     _params(commands)
     get = _command(commands, "get", "print settings in force")

@@ -21,6 +21,9 @@ __all__ = ["run"]
 PATIENCE_S = 30.0
 PATIENCE_WITH_DISKS_S = 900.0
 SLOW = ("save", "reset", "snapshot", "reload", "set_map")
+PERIOD_S = 1.0
+"""Of `--watch`."""
+
 HOME_AND_CLEAR = "\x1b[H\x1b[J"
 
 Lines = Iterator[str]
@@ -32,7 +35,8 @@ def run(args: argparse.Namespace, target: DaemonTarget) -> Lines:
     Raises:
         CtlError: it is not done.
     """
-    if args.command == "status" and not args.once and (args.json or sys.stdout.isatty()):
+    watch = args.command == "status" and (args.watch or args.every is not None or args.json)
+    if watch and not args.once:
         yield from _watch(args, target)
         return
     if args.command == "localization" and args.watch:
@@ -67,7 +71,7 @@ def _arguments(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _status(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
-    yield from status_lines(result, None)
+    yield from status_lines(result, None, colours=_has_colours())
 
 
 def _params(args: argparse.Namespace, result: dict[str, Any]) -> Lines:
@@ -174,6 +178,14 @@ def _kept(since: int, daemon: ControlConnection) -> Iterator[dict[str, Any]]:
         since = batch["events"][-1]["number"] if batch["events"] else since
 
 
+def _has_colours() -> bool:
+    return (
+        sys.stdout.isatty()
+        and "NO_COLOR" not in os.environ
+        and os.environ.get("TERM", "dumb") != "dumb"
+    )
+
+
 def _watch(args: argparse.Namespace, target: DaemonTarget) -> Lines:
     """Look again and again; a daemon that is restarted is found again."""
     before: dict[str, Any] | None = None
@@ -184,19 +196,20 @@ def _watch(args: argparse.Namespace, target: DaemonTarget) -> Lines:
                     status = daemon.ask(args.command, **_arguments(args))
                     yield json.dumps(status) if args.json else _screen(args, status, before)
                     before = status
-                    daemon.wait(args.every)
+                    daemon.wait(args.every or PERIOD_S)
         except CtlError as error:
             if args.json or before is None or error.code != CtlExit.UNAVAILABLE:
                 raise
             yield f"{HOME_AND_CLEAR}{error}; looking for it"
-        time.sleep(args.every)
+        time.sleep(args.every or PERIOD_S)
 
 
 def _screen(args: argparse.Namespace, status: dict[str, Any], before: dict[str, Any] | None) -> str:
     columns, rows = shutil.get_terminal_size()
-    of_status = args.command == "status"
-    batch = status_lines(status, before) if of_status else localization_lines(status)
-    lines = [line[:columns] for line in batch]
+    if args.command == "status":
+        lines = [*status_lines(status, before, colours=_has_colours())]
+    else:
+        lines = [line[:columns] for line in localization_lines(status)]
     return HOME_AND_CLEAR + "\n".join(lines[: max(1, rows - 1)])
 
 

@@ -3,35 +3,192 @@
 import json
 import math
 from collections.abc import Iterator, Mapping
+from functools import partial
+from textwrap import wrap
 from typing import Any
 
 from mapperd.cli.mapperctl.errors import plain
 
 __all__ = ["event_line", "localization_lines", "params_lines", "status_lines"]
 
-UNITS = {"_m": "m", "_s": "s", "_ms": "ms", "_hz": "Hz", "_deg": "deg", "_c": "°C", "_percent": "%"}
 MIB = 1 << 20
-NAME_LETTERS = 10
+COLUMNS = 80
+NAME_LETTERS = 14
+MAX_PROBLEMS = 3
+OLD_S = 2.0
+"""Age at which poses and odometry are marked."""
+
+RED, YELLOW, GREEN = "31", "33", "32"
+
+Values = Mapping[str, Any]
 
 
-def status_lines(status: Mapping[str, Any], before: Mapping[str, Any] | None) -> Iterator[str]:
-    """A headline, and a line for each part that is not empty.
+def status_lines(status: Values, before: Values | None, *, colours: bool = False) -> Iterator[str]:
+    """The problems, a headline, and a line for each part; at most 80 columns.
 
     Args:
-        status: status of the daemon.
+        status: of a daemon, maybe of another version.
         before: earlier status, for rates; None omits them.
+        colours: for a terminal.
     """
+    painted = partial(_painted, colours=colours)
+    problems = [one for one in status.get("problems") or () if isinstance(one, Mapping)]
+    for problem in problems[:MAX_PROBLEMS]:
+        yield from painted(wrap(plain(f"! {problem.get('text')}"), COLUMNS), RED)
+    if len(problems) > MAX_PROBLEMS:
+        yield from painted([f"! {len(problems) - MAX_PROBLEMS} more problems: --json"], RED)
     name = " ".join(filter(None, ("mapperd", status.get("version"), status.get("phase"))))
-    reason = status.get("reason")
-    head = f"{name}: {reason}" if reason else name
-    yield plain(f"{head}, up {_duration(status.get('uptime_s', 0.0))}{_rate(status, before)}")
-    for problem in status.get("problems", ()):
-        yield plain(f"{'problem':<{NAME_LETTERS}} {problem.get('text', '')}")
-    for name, part in status.items():
-        if isinstance(part, Mapping):
-            text = ", ".join(_described("", part))
-            if text:
-                yield plain(f"{name:<{NAME_LETTERS}} {text}")
+    yield plain(f"{name}, up {_duration(status.get('uptime_s', 0.0))}")
+    for name, (texts, colour) in _parts(status, before):
+        yield from painted(_lines(name, [plain(text) for text in texts if text]), colour)
+
+
+def _lines(name: str, texts: list[str]) -> list[str]:
+    """A name and its texts, broken between texts where they fit, else between words."""
+    lines: list[str] = []
+    for text in texts:
+        if lines and len(lines[-1]) + len(text) + 3 <= COLUMNS - NAME_LETTERS:
+            lines[-1] += f", {text}"
+            continue
+        if lines:
+            lines[-1] += ","
+        lines += wrap(text, COLUMNS - NAME_LETTERS - 1)
+    names = [name, *[""] * len(lines)]
+    return [f"{at:<{NAME_LETTERS}}{line}" for at, line in zip(names, lines, strict=False)]
+
+
+Part = tuple[list[str], str]
+"""Texts of a line and their colour."""
+
+
+def _parts(status: Values, before: Values | None) -> Iterator[tuple[str, Part]]:
+    now_s = status.get("t_s")
+    yield "vehicle", _vehicle(status.get("pose"), now_s)
+    yield "sonar", _sonar(_part(status, "sonar"), _rate(status, before, "sonar", "pings"))
+    odometry = _part(status, "odometry")
+    for name, link in _part(odometry, "connections").items():
+        state = str(link.get("state"))
+        yield "odometry", ([f"{name} {state}"], GREEN if state == "receiving" else YELLOW)
+    ages = [
+        f"{name} {_age(newest / 1e9, now_s)}"
+        for name, one in _part(odometry, "quantities").items()
+        if isinstance(newest := one.get("newest_ns"), int)
+    ]
+    yield "", (ages, "")
+    pings = _part(status, "pings")
+    latency = _with_unit(_part(status, "latency_ms").get("p95"), "ms", "latency ")
+    rate = _rate(status, before, "pings", "mapped")
+    counts = [f"{pings.get('mapped', 0)} mapped{rate}"] if pings else []
+    yield "pings", ([*counts, _dropped(pings), latency], "")
+    behind = _part(status, "behind")
+    if behind.get("late"):
+        text = f"pings come faster than they can be mapped, {behind.get('dropped')} dropped"
+        yield "", ([text], YELLOW)
+    yield "map", _map(_part(status, "map"), _part(status, "store"))
+    yield "recording", _recording(status)
+    yield "localization", _localized(_part(status, "localization"))
+    clients = _part(_part(status, "servers"), "stream").get("clients")
+    yield "clients", ([f"{clients}"] if clients else [], "")
+
+
+def _vehicle(pose: object, now_s: object) -> Part:
+    if not isinstance(pose, Mapping):
+        return [], ""
+    x_m, y_m, z_m = pose["position_m"]
+    w, x, y, z = pose["map_q_base_wxyz"]
+    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    heading_deg = 90 - math.degrees(yaw)
+    std_m = math.hypot(*pose["position_std_m"][:2])
+    age_s = now_s - pose["t_s"] if _numbers(now_s, pose.get("t_s")) else 0.0
+    where = [f"x {x_m:.2f} m", f"y {y_m:.2f} m", f"depth {-z_m:.2f} m"]
+    rest = [
+        f"heading {round(heading_deg) % 360}°",
+        f"± {std_m:.2f} m",
+        _age(pose.get("t_s"), now_s),
+    ]
+    return [*where, *rest], YELLOW if age_s > OLD_S else ""
+
+
+def _sonar(sonar: Values, rate: str) -> Part:
+    state = str(sonar.get("state") or "")
+    good = state == "pinging"
+    model, address = sonar.get("model"), sonar.get("address")
+    texts = [
+        f"{state}{rate}" if good or not sonar.get("reason") else f"{state}: {sonar['reason']}",
+        " at ".join(str(one) for one in (model, address) if one),
+        _with_unit(sonar.get("range_m"), "m", "range "),
+        _with_unit(sonar.get("gain_percent"), "%", "gain "),
+        _with_unit(sonar.get("temperature_c"), "°C"),
+        f"{lost} lost" if (lost := sonar.get("pings_lost")) else "",
+    ]
+    return texts, GREEN if good else YELLOW
+
+
+def _dropped(pings: Values) -> str:
+    reasons = _part(pings, "dropped")
+    named = ", ".join(f"{_words(name)} {count}" for name, count in reasons.items())
+    total = sum(count for count in reasons.values() if isinstance(count, int))
+    return f"{total} dropped ({named})" if total else ""
+
+
+def _map(facts: Values, store: Values) -> Part:
+    used = facts.get("memory_bytes")
+    texts = [
+        _with_unit(facts.get("resolution_m"), "m", "voxels of "),
+        f"{used / MIB:.1f} MiB in memory" if isinstance(used, int) else "",
+        f"kept in {store['path']}" if store.get("path") else "",
+        str(store.get("trouble") or ""),
+    ]
+    return texts, YELLOW if store.get("trouble") else ""
+
+
+def _recording(status: Values) -> Part:
+    if "recording" not in status:
+        return [], ""
+    recording = _part(status, "recording")
+    if not recording:
+        return ["off"], YELLOW
+    written, dropped = recording.get("bytes_written"), recording.get("bytes_dropped")
+    texts = [
+        ": ".join(str(recording[name]) for name in ("state", "reason") if recording.get(name)),
+        f"{written / MIB:.1f} MiB" if isinstance(written, int) else "",
+        f"{dropped} bytes dropped" if dropped else "",
+    ]
+    return texts, GREEN if recording.get("state") == "logging" else YELLOW
+
+
+def _localized(facts: Values) -> Part:
+    texts = [f"{facts.get('state')} on {facts.get('map') or 'no map'}"] if facts else []
+    if _numbers(facts.get("x_m"), facts.get("y_m"), facts.get("yaw_deg")):
+        texts += [f"x {facts['x_m']:.2f} m", f"y {facts['y_m']:.2f} m"]
+        texts += [f"yaw {facts['yaw_deg']:.1f}°"]
+    good = facts.get("state") == "localized" and facts.get("diagnostics") != "WARN"
+    return texts, "" if good else YELLOW
+
+
+def _painted(lines: list[str], colour: str, *, colours: bool) -> Iterator[str]:
+    for line in lines:
+        yield f"\x1b[{colour}m{line}\x1b[0m" if colour and colours else line
+
+
+def _part(values: Values, name: str) -> Values:
+    found = values.get(name)
+    return found if isinstance(found, Mapping) else {}
+
+
+def _numbers(*values: object) -> bool:
+    return all(isinstance(value, int | float) for value in values)
+
+
+def _with_unit(value: object, unit: str, before: str = "") -> str:
+    return f"{before}{value:.4g} {unit}" if isinstance(value, int | float) else ""
+
+
+def _age(t_s: object, now_s: object) -> str:
+    if not isinstance(t_s, int | float) or not isinstance(now_s, int | float):
+        return ""
+    age_s = max(now_s - t_s, 0.0)
+    return f"{age_s:.1f} s ago" if age_s < 60 else f"{_duration(age_s)} ago"  # noqa: PLR2004 s
 
 
 def event_line(event: Mapping[str, Any], clock: str) -> str:
@@ -39,44 +196,8 @@ def event_line(event: Mapping[str, Any], clock: str) -> str:
     return plain(f"{clock} {event.get('severity', ''):<7} {event.get('text', '')}")
 
 
-def _described(prefix: str, part: Mapping[str, Any]) -> Iterator[str]:
-    for key, value in part.items():
-        name = f"{prefix} {key}".strip()
-        if isinstance(value, Mapping):
-            yield from _described(name, value)
-        elif value not in (None, "", []) and value is not False and not _is_table(value):
-            yield _with_unit(name, value)
-
-
-def _is_table(value: object) -> bool:
-    """Whether a value is a table, which only `--json` prints."""
-    return isinstance(value, list) and isinstance(value[0], Mapping)
-
-
-def _with_unit(name: str, value: object) -> str:
-    if isinstance(value, list):
-        inner = [_number(one) if isinstance(one, int | float) else str(one) for one in value]
-        value_text = f"({', '.join(inner)})"
-    elif value is True:
-        return _words(name)
-    elif isinstance(value, int | float):
-        if name.endswith("bytes"):
-            return f"{_words(name.removesuffix('bytes'))} {value / MIB:.1f} MiB".strip()
-        value_text = _number(value)
-    else:
-        value_text = str(value)
-    for suffix, unit in UNITS.items():
-        if name.endswith(suffix):
-            return f"{_words(name.removesuffix(suffix))} {value_text} {unit}"
-    return f"{_words(name)} {value_text}"
-
-
 def _words(name: str) -> str:
     return name.replace("_", " ").strip()
-
-
-def _number(value: float) -> str:
-    return str(value) if isinstance(value, int) else f"{value:.4g}"
 
 
 def _duration(seconds: object) -> str:
@@ -86,22 +207,15 @@ def _duration(seconds: object) -> str:
     return f"{hours}:{minutes:02}:{rest:02}"
 
 
-def _rate(status: Mapping[str, Any], before: Mapping[str, Any] | None) -> str:
-    if before is None:
+def _rate(status: Values, before: Values | None, part: str, name: str) -> str:
+    """Return the rate of a counter since an earlier status."""
+    if before is None or not _numbers(status.get("uptime_s"), before.get("uptime_s")):
         return ""
-    passed_s = status.get("uptime_s", 0.0) - before.get("uptime_s", 0.0)
-    mapped = _mapped(status) - _mapped(before)
-    if passed_s <= 0 or mapped < 0:  # the daemon restarted
-        return ""
-    return f", {mapped / passed_s:.1f} pings/s"
-
-
-def _mapped(status: Mapping[str, Any]) -> int:
-    pings = status.get("pings")
-    return int(pings.get("mapped", 0)) if isinstance(pings, Mapping) else 0
-
-
-Values = Mapping[str, Any]
+    passed_s = status["uptime_s"] - before["uptime_s"]
+    now, then = _part(status, part).get(name), _part(before, part).get(name)
+    if not isinstance(now, int) or not isinstance(then, int) or passed_s <= 0 or now < then:
+        return ""  # the daemon restarted
+    return f" {(now - then) / passed_s:.1f}/s"
 
 
 def localization_lines(state: Values) -> Iterator[str]:

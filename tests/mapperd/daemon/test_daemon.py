@@ -38,6 +38,7 @@ STATUS_KEYS = [
     "phase",
     "reason",
     "version",
+    "t_s",
     "uptime_s",
     "sonar",
     "odometry",

@@ -154,5 +154,4 @@ def test_lines_before_there_is_anything() -> None:
 def test_status_has_a_line_of_it() -> None:
     output = {"localization": localization_summary(facts(0.0), CONFIG)}
     _, line = status_lines(output, None)
-    assert line.startswith("localization mode global, state localized, map tank.yaml")
-    assert "x 1 m, y 2 m, yaw 28.65 deg" in line
+    assert line == "localization  localized on tank.yaml, x 1.00 m, y 2.00 m, yaw 28.6°"
