@@ -12,6 +12,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from mapperd.cli.mapperctl.connection import ControlConnection, DaemonTarget
+from mapperd.cli.mapperctl.errors import CtlError
+from mapperd.cli.mapperctl.views import status_lines
 from mapperd.config.layers import load_settings
 from mapperd.config.link_address import parse_address
 from mapperd.config.tree import Config
@@ -20,6 +23,7 @@ from mapperd.errors import ConfigError, Reject
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.formats import make_decoder
 from mapperd.odometry.links import OdometryLink
+from mapperd.wire.socket_paths import socket_places
 from oculus_driver.command_line import CommandParser
 from oculus_driver.discovery.probe import Layer, ProbeOptions, evaluate, probe
 
@@ -29,6 +33,7 @@ BAD_CONFIG = 78
 FAULT = 1
 INTERRUPTED = 130
 MARKS = {"ok": "ok  ", "doubtful": "?   ", "failed": "FAIL", "not tested": "-   "}
+PATIENCE_S = 5.0
 MAX_SECONDS = 3600.0
 BACK_S = 0.2
 """How long before now a pose is asked for: the newest record is that old at most."""
@@ -45,6 +50,8 @@ def doctor(argv: Sequence[str]) -> int:
     if layered.notice:
         print(f"mapperd: {layered.notice}", file=sys.stderr)  # noqa: T201
     try:
+        if (asked := _asked(layered.config, args.seconds)) is not None:
+            return _judged(*asked, as_json=args.json)
         found = asyncio.run(_examined(layered.config, args.seconds, ping=args.ping))
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -59,10 +66,38 @@ def doctor(argv: Sequence[str]) -> int:
     return FAULT if failed else 0
 
 
+def _asked(config: Config, seconds: float) -> tuple[Path, dict[str, Any], dict[str, Any]] | None:
+    """Ask a running daemon, which holds the links, for its status twice; None without one."""
+    for path in socket_places(config, os.environ):
+        try:
+            with ControlConnection(DaemonTarget(path), PATIENCE_S) as daemon:
+                before = daemon.ask("status")
+                daemon.wait(seconds)
+                return path, before, daemon.ask("status")
+        except CtlError:
+            continue
+    return None
+
+
+def _judged(path: Path, before: dict[str, Any], status: dict[str, Any], *, as_json: bool) -> int:
+    problems = status.get("problems") or []
+    if as_json:
+        failed = [one["code"] for one in problems]
+        facts = {"daemon": str(path), "problems": problems, "failed": failed, "status": status}
+        print(json.dumps(facts))  # noqa: T201
+    else:
+        print(f"the daemon at {path} holds the links; it reports:")  # noqa: T201
+        print("\n".join(status_lines(status, before)))  # noqa: T201
+        if not problems:
+            print("no problems")  # noqa: T201
+    return FAULT if problems else 0
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = CommandParser(
         "mapperd doctor",
-        description="Watch every link for a while; name the first layer that fails and what to do.",
+        description="Watch every link for a while; name the first layer that fails and what to do. "
+        "A running daemon holds the links: it is asked instead.",
         epilog="exit codes: 0 all links work; 1 a link fails; 78 invalid settings; 130 interrupted",
     )
     add = parser.add_argument

@@ -1,9 +1,12 @@
 """Layers of settings files, and which file each value comes from."""
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from mapperd.config.aliases import tree_updated
 from mapperd.config.catalog import parameters
@@ -11,7 +14,15 @@ from mapperd.config.loader import config_of, read_tree
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 
-__all__ = ["DEFAULT", "Layered", "load_files", "load_settings", "settings_files", "user_folder"]
+__all__ = [
+    "DEFAULT",
+    "Layered",
+    "load_files",
+    "load_settings",
+    "settings_files",
+    "text_with",
+    "user_folder",
+]
 
 DEFAULT = "default"
 """Origin of a setting that no file names."""
@@ -148,3 +159,50 @@ def _files_of(folder: Path | None) -> list[Path]:
     except OSError:
         pass  # it exists; reading it reports the error
     return [first, *fragments]
+
+
+def text_with(text: str, name: str, value: object) -> str:
+    """Return the text of a settings file with another value of one setting.
+
+    Comments and all other values stay as they are.
+
+    Args:
+        text: of a valid settings file; may be empty.
+        name: of the setting, `octree.voxel_resolution`.
+        value: as plain values.
+
+    Raises:
+        ConfigError: the value stands in the file in a form that cannot be replaced.
+    """
+    node = yaml.compose(text, Loader=yaml.SafeLoader)
+    keys = name.split(".")
+    inside: yaml.MappingNode | None = None
+    while keys and isinstance(node, yaml.MappingNode):
+        inside = node
+        found = {key.value: at for key, at in node.value}.get(keys[0])
+        if found is None:
+            break
+        node = found
+        keys.pop(0)
+    shown = json.dumps(value)
+    if not keys and node is not None:
+        return _replaced(text, node, shown, name)
+    if node is not inside and node is not None and node.start_mark.index < node.end_mark.index:
+        raise ConfigError(f"{name}: its section has another form in the file", name)
+    first, *rest = keys
+    entry = f"{first}: {''.join(f'{{ {key}: ' for key in rest)}{shown}{' }' * len(rest)}"
+    if inside is None or node is None or len(keys) == len(name.split(".")):
+        return f"{text.rstrip()}\n{entry}\n".lstrip()
+    at = inside.start_mark
+    if inside.flow_style:
+        return f"{text[: at.index + 1]} {entry},{text[at.index + 1 :]}"
+    return f"{text[: at.index]}{entry}\n{' ' * at.column}{text[at.index :]}"
+
+
+def _replaced(text: str, node: yaml.Node, shown: str, name: str) -> str:
+    is_block = isinstance(node, yaml.CollectionNode) and not node.flow_style
+    if is_block or getattr(node, "style", None) in ("|", ">"):
+        raise ConfigError(f"{name}: its value takes several lines in the file: edit it there", name)
+    begin, end = node.start_mark.index, node.end_mark.index
+    gap = " " if text[begin - 1 : begin] == ":" else ""
+    return f"{text[:begin]}{gap}{shown}{text[end:]}"

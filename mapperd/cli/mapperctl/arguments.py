@@ -499,7 +499,7 @@ answers; 73 cannot write; 75 try again later; 76 protocol mismatch;
 
 EPILOG = f"""examples:
   mapperctl status --watch
-  mapperctl set filtering.min_range=1.5
+  mapperctl set filtering.min_range=1.5 --persist
   mapperctl export harbour.ply
   mapperctl view dive/map.bt --open
   mapperctl diff before.map after.map
@@ -547,6 +547,14 @@ def parser() -> CommandParser:
     get.add_argument("names", metavar="NAME", nargs="+", type=_name, help="a setting or a section")
     change = _command(commands, "set", "change settings of the running daemon, all or none")
     change.add_argument("changes", metavar="NAME=VALUE", nargs="+", type=_change)
+    change.add_argument(
+        "--persist",
+        metavar="FILE",
+        nargs="?",
+        type=Path,
+        const=Path(),
+        help="write the values into the settings files too; FILE: into this one",
+    )
     about = "show and change the settings of the sonar, while it maps"
     add_sonar(_command(commands, "sonar", about))
     save = _command(commands, "save", "write the map into the daemon's maps folder")

@@ -7,6 +7,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -15,8 +16,14 @@ from mapperd.cli.mapperctl.connection import ControlConnection, DaemonTarget
 from mapperd.cli.mapperctl.errors import CtlError, CtlExit, plain
 from mapperd.cli.mapperctl.sonar import run_sonar
 from mapperd.cli.mapperctl.views import event_line, localization_lines, params_lines, status_lines
+from mapperd.config.layers import load_files, settings_files, text_with, user_folder
+from mapperd.config.loader import config_from_text
+from mapperd.errors import ExportError
+from mapperd.io import atomic_file
 
 __all__ = ["run"]
+
+USAGE = CtlExit.USAGE
 
 PATIENCE_S = 30.0
 PATIENCE_WITH_DISKS_S = 900.0
@@ -52,8 +59,65 @@ def run(args: argparse.Namespace, target: DaemonTarget) -> Lines:
         if args.command == "events":
             yield from _events(args, daemon)
             return
+        files = _files_for(args, daemon) if getattr(args, "persist", None) is not None else {}
         result = daemon.ask(args.command, **_arguments(args))
         yield from [json.dumps(result)] if args.json else _PEOPLE[args.command](args, result)
+        for path, text in _persisted(args, files).items():
+            _write(path.resolve(), text)
+            if not args.json:
+                yield plain(f"{path}: written")
+
+
+def _files_for(args: argparse.Namespace, daemon: ControlConnection) -> dict[str, Path]:
+    """Return the settings file of each changed setting: the one that names it, or the topmost."""
+    if args.address:
+        raise CtlError("--persist writes files of the daemon's computer: run it there", USAGE)
+    names = [name for name, _ in args.changes]
+    if args.persist != Path():
+        return dict.fromkeys(names, args.persist)
+    facts = daemon.ask("params", names=[])
+    origins = dict.fromkeys(fact["origin"] for fact in facts.values())
+    known = [Path(origin) for origin in origins if origin.endswith((".yaml", ".yml"))]
+    usual = settings_files([], os.environ)
+    known.sort(key=lambda path: usual.index(path) if path in usual else len(usual))
+    own = user_folder(os.environ)
+    if not known and own is not None:
+        known = [own / "mapperd.yaml"]
+    if not known or not all(path.is_absolute() for path in known):
+        names_found = ", ".join(map(str, known)) or "none"
+        raise CtlError(f"which settings file is not clear ({names_found}): --persist FILE", USAGE)
+    return {name: _naming(name, known) for name in names}
+
+
+def _naming(name: str, files: list[Path]) -> Path:
+    """Return the topmost file that names a setting, or the topmost."""
+    naming = [path for path in files if path.exists() and name in load_files([path]).origins]
+    return (naming or files)[-1]
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        mode = path.stat().st_mode if path.exists() else None
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_file(path) as file:
+            file.write(text.encode())
+        if mode is not None:
+            path.chmod(mode)
+    except (OSError, ExportError) as error:
+        text = f"the daemon uses the new values; {error}"
+        raise CtlError(text, CtlExit.CANNOT_WRITE) from error
+
+
+def _persisted(args: argparse.Namespace, files: Mapping[str, Path]) -> dict[Path, str]:
+    """Return the new texts of settings files."""
+    texts: dict[Path, str] = {}
+    for name, path in files.items():
+        if path not in texts:
+            texts[path] = path.read_text("utf-8") if path.exists() else ""
+        texts[path] = text_with(texts[path], name, dict(args.changes)[name])
+    for path, text in texts.items():
+        config_from_text(text, str(path))
+    return texts
 
 
 def _arguments(args: argparse.Namespace) -> dict[str, Any]:

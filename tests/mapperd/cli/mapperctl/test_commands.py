@@ -18,7 +18,9 @@ import pytest
 
 from mapperd.cli.mapperctl.command import main
 from mapperd.cli.mapperctl.connection import ControlConnection, DaemonTarget
+from mapperd.cli.mapperd import main as mapperd
 from mapperd.config.catalog import parameters
+from mapperd.config.loader import load_config
 from mapperd.events import Severity
 from tests.mapperd.cli.mapperctl.conftest import Running
 from tests.support.control_server import message_of, refusal
@@ -308,3 +310,40 @@ def test_events_are_followed_until_interrupted(running: Running) -> None:
     person.see(b'"text": "afterwards"')
     person.process.send_signal(signal.SIGINT)
     assert person.end() == 0
+
+
+def test_a_change_is_written_into_the_settings_file(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "vehicle.yaml"
+    path.write_text("filtering: # ours\n  min_range: 0.8 # m\n")
+    code, lines, _ = call("set", f"{THRESHOLD}=50", "--persist", str(path))
+    assert (code, lines[-1]) == (0, f"{path}: written")
+    assert call("set", "filtering.min_range=1.5", "--persist", str(path))[0] == 0
+    config = load_config(path)
+    assert (config.filtering.min_range, config.filtering.intensity_threshold) == (1.5, 50)
+    assert "# ours" in path.read_text()
+    before = path.read_text()
+    code, _, output = call("set", "octree.voxel_resolution=1", "--persist", str(path))
+    assert (code, path.read_text()) == (1, before), output
+
+
+def test_without_a_file_those_of_the_user_are_written(call: Call, tmp_path: Path) -> None:
+    assert call("set", f"{THRESHOLD}=50", "--persist")[0] == 0
+    path = tmp_path / "xdg" / "mapperd" / "mapperd.yaml"
+    assert load_config(path).filtering.intensity_threshold == 50
+
+
+def test_the_doctor_asks_a_running_daemon(
+    running: Running, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = tmp_path / "vehicle.yaml"
+    settings.write_text(f"server: {{ socket: {running.socket} }}\n")
+    words = ["doctor", "--config", str(settings), "--seconds", "0.1"]
+    assert mapperd(words) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "no problems"
+    problems = [{"code": "no_sonar", "text": "no sonar: check power"}]
+    status = running.one.daemon.status() | {"problems": problems}
+    running.one.daemon.status = lambda: status  # type: ignore[method-assign]
+    assert mapperd(words) == 1
+    assert "! no sonar: check power" in capsys.readouterr().out
+    assert mapperd([*words, "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["failed"] == ["no_sonar"]
