@@ -21,7 +21,7 @@ from mapperd.config.tree import Config
 from mapperd.daemon.doctor import LinkEvidence, judge_link
 from mapperd.errors import ConfigError, Reject
 from mapperd.odometry.bridge import OdometryBridge
-from mapperd.odometry.formats import make_decoder
+from mapperd.odometry.formats import check_levelling, make_decoder
 from mapperd.odometry.links import OdometryLink
 from mapperd.wire.socket_paths import socket_places
 from oculus_driver.command_line import CommandParser
@@ -44,6 +44,7 @@ def doctor(argv: Sequence[str]) -> int:
     args = _parser().parse_args(argv)
     try:
         layered = load_settings([] if args.config is None else [args.config], os.environ)
+        check_levelling(layered.config)
     except ConfigError as error:
         print(f"mapperd: {error}", file=sys.stderr)  # noqa: T201 a command speaks
         return BAD_CONFIG

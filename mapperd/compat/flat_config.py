@@ -233,5 +233,5 @@ SonarMapperConfig: type[_MapperConfig] = make_dataclass(
     "SonarMapperConfig",
     _fields(),
     bases=(_MapperConfig,),
-    namespace={"__doc__": _MapperConfig.__doc__},
+    namespace={"__doc__": _MapperConfig.__doc__, "__module__": __name__},
 )

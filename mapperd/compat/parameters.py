@@ -273,7 +273,10 @@ class ParameterManager:
 def _handed_over(
     values: Mapping[str, Any], handlers: Mapping[str, Callable[[Any], None]]
 ) -> tuple[list[str], str]:
-    """Call handlers, those that refuse again after the others; return who took it and why not."""
+    """Call handlers; return the names whose handlers accepted, and the first reason of a refusal.
+
+    Handlers that refuse are called again after the others.
+    """
     done: list[str] = []
     while len(done) < len(values):
         before, reason = len(done), ""

@@ -145,3 +145,18 @@ def test_the_command_watches_real_links(
         next(one for one in reported["links"]["sonar"] if one["verdict"] == "failed")["name"]
         == "port"
     )
+
+
+@pytest.mark.parametrize("words", [["doctor"], ["--out", "out"]])
+def test_levelling_that_no_source_can_serve_is_refused(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "a.yaml"
+    config.write_text(
+        "world_init: {enabled: true}\n"
+        "odometry: {sources: [{name: gps, format: nmea, link: 'udp://127.0.0.1:1'}]}\n"
+    )
+    assert main([*words, "--config", str(config)]) == 78
+    problem = capsys.readouterr().err
+    assert "no source of the attitude sends accelerations" in problem
+    assert problem.count("\n") == 1

@@ -1,4 +1,5 @@
 import math
+import pickle
 from typing import Any
 
 import numpy as np
@@ -188,6 +189,7 @@ def test_mapper_configuration_has_every_published_key_and_its_default() -> None:
     assert SonarMapperConfig(L_occ=2.0).L_occ == 2.0
     with pytest.raises(ConfigError, match=r"min_range: .*>= 0"):
         SonarMapperConfig(min_range=-1)
+    assert pickle.loads(pickle.dumps(SonarMapperConfig(L_occ=2.0))) == SonarMapperConfig(L_occ=2.0)  # noqa: S301 our own
     with pytest.raises(TypeError, match="colour"):
         SonarMapperConfig(colour=1)
 
