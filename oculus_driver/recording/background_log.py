@@ -185,7 +185,8 @@ class BackgroundLog:
                 self._remember_position(entry.number)
                 self._sync_if_wanted()
             self._log.close()
-            self._note_synced(self.written)
+            if self._log.sync(self._clock()):
+                self._note_synced(self.written)
         except BaseException as error:  # noqa: BLE001 - raised at the end of the block
             self._error = error
 

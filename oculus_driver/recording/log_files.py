@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -191,6 +192,12 @@ class LogFolder:
     def sync(self) -> None:
         """Flush the names of new files to the disk."""
         _sync_folder(self.path)
+
+    @staticmethod
+    def sync_file(path: Path) -> None:
+        """Flush the data of a closed file to the disk, unless it was deleted."""
+        with suppress(FileNotFoundError), path.open("rb") as file:
+            os.fdatasync(file.fileno())
 
 
 def _make_folder(path: Path) -> None:

@@ -11,7 +11,8 @@ of a link, so damage elsewhere does not cause a gap and a completely missing chu
 other files any damage is a gap in all links.
 
 The checksum of a complete chunk is checked before its messages are yielded. If it fails, they are
-yielded as damaged: nobody can know which of their bytes are wrong.
+yielded as damaged: nobody can know which of their bytes are wrong. In files that have a checksum
+for each message (`format_version` 3), so are messages without one: a power cut leaves such.
 """
 
 from __future__ import annotations
@@ -37,6 +38,9 @@ _STREAMS: Final = frozenset({OCULUS})
 _NUMBERED: Final = "format_version"
 """Metadata key of `RecordingWriter`, which numbers the messages of each link without gaps."""
 
+_CHECKED: Final = 3
+"""Format version from which on every message has a checksum."""
+
 _SEQUENCES: Final = 1 << 32
 _SMALL_RECORD: Final = 1 << 20
 _MAX_CHECKED: Final = 1 << 30
@@ -45,7 +49,7 @@ _MAX_CHECKED: Final = 1 << 30
 _MAX_NAME: Final = 64
 _PRIVATE: Final = 0x80
 _LIKELY_LENGTH: Final = 1 << 40
-_OPCODES: Final = frozenset(int(opcode) for opcode in Opcode)
+_OPCODES: Final = frozenset(int(opcode) for opcode in Opcode if opcode < _PRIVATE)
 
 
 class _DamagedError(Exception):
@@ -108,6 +112,8 @@ class _Reader:
     losses: int = 0
     stamp_ns: int | None = None
     damaged_to: int = 0
+    checked_to: int = 0
+    is_checked: bool = False
     summary_read: bool = False
     finished: bool = False
 
@@ -176,8 +182,14 @@ class _Reader:
         if not self._declared(number):
             raise _DamagedError(f"a message of undeclared link {number}")
         self.stamp_ns = self.stamp_ns or log_time_ns or None
-        damaged = self.position <= self.damaged_to
+        start = self.position
         data, fault = self._content(source, length - mcap.MESSAGE_HEAD.size)
+        damaged = start <= self.damaged_to
+        if source is self and self.is_checked and start > max(self.damaged_to, self.checked_to):
+            message = mcap.HEAD.pack(Opcode.MESSAGE, length) + head + data
+            damaged = fault is not None or not self._has_checksum(message)
+            if damaged:
+                self.progress.report_damaged(start, len(data), "no checksum")
         link, encoding = self.channels[number]
         if fault is None or (data and encoding in _STREAMS):
             self.stamp_ns = log_time_ns or None
@@ -186,6 +198,13 @@ class _Reader:
             yield Chunk(link, encoding, self.stamp_ns, data, gap, damaged)
         if fault is not None:
             raise fault
+
+    def _has_checksum(self, message: bytes) -> bool:
+        """Return whether the next record is the checksum of a message."""
+        expected = mcap.checksum(message)
+        found = self.file.read(len(expected))
+        self.file.seek(self.position)
+        return found == expected
 
     def _gap_before(self, number: int, sequence: int, *, broken: bool) -> bool:
         """Return whether data of a link are missing before this message; remember the message."""
@@ -272,6 +291,9 @@ class _Reader:
         A checksum of 0 means that there is none. A chunk that is cut has none either.
         """
         start = self.position
+        if start + size > self.size and self.is_checked:
+            self.damaged_to = self.size
+            self.progress.report_damaged(start, self.size - start, "no checksum: it is cut")
         if not expected or start + size > self.size or inflated_size > _MAX_CHECKED:
             return
         source: ByteSource = _Limited(self, size)
@@ -289,6 +311,8 @@ class _Reader:
         if left or value != expected:
             self.damaged_to = start + size
             self.progress.report_damaged(start, size, fault or "wrong checksum")
+        else:
+            self.checked_to = start + size
 
     def _inflated(self, compression: str, size: int, inflated_size: int) -> Generator[Chunk]:
         """Read the records of a compressed chunk, then skip to its end."""
@@ -340,7 +364,13 @@ class _Reader:
         if name != METADATA_NAME:
             return
         texts = iter(mcap.strings(content, 2 * mcap.U32.size + len(name.encode())))
-        self.progress.metadata = dict(zip(texts, texts, strict=False))
+        found = dict(zip(texts, texts, strict=False))
+        crc = found.pop(mcap.CRC_KEY, None)
+        if crc is not None and crc != mcap.crc_of_texts(found):
+            raise _DamagedError("metadata with a wrong checksum")
+        self.progress.metadata = found
+        version = found.get(_NUMBERED, "")
+        self.is_checked = version.isdecimal() and int(version) >= _CHECKED
 
     def _pass_over(self, opcode: int, length: int) -> None:
         """Skip an unneeded record, unless it contains messages.

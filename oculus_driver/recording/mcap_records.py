@@ -7,6 +7,7 @@ magic again. All numbers are little-endian; strings and maps are preceded by a u
 from __future__ import annotations
 
 import struct
+import zlib
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import TYPE_CHECKING, BinaryIO, Final
@@ -36,6 +37,8 @@ class Opcode(IntEnum):
     METADATA_INDEX = 0x0D
     SUMMARY_OFFSET = 0x0E
     DATA_END = 0x0F
+    CHECKSUM = 0xC3
+    """Private to `RecordingWriter`, which other readers skip: CRC-32 of the message before it."""
 
 
 HEAD: Final = struct.Struct("<BQ")
@@ -76,6 +79,21 @@ def string_map(values: Mapping[str, str]) -> bytes:
     return U32.pack(len(data)) + data
 
 
+CRC_KEY: Final = "crc32"
+"""Key of a checksum over the other texts, in metadata and in the metadata of a channel."""
+
+
+def crc_of_texts(texts: Mapping[str, str]) -> str:
+    """Return the checksum of some texts, without the one under `CRC_KEY`."""
+    others = {key: value for key, value in texts.items() if key != CRC_KEY}
+    return f"{zlib.crc32(string_map(others)):08x}"
+
+
+def checksum(message: bytes) -> bytes:
+    """Return the record with the checksum of a message's record."""
+    return record(Opcode.CHECKSUM, U32.pack(zlib.crc32(message)))
+
+
 def header(library: str) -> bytes:
     """Return the first record of a file."""
     return record(Opcode.HEADER, string(""), string(library))
@@ -83,9 +101,8 @@ def header(library: str) -> bytes:
 
 def channel(number: int, topic: str, encoding: str) -> bytes:
     """Return the record of a channel without a schema."""
-    return record(
-        Opcode.CHANNEL, struct.pack("<HH", number, 0), string(topic), string(encoding), U32.pack(0)
-    )
+    content = struct.pack("<HH", number, 0) + string(topic) + string(encoding)
+    return record(Opcode.CHANNEL, content, string_map({CRC_KEY: f"{zlib.crc32(content):08x}"}))
 
 
 def metadata(name: str, values: Mapping[str, str]) -> bytes:
@@ -190,6 +207,11 @@ def channel_of(content: bytes) -> tuple[int, str, str] | None:
     if len(texts) < 2:  # noqa: PLR2004 - topic and encoding
         return None
     (number,) = U16.unpack_from(content)
+    size = 2 * U16.size + sum(U32.size + len(text.encode()) for text in texts[:2])
+    notes = tuple(strings(content, size + U32.size))
+    crc = dict(zip(notes[::2], notes[1::2], strict=False)).get(CRC_KEY)
+    if crc is not None and crc != f"{zlib.crc32(content[:size]):08x}":
+        return None
     return number, texts[0], texts[1]
 
 

@@ -169,6 +169,7 @@ class SonarLog:
         self._synced_ns = 0
         self._retry_at_ns: int | None = None
         self._paused_for = ""
+        self._unsynced: list[Path] = []  # closed files whose data may not be on the disk
         self._torn = False  # a part of the current message was dropped
         self._gap = False  # so bytes are missing before the next ones
         self._hold = hold
@@ -288,13 +289,20 @@ class SonarLog:
             now_ns: present time, on the clock of the arrivals.
 
         Returns:
-            False if the disk failed; the log pauses.
+            False if the disk failed. The log pauses, unless it failed for a closed file.
         """
-        if self._writer is None:  # files are flushed before they are closed
+        try:
+            while self._unsynced:
+                self._folder.sync_file(self._unsynced[0])
+                self._unsynced.pop(0)
+        except OSError as error:
+            self.reason = str(error)
+            return False
+        if self._writer is None:
             return True
         try:
             self._writer.sync()
-        except OSError as error:
+        except (RecordingError, OSError) as error:
             self._fail(error, now_ns)
             return False
         self._synced_ns = now_ns
@@ -429,11 +437,15 @@ class SonarLog:
         writer, self._writer = self._writer, None
         if writer is None:
             return
+        is_synced = False
         with suppress(RecordingError, OSError):
             if self.policy.sync_interval_ns is not None and why != "failure":
                 writer.sync()
+                is_synced = True
         with suppress(RecordingError, OSError):
             writer.close()
+        if not is_synced:
+            self._unsynced.append(writer.path)
         self._folder.add(writer.path)
         if why is not None:
             self.counters.rotations[why] += 1

@@ -1,11 +1,12 @@
 """Writes recordings that lose nothing in a crash of the program.
 
-The file is MCAP. Each `write` goes to the operating system at once, as a message after the head
-of an empty chunk. When enough messages have been written, the head is updated in place so that
-they become the chunk's content, and the chunk's index is appended. So a killed program leaves
-every byte in the file, as messages outside of chunks, which any MCAP reader accepts; a closed file
-is fully indexed. Chunks are not compressed: sonar images hardly shrink (zstd saves a fifth), and
-compression would have to delay the writes.
+The file is MCAP. Each `write` goes to the operating system at once: it appends a message to the
+open chunk and updates the chunk's head, with its checksum, in place. So a killed program leaves
+every byte in the file, as a chunk that any MCAP reader accepts; a closed file is fully indexed.
+Between the two steps the newest message stands behind the chunk, followed by a private record with
+its checksum, which the next message overwrites. So every message of an unclosed file has a checksum
+too, and data that a power cut damaged are detected. Chunks are not compressed: sonar images hardly
+shrink (zstd saves a fifth), and compression would have to delay the writes.
 """
 
 from __future__ import annotations
@@ -25,14 +26,18 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from types import TracebackType
 
-FORMAT_VERSION: Final = 2
+FORMAT_VERSION: Final = 3
+"""From 3 on every message has a checksum, also in files that were not closed."""
+
 METADATA_NAME: Final = "oculus_driver.recording"
 LIBRARY: Final = "oculus_driver"
 
 GAP_STEP: Final = 1 << 16
 """Sequence numbers that a marked gap skips; damage skips fewer: a chunk has no room for so many."""
 
-CHUNK_SIZE: Final = 1 << 20
+CHUNK_SIZE: Final = 1 << 18
+"""What a damaged byte makes useless, at most; larger messages are alone."""
+
 _MAX_LINKS: Final = 1 << 15
 _U64_END: Final = 1 << 64
 
@@ -47,11 +52,18 @@ class _OpenChunk:
     span_ns: tuple[int, int] | None = None
     indexes: dict[int, bytearray] = field(default_factory=dict)
 
-    def add(self, number: int, stamp_ns: int, head: bytes, data: bytes) -> None:
+    def head_with(self, stamp_ns: int, message: bytes) -> bytes:
+        """Return the chunk's head as it is with one more message."""
+        first, last = self.span_ns or (stamp_ns, stamp_ns)
+        span_ns = (min(first, stamp_ns), max(last, stamp_ns))
+        crc = zlib.crc32(message, self.crc)
+        return mcap.chunk_head(*span_ns, self.size + len(message), crc)
+
+    def add(self, number: int, stamp_ns: int, message: bytes) -> None:
         entry = mcap.U64.pack(stamp_ns) + mcap.U64.pack(self.size)
         self.indexes.setdefault(number, bytearray()).extend(entry)
-        self.crc = zlib.crc32(data, zlib.crc32(head, self.crc))
-        self.size += len(head) + len(data)
+        self.crc = zlib.crc32(message, self.crc)
+        self.size += len(message)
         first, last = self.span_ns or (stamp_ns, stamp_ns)
         self.span_ns = (min(first, stamp_ns), max(last, stamp_ns))
 
@@ -92,7 +104,9 @@ class RecordingWriter:
             "format_version": str(FORMAT_VERSION),
             "monotonic_to_unix_ns": str(monotonic_to_unix_ns),
         }
-        note = mcap.metadata(METADATA_NAME, dict(metadata or {}) | facts)
+        texts = dict(metadata or {}) | facts
+        texts[mcap.CRC_KEY] = mcap.crc_of_texts(texts)
+        note = mcap.metadata(METADATA_NAME, texts)
         try:
             self._append(mcap.MAGIC + mcap.header(LIBRARY))
             self._metadata_index = mcap.metadata_index(self._position, len(note), METADATA_NAME)
@@ -161,24 +175,29 @@ class RecordingWriter:
         stamp_ns = 0 if arrival_ns is None else arrival_ns + self._offset_ns
         if not 1 <= link <= len(self._channels) or not 0 <= stamp_ns < _U64_END:
             raise RecordingError(f"{self.path}: invalid link {link} or time {stamp_ns} ns")
-        whole = bytes(data)
         gaps = self._gaps[link] + (gap_before and self._counts[link] > 0)
         sequence = self._counts[link] + GAP_STEP * gaps
-        head = mcap.message_head(link, sequence, stamp_ns, len(whole))
-        size = len(head) + len(whole)
-        if self._chunk is not None and self._chunk.size + size > CHUNK_SIZE:
+        message = mcap.message_head(link, sequence, stamp_ns, len(data)) + bytes(data)
+        if self._chunk is not None and self._chunk.size + len(message) > CHUNK_SIZE:
             self._close_chunk()
         chunk = self._chunk or self._open_chunk()
-        self._append(head, whole)
-        chunk.add(link, stamp_ns, head, whole)
+        start = self._position
+        self._append(message, mcap.checksum(message))
+        self._position = start + len(message)
+        try:
+            self._patch(chunk.head_with(stamp_ns, message), chunk.offset)
+        except RecordingError:
+            self._truncate(start)
+            raise
+        chunk.add(link, stamp_ns, message)
         self._counts[link] += 1
         self._gaps[link] = gaps
 
     def sync(self) -> None:
         """Flush everything to the disk; may take a while.
 
-        The chunk ends here: a power failure may cost bytes that are written later, and the checksum
-        of their chunk does not cover these.
+        The chunk ends here: a power failure may damage bytes that are written later, and the
+        checksum of their chunk does not cover these.
 
         Raises:
             RecordingError: the disk is full or fails.
@@ -212,7 +231,6 @@ class RecordingWriter:
         if chunk.span_ns is None:
             self._truncate(chunk.offset)
             return
-        self._patch(mcap.chunk_head(*chunk.span_ns, chunk.size, chunk.crc), chunk.offset)
         start = self._position
         places: dict[int, int] = {}
         notes = bytearray()
@@ -255,11 +273,12 @@ class RecordingWriter:
         view = memoryview(todo)
         try:
             while view:
-                view = view[os.write(self._file, view) :]
+                written = os.pwrite(self._file, view, self._position)
+                self._position += written
+                view = view[written:]
         except OSError as error:
             self._truncate(start)
             raise self._failure(error) from error
-        self._position = start + len(todo)
 
     def _patch(self, data: bytes, offset: int) -> None:
         try:
@@ -273,7 +292,6 @@ class RecordingWriter:
 
     def _truncate(self, size: int) -> None:
         os.ftruncate(self._file, size)
-        os.lseek(self._file, size, os.SEEK_SET)
         self._position = size
 
 

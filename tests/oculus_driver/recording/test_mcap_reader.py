@@ -25,6 +25,7 @@ from oculus_driver.recording import (
 from oculus_driver.recording.chunk import Progress
 from oculus_driver.recording.mcap_reader import read_mcap
 from oculus_driver.recording.mcap_records import MAGIC, Opcode
+from oculus_driver.recording.writer import CHUNK_SIZE
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -104,7 +105,7 @@ def test_zeros_behind_the_end_are_reported(written: Written) -> None:
     rows, progress = read(written.data[:size] + bytes(100_000))
     assert rows == written.rows[:71]
     assert progress.truncated
-    assert (progress.damage or "").startswith(f"damaged at byte {size}: ")
+    assert (progress.damage or "").startswith("damaged chunk at byte ")
 
 
 @pytest.mark.parametrize("shift", range(9))
@@ -124,7 +125,7 @@ def test_a_damaged_record_head_costs_that_record_only(written: Written, shift: i
 def test_a_damaged_chunk_head_costs_no_message(written: Written, shift: int) -> None:
     data = bytearray(written.data)
     start = written.data.index(b"\x06", written.ends[30])
-    while struct.unpack_from("<Q", data, start + 1)[0] not in range(900_000, 1 << 20):
+    while struct.unpack_from("<Q", data, start + 1)[0] not in range(CHUNK_SIZE // 2, CHUNK_SIZE):
         start = written.data.index(b"\x06", start + 1)
     data[start + shift] ^= 0xFF
     rows, _ = read(bytes(data))

@@ -16,7 +16,14 @@ from mcap.writer import Writer
 
 from oculus_driver.encode import encode_dummy
 from oculus_driver.errors import RecordingError
-from oculus_driver.recording import MCAP, OCULUS, OCULUS_RAW, convert, open_recording
+from oculus_driver.recording import (
+    MCAP,
+    OCULUS,
+    OCULUS_RAW,
+    RecordingWriter,
+    convert,
+    open_recording,
+)
 from oculus_driver.stream import StreamParser
 
 if TYPE_CHECKING:
@@ -41,7 +48,7 @@ def test_an_mcap_file_is_known_by_its_content(written: Written) -> None:
         assert recording.path == written.path
         assert recording.size_bytes == len(written.data)
         assert (recording.start_ns, recording.end_ns) == (written.rows[0][2], written.rows[-1][2])
-        assert recording.metadata["format_version"] == "2"
+        assert recording.metadata["format_version"] == "3"
         assert recording.bytes_read == 0
         iterator = iter(recording)
         for _ in range(60):
@@ -175,7 +182,12 @@ def test_a_recording_cut_by_a_kill_becomes_one_for_every_reader(
     tmp_path: Path, written: Written
 ) -> None:
     cut, whole = tmp_path / "cut.mcap", tmp_path / "whole.mcap"
-    cut.write_bytes(written.data[: written.ends[70]])
+    with RecordingWriter(tmp_path / "open.mcap") as writer:
+        links: dict[str, int] = {}
+        for name, encoding, stamp_ns, data in written.rows[:71]:
+            links[name] = links.get(name) or writer.add_link(name, encoding)
+            writer.write(links[name], data, stamp_ns)
+        cut.write_bytes(writer.path.read_bytes())
     with cut.open("rb") as file, pytest.raises(McapError):
         list(make_reader(file).iter_messages())
     convert(cut, whole)

@@ -13,7 +13,7 @@ from oculus_driver.encode import encode_dummy, encode_status
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording import LogPolicy, SonarLog, describe, open_recording
 from oculus_driver.recording.log_files import MIB
-from oculus_driver.stream import StreamParser
+from oculus_driver.stream import MessageBounds, StreamParser
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -222,15 +222,15 @@ def test_below_the_free_space_floor_nothing_is_written_until_there_is_room(
 def test_a_disk_that_fails_costs_bytes_and_never_raises(
     tmp_path: Path, stream: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    os_write = os.write
+    os_write = os.pwrite
     broken = [False]
 
-    def faulty(file: int, data: bytes) -> int:
+    def faulty(file: int, data: bytes, offset: int) -> int:
         if broken[0]:
             raise OSError(errno.EIO, "Input/output error")
-        return os_write(file, data)
+        return os_write(file, data, offset)
 
-    monkeypatch.setattr(os, "write", faulty)
+    monkeypatch.setattr(os, "pwrite", faulty)
     with SonarLog(tmp_path, SMALL) as log:
         write = writer_of(log)
         for index, piece in enumerate(pieces(stream)):
@@ -303,3 +303,42 @@ def test_a_name_that_is_no_name_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(RecordingError, match="folder"):
         SonarLog(tmp_path / "file")
+
+
+@pytest.mark.parametrize("cause", ["write", "sync"])
+def test_a_file_closed_by_a_failure_is_flushed_before_its_data_count_as_synced(
+    tmp_path: Path, stream: bytes, monkeypatch: pytest.MonkeyPatch, cause: str
+) -> None:
+    synced: list[int] = []
+    broken = {"write": False, "sync": False}
+    os_write, os_sync = os.pwrite, os.fdatasync
+
+    def write(file: int, data: bytes, offset: int) -> int:
+        if broken["write"]:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return os_write(file, data, offset)
+
+    def sync(file: int) -> None:
+        if broken["sync"]:
+            raise OSError(errno.EIO, "Input/output error")
+        os_sync(file)
+        synced.append(os.fstat(file).st_ino)
+
+    monkeypatch.setattr(os, "pwrite", write)
+    monkeypatch.setattr(os, "fdatasync", sync)
+    first, second, *_ = pieces(stream)
+    whole = MessageBounds(0, 0)
+    with SonarLog(tmp_path, SMALL) as log:
+        log.write(first, 0, whole)
+        assert log.path is not None
+        inode = log.path.stat().st_ino
+        broken[cause] = True
+        if cause == "write":
+            assert not log.write(second, SECOND, whole)
+        assert log.sync(SECOND) is (cause == "write")
+        broken[cause] = False
+        assert log.sync(2 * SECOND)
+        assert inode in synced
+        synced.clear()
+        assert log.sync(3 * SECOND)
+        assert inode not in synced

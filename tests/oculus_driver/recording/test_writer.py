@@ -9,6 +9,7 @@ import subprocess
 import sys
 from typing import IO, TYPE_CHECKING
 
+import numpy as np
 import pytest
 from mcap.exceptions import EndOfFile
 from mcap.reader import NonSeekingReader, make_reader
@@ -17,6 +18,7 @@ from mcap.stream_reader import StreamReader
 
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording import OCULUS, RecordingWriter, open_recording
+from oculus_driver.recording.mcap_records import MAGIC
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -40,7 +42,7 @@ def test_other_readers_find_index_and_messages(written: Written) -> None:
         ]
         (note,) = reader.iter_metadata()
     assert found == written.rows
-    assert note.metadata == {"format_version": "2", "monotonic_to_unix_ns": "0"}
+    assert note.metadata.keys() == {"format_version", "monotonic_to_unix_ns", "crc32"}
 
 
 def test_other_readers_can_seek_in_time(written: Written) -> None:
@@ -108,7 +110,7 @@ def test_stamps_become_unix_time(tmp_path: Path) -> None:
         assert [chunk.arrival_ns for chunk in recording] == [10**18 + 5, None]
         assert recording.metadata == {
             "site": "dock",
-            "format_version": "2",
+            "format_version": "3",
             "monotonic_to_unix_ns": str(10**18),
         }
 
@@ -144,18 +146,18 @@ def test_a_full_disk_loses_only_what_did_not_fit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "full"
-    write = os.write
+    write = os.pwrite
     with RecordingWriter(path) as writer:
         link = writer.add_link("sonar", OCULUS)
         writer.write(link, b"before", 1)
         with monkeypatch.context() as patch:
 
-            def half(file: int, data: bytes) -> int:
+            def half(file: int, data: bytes, offset: int) -> int:
                 if len(data) > 20:
-                    return write(file, data[:20])
+                    return write(file, data[:20], offset)
                 raise OSError(28, "No space left on device")
 
-            patch.setattr(os, "write", half)
+            patch.setattr(os, "pwrite", half)
             with pytest.raises(RecordingError, match="No space left on device"):
                 writer.write(link, b"x" * 50, 2)
         writer.write(link, b"after", 3)
@@ -167,11 +169,11 @@ def test_a_full_disk_loses_only_what_did_not_fit(
 def test_a_disk_without_any_room_leaves_no_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(file: int, data: bytes) -> int:  # noqa: ARG001
+    def full(file: int, data: bytes, offset: int) -> int:  # noqa: ARG001
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(os, "write", full)
+        patch.setattr(os, "pwrite", full)
         with pytest.raises(RecordingError, match="No space left on device"):
             RecordingWriter(tmp_path / "full")
     assert list(tmp_path.iterdir()) == []
@@ -220,3 +222,62 @@ def count_messages(file: IO[bytes]) -> int:
         for record in StreamReader(file).records:
             count += isinstance(record, Message)
     return count
+
+
+def unclosed(path: Path, *, killed: bool = False) -> tuple[bytes, list[bytes]]:
+    """An unclosed recording of several chunks, and its pieces.
+
+    Args:
+        path: of the file.
+        killed: between the two steps of the last piece.
+    """
+    rng = np.random.default_rng(3)
+    pieces = [rng.bytes(int(size)) for size in rng.integers(20, 60_000, 30)]
+    writer = RecordingWriter(path)
+    link = writer.add_link("sonar", OCULUS)
+    for number, piece in enumerate(pieces[:-1]):
+        writer.write(link, piece, number)
+    with pytest.MonkeyPatch.context() as patch, contextlib.suppress(KeyboardInterrupt):
+        if killed:
+            patch.setattr(writer, "_patch", interrupt)
+        writer.write(link, pieces[-1], len(pieces))
+    return path.read_bytes(), pieces
+
+
+def interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def undamaged(path: Path, data: bytes) -> tuple[list[bytes], bool]:
+    """The undamaged pieces of a file, and whether a problem is reported."""
+    path.write_bytes(data)
+    with open_recording(path) as recording:
+        pieces = [chunk.data for chunk in recording if not chunk.damaged]
+        return pieces, recording.damage != "the recording was not closed"
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_each_byte_of_an_unclosed_recording_has_a_checksum(tmp_path: Path, *, killed: bool) -> None:
+    data, pieces = unclosed(tmp_path / "open.mcap", killed=killed)
+    assert undamaged(tmp_path / "copy.mcap", data) == (pieces, False)
+    random = np.random.default_rng(4)
+    places = [*random.integers(len(MAGIC), len(data), 150), *range(len(data) - 40, len(data))]
+    for place in map(int, places):
+        changed = bytearray(data)
+        changed[place] ^= 1 << int(random.integers(8))
+        found, reported = undamaged(tmp_path / "copy.mcap", bytes(changed))
+        assert set(found) <= set(pieces), place
+        assert found == pieces or reported, place
+
+
+def test_what_a_power_cut_left_without_checksum_is_damaged(tmp_path: Path) -> None:
+    data, pieces = unclosed(tmp_path / "open.mcap")
+    for size in (len(data) - 13, len(data) - 14, len(data) - 5000, len(data) - 200_000):
+        found, _ = undamaged(tmp_path / "copy.mcap", data[:size])
+        assert found == pieces[: len(found)]
+        assert len(found) >= 20
+    torn = bytearray(data)
+    torn[-8192:-4096] = bytes(4096)
+    found, reported = undamaged(tmp_path / "copy.mcap", bytes(torn))
+    assert found == pieces[: len(found)]
+    assert reported
