@@ -48,7 +48,7 @@ LEVELS: Mapping[str, LogLevel] = {
 TOPICS: Mapping[type, tuple[str, ...]] = {
     PoseMessage: ("/tf", "/pose", "/odometry"),
     FanMessage: ("/fan",),
-    ReturnsMessage: ("/returns",),
+    ReturnsMessage: ("/returns", "/sonar/annotations"),
     ImageMessage: ("/sonar/polar", "/sonar/fan"),
     RobotsMessage: ("/robots",),
     LocalizationMessage: (

@@ -94,6 +94,7 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("/returns", "PointCloud", "returns"),
     Channel("/sonar/polar", "RawImage", "image"),
     Channel("/sonar/fan", "RawImage", "image"),
+    Channel("/sonar/annotations", "ImageAnnotations", "returns"),
     Channel("/robots", "SceneUpdate", "robots"),
     Channel("/localization/particles", "PosesInFrame", "localization"),
     Channel("/localization/pose", "PoseInFrame", "localization"),

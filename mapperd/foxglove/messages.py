@@ -1,11 +1,10 @@
-"""Foxglove messages of the newest state of the map stream and of the sonar image."""
+"""Foxglove messages of the newest state of the map stream."""
 
 import math
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, Protocol
 
 import numpy as np
-from foxglove.messages import RawImage
 from numpy.typing import NDArray
 
 from mapperd.client.changes import ConnectionStatus
@@ -17,11 +16,11 @@ from mapperd.foxglove.geometry import (
     particle_poses,
     planar_fix,
     pose_in_frame,
-    stamp,
     transforms,
 )
 from mapperd.foxglove.map_publisher import returns_cloud, scan_cloud
 from mapperd.foxglove.scene import covariance_scene, fan_scene, robots_scene
+from mapperd.foxglove.sonar_image import FanShape, annotations, colour_image, polar_image
 from mapperd.wire.messages import (
     FanMessage,
     ImageMessage,
@@ -33,68 +32,7 @@ from mapperd.wire.messages import (
     WelcomeMessage,
 )
 
-__all__ = ["FanShape", "Follows", "StateMessages", "polar_image", "values_of"]
-
-
-def polar_image(pixels: NDArray[np.uint8], frame: str, stamp_ns: int) -> RawImage:
-    """Grey image message."""
-    height, width = pixels.shape
-    return RawImage(
-        timestamp=stamp(stamp_ns),
-        frame_id=frame,
-        width=width,
-        height=height,
-        encoding="mono8",
-        step=width,
-        data=pixels.tobytes(),
-    )
-
-
-class FanShape:
-    """Converts polar images to fan images; caches the lookup table of one shape."""
-
-    def __init__(self) -> None:
-        self._shape: tuple[int, int, bytes] | None = None
-        self._source = np.zeros((0, 0), np.intp)
-
-    def fan_image(self, image: ImageMessage, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return the image seen from above: sonar at the bottom centre, port left, black outside.
-
-        Args:
-            image: gives the bearings.
-            pixels: (rows, beams).
-        """
-        shape = (image.rows, image.beams, image.bearings_rad)
-        if shape != self._shape:
-            self._source = _source(image)
-            self._shape = shape
-        return np.append(pixels.ravel(), np.uint8(0))[self._source]
-
-
-def _source(image: ImageMessage) -> NDArray[np.intp]:
-    """Index of the polar value of each pixel; one past the last is outside."""
-    rows, beams = image.rows, image.beams
-    bearings = np.frombuffer(image.bearings_rad, "<f4").astype(np.float64)
-    low, high = _edges(bearings)
-    widest = min(max(abs(low), abs(high)), math.pi / 2)
-    half_width = max(math.ceil(rows * math.sin(widest)), 1)
-    across = np.arange(-half_width, half_width) + 0.5
-    ahead = (np.arange(rows) + 0.5)[::-1, None]
-    row = np.floor(np.hypot(across, ahead)).astype(np.intp)
-    bearing = np.arctan2(across, ahead)
-    between = (bearings[1:] + bearings[:-1]) / 2
-    beam = np.searchsorted(between, bearing)
-    seen = (row < rows) & (bearing >= low) & (bearing <= high)
-    return np.where(seen, row * beams + beam, rows * beams)
-
-
-def _edges(bearings: NDArray[np.float64]) -> tuple[float, float]:
-    """Bearings of the image's edges: half a beam spacing beyond the outer beams."""
-    if len(bearings) == 1:
-        return float(bearings[0]) - 0.01, float(bearings[0]) + 0.01
-    low = bearings[0] - (bearings[1] - bearings[0]) / 2
-    high = bearings[-1] + (bearings[-1] - bearings[-2]) / 2
-    return float(low), float(high)
+__all__ = ["Follows", "StateMessages", "values_of"]
 
 
 class Follows(Protocol):
@@ -144,6 +82,7 @@ class StateMessages:
             "/returns": self._returns,
             "/sonar/polar": self._polar,
             "/sonar/fan": self._fan_image,
+            "/sonar/annotations": self._annotations,
             "/robots": self._robots,
             "/localization/particles": self._particles,
             "/localization/pose": self._fix,
@@ -197,7 +136,11 @@ class StateMessages:
         if image is None:
             return None
         pixels = self._shape.fan_image(image, image_of(image))
-        return polar_image(pixels, self.frames().sonar, image.stamp_ns)
+        return colour_image(pixels, self.frames().sonar, image.stamp_ns)
+
+    def _annotations(self, _: int) -> Any:  # noqa: ANN401 as above
+        image, returns = self._client.image, self._client.returns
+        return None if image is None or returns is None else annotations(image, returns)
 
     def _robots(self, stamp_ns: int) -> Any:  # noqa: ANN401 as above
         robots = self._client.robots

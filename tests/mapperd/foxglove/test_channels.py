@@ -11,9 +11,10 @@ import zstandard
 from mapperd.client.mirror import Cells
 from mapperd.foxglove.geometry import Frames, transforms
 from mapperd.foxglove.map_publisher import map_cloud, map_rows
-from mapperd.foxglove.messages import FanShape, StateMessages
+from mapperd.foxglove.messages import StateMessages
 from mapperd.foxglove.scene import PathDrawing, covariance_scene, fan_scene, robots_scene
-from mapperd.wire.messages import ImageMessage, RobotsMessage
+from mapperd.foxglove.sonar_image import COLOURS, FanShape, annotations, colour_image
+from mapperd.wire.messages import ImageMessage, ReturnsMessage, RobotsMessage
 from tests.mapperd.foxglove.foxglove_fakes import (
     FAN,
     LOCALIZATION,
@@ -173,6 +174,42 @@ def test_polar_image_becomes_a_fan_image() -> None:
         assert math.hypot(across, ahead) == pytest.approx(row + 0.5, abs=1.0)
         assert math.atan2(across, ahead) == pytest.approx(bearings[beam], abs=0.06)
     assert bent[0, 0] == bent[-1, 0] == bent[-1, -1] == 0
+
+
+def test_rings_and_detections_lie_over_the_fan_image() -> None:
+    rows, beams, step_m = 80, 61, 0.1
+    bearings = np.linspace(-0.9, 0.9, beams).astype("<f4")
+    pixels = np.zeros((rows, beams), np.uint8)
+    pixels[60, 10] = 255
+    image = ImageMessage(
+        stamp_ns=T0,
+        ping_id=1,
+        rows=rows,
+        beams=beams,
+        range_resolution_m=step_m,
+        bearings_rad=bearings.tobytes(),
+        body=b"",
+    )
+    range_m, bearing = 60.5 * step_m, float(bearings[10])
+    points = np.array([[range_m * math.cos(bearing), -range_m * math.sin(bearing), 0.0]], "<f4")
+    returns = ReturnsMessage(stamp_ns=T0, ping_id=1, points=points.tobytes(), intensities=b"x")
+    drawn = decoded(annotations(image, returns))
+    fan = FanShape().fan_image(image, pixels)
+    height, width = fan.shape
+    *rings, detections = drawn.points
+    y, x = np.argwhere(fan == 255).mean(axis=0) + 0.5
+    (echo,) = detections.points
+    assert (echo.x, echo.y) == pytest.approx((x, y), abs=1.0)
+    assert [text.text for text in drawn.texts] == ["2 m", "4 m", "6 m", "8 m"]
+    for ring, wanted_m in zip(rings, (2.0, 4.0, 6.0, 8.0), strict=True):
+        for point in ring.points:
+            radius = math.hypot(point.x - width / 2, point.y - height)
+            assert radius * step_m == pytest.approx(wanted_m)
+    coloured = decoded(colour_image(fan, "oculus", T0))
+    assert (coloured.encoding, coloured.step) == ("rgb8", 3 * width)
+    assert coloured.data == COLOURS[fan].tobytes()
+    assert (np.diff(COLOURS.sum(axis=1, dtype=int)) >= 0).all()
+    assert COLOURS[[0, 255]].tolist() == [[0, 0, 0], [255, 255, 255]]
 
 
 def test_another_shape_gets_another_lookup_table() -> None:
