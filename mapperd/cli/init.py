@@ -35,7 +35,7 @@ VEHICLES = {
 DVLS = {
     "water-linked": "Water Linked A50 or A125, read directly",
     "autopilot": "the autopilot has its data already, such as by the BlueOS DVL extension",
-    "none": "none: attitude and depth alone",
+    "none": "attitude and depth alone",
 }
 
 
