@@ -53,6 +53,11 @@ VIEW_WANTS: tuple[Want, ...] = (
 
 IMAGE: tuple[Want, ...] = ("image",)
 
+READ_ONLY = (
+    "This page may not change settings: it shows a file or a replay, or is open to other computers "
+    "(--allow-changes permits them)."
+)
+
 MAP_S = 0.25
 """Period of map updates in browsers."""
 
@@ -328,9 +333,7 @@ class ViewerPage:
             if not self._may_change:
                 self._settings.reset(changes)
                 self._sonar.reset(changes)
-                self._note(
-                    client, "Refused", "Browsers on other computers may not change settings.", "red"
-                )
+                self._note(client, "Refused", READ_ONLY, "red")
                 return
             self._begin(self._set(client, changes))
 

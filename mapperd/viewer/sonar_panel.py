@@ -31,6 +31,9 @@ LABELS: Mapping[str, str] = {
 SLIDERS = ("device.gain", "filtering.intensity_threshold", "device.gamma")
 THRESHOLD = "filtering.intensity_threshold"
 
+WAITING = "Waiting for the daemon's settings."
+NO_SONAR = "No sonar to control: this is a file or a replay."
+
 SETTLE_S = 0.5
 """A value that a user stops changing for this long is sent."""
 
@@ -77,6 +80,7 @@ class SonarPanel:
         self._facts: dict[str, Any] = {}
         self._handles: dict[str, Any] = {}
         self._timers: dict[str, asyncio.TimerHandle] = {}
+        self._there = True
         with window:
             blank = np.full((330, 760, 3), 20, np.uint8)
             self._view = server.gui.add_image(blank, format="jpeg", jpeg_quality=85)
@@ -85,7 +89,7 @@ class SonarPanel:
             self._live = server.gui.add_checkbox(
                 "Live image", initial_value=True, hint="Without it the link carries no images"
             )
-            self._note = server.gui.add_markdown("Waiting for the daemon's settings.")
+            self._note = server.gui.add_markdown(WAITING)
         self._live.on_update(lambda _: post(shown))
 
     @property
@@ -105,9 +109,10 @@ class SonarPanel:
         self._is_new = True
 
     def take_status(self, status: Mapping[str, Any]) -> None:
-        """Show the state of the sonar."""
+        """Show the state of the sonar, and controls only where there is one: a file has none."""
         sonar = status.get("sonar")
         shown = sonar if isinstance(sonar, Mapping) else {}
+        self._show_controls(there=isinstance(sonar, Mapping))
         text = caption_html(shown)
         if self._caption.content != text:
             self._caption.content = text
@@ -118,7 +123,7 @@ class SonarPanel:
             if name in facts:
                 self._facts[name] = facts[name]
                 self._show(name)
-        self._note.visible = not self._handles
+        self._show_controls(there=self._there)
 
     def reset(self, names: Mapping[str, Any]) -> None:
         """Show the values in force of settings that were not changed."""
@@ -135,6 +140,16 @@ class SonarPanel:
         if len(bearings) > 1 and (np.diff(bearings) > 0).all():
             returns = self._returns.get(self._image.ping_id)
             self._view.image = self._picture.draw(self._image, returns, self._threshold)
+
+    def _show_controls(self, *, there: bool) -> None:
+        self._there = there
+        for handle in self._handles.values():
+            if handle.visible != there:
+                handle.visible = there
+        note = WAITING if there else NO_SONAR
+        if self._note.content != note:
+            self._note.content = note
+        self._note.visible = not (there and self._handles)
 
     @property
     def _threshold(self) -> float:

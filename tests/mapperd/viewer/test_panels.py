@@ -103,6 +103,10 @@ def test_the_sonar_has_its_controls_and_sends_a_value_once_it_rests(
         panel.reset({"device.range": 8.0, "device.mode": 2})
         assert panel._handles["device.range"].value == 10.0
         assert panel._handles["device.mode"].value == "1"
+        for status, there in (({"phase": "file"}, False), ({"sonar": {}}, True)):
+            panel.take_status(status)
+            assert {handle.visible for handle in panel._handles.values()} == {there}
+            assert panel._note.visible is not there
 
     asyncio.run(work())
 
