@@ -10,6 +10,7 @@ MapperdError
  +-- ExportError      a result cannot be written
 """
 
+import errno
 import re
 import shlex
 import sys
@@ -26,6 +27,7 @@ __all__ = [
     "ReplayError",
     "StoreError",
     "missing_extra",
+    "os_reason",
 ]
 
 
@@ -106,6 +108,22 @@ class Reject:
 
     reason: str
     detail: str
+
+
+OS_REMEDIES = {
+    errno.EACCES: "check its owner and permissions, or choose another",
+    errno.EPERM: "check its owner and permissions, or choose another",
+    errno.ENOSPC: "free some space, or choose another disk",
+    errno.EADDRINUSE: "stop the program that has it, or choose another port",
+    errno.EADDRNOTAVAIL: "choose an address of this computer, see `ip address`",
+}
+
+
+def os_reason(error: OSError) -> str:
+    """Return why the system refused something and what to do about it, for people."""
+    text = error.strerror or str(error) or type(error).__name__
+    remedy = OS_REMEDIES.get(error.errno or 0)
+    return f"{text}; {remedy}" if remedy else text
 
 
 def missing_extra(library: str, extra: str) -> str:

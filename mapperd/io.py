@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from mapperd.errors import ExportError
+from mapperd.errors import ExportError, os_reason
 
 __all__ = ["atomic_file", "make_folder", "remove", "sync_folder"]
 
@@ -23,7 +23,7 @@ def make_folder(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise ExportError(f"{folder}: cannot be written into: {error.strerror}") from error
+        raise ExportError(f"{folder}: cannot be written into: {os_reason(error)}") from error
 
 
 @contextlib.contextmanager
@@ -46,7 +46,7 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
         partial.replace(path)
         sync_folder(path.parent)
     except OSError as error:
-        raise ExportError(f"{path}: cannot be written: {error.strerror}") from error
+        raise ExportError(f"{path}: cannot be written: {os_reason(error)}") from error
     finally:
         with contextlib.suppress(OSError):
             partial.unlink()
@@ -71,4 +71,4 @@ def remove(path: Path) -> None:
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        raise ExportError(f"{path}: cannot be removed: {error.strerror}") from error
+        raise ExportError(f"{path}: cannot be removed: {os_reason(error)}") from error

@@ -79,6 +79,11 @@ REMEDIES = {
     "stands still",
     "no_position": "only attitude came: add a DVL or another position, or map from one spot with "
     "odometry.owners.position: fixed",
+    **dict.fromkeys(
+        ("before_odometry", "after_odometry", "odometry_gap"),
+        "odometry and pings are apart in time: check the clocks of both recordings, or allow "
+        "larger gaps with time_sync.max_gap_sec",
+    ),
 }
 """By reason why pings were dropped."""
 
@@ -223,6 +228,9 @@ def _settings(arguments: Arguments) -> Layered:
     layered = load_settings(_given_files(arguments), os.environ)
     if layered.notice:
         _print(layered.notice)
+    ours = layered.config.localization
+    if arguments.replay and ours.mode != "off" and not ours.map_path:
+        _print("localization has no map: set localization.map_path to a saved map")
     check_filters(layered.config)
     if arguments.integrator is None:
         return layered
@@ -310,12 +318,14 @@ def _source(arguments: Arguments) -> str:
 
 def _why_empty(summary: dict[str, Any], dropped: str) -> str:
     if summary["pings_total"]:
-        remedies = [text for why, text in REMEDIES.items() if why in summary["pings_dropped"]]
-        return "; ".join([f"no ping could be mapped: {dropped}", *remedies])
+        counts = summary["pings_dropped"]
+        remedy = REMEDIES.get(max(counts, key=counts.__getitem__), "")
+        return f"no ping could be mapped: {dropped}{remedy and '; '}{remedy}"
     if outside := summary["pings_outside"]:
         return f"no ping lies in the chosen part; {outside} were read outside of it"
     if "live" in summary:
-        return f"no ping came from the sonar ({summary['live']['sonar']})"
+        sonar = summary["live"]["sonar"]
+        return f"no ping came from the sonar ({sonar}); `mapperd doctor` names what fails"
     rejected, total = summary["bytes_rejected"], summary["bytes_total"]
     return f"no ping in it; {rejected} of {total} bytes of sonar data rejected"
 

@@ -14,7 +14,7 @@ from mapperd.cli.arguments import Arguments
 from mapperd.cli.progress import ProgressBar
 from mapperd.config.tree import Config
 from mapperd.daemon.map_folder import localization_summary, recording_facts, summary_of
-from mapperd.errors import ReplayError
+from mapperd.errors import ReplayError, os_reason
 from mapperd.export.trajectory import Trajectory
 from mapperd.geometry.frames import Pose
 from mapperd.mapping.content import MapContent
@@ -54,7 +54,7 @@ def unreadable(paths: Sequence[Path]) -> str | None:
             elif not path.is_file():
                 return f"{path}: is not a file"
         except OSError as error:  # such as a name that is too long
-            return f"{path}: {error.strerror}"
+            return f"{path}: {os_reason(error)}"
         if not os.access(path, os.R_OK):
             return f"{path}: may not be read"
     return None

@@ -12,7 +12,7 @@ from mapperd.config.aliases import tree_updated
 from mapperd.config.catalog import parameters
 from mapperd.config.loader import config_of, read_tree
 from mapperd.config.tree import Config
-from mapperd.errors import ConfigError
+from mapperd.errors import ConfigError, os_reason
 
 __all__ = [
     "DEFAULT",
@@ -151,7 +151,7 @@ def _files_of(folder: Path | None) -> list[Path]:
     except (FileNotFoundError, NotADirectoryError):
         fragments = []
     except OSError as error:
-        raise ConfigError(f"{more}: cannot be read: {error.strerror}") from error
+        raise ConfigError(f"{more}: cannot be read: {os_reason(error)}") from error
     try:
         first.stat()
     except (FileNotFoundError, NotADirectoryError):

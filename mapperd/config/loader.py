@@ -13,7 +13,7 @@ import yaml
 from mapperd.config.aliases import tree_renamed, tree_updated
 from mapperd.config.catalog import hint_at, rule_text, section_of
 from mapperd.config.tree import Config
-from mapperd.errors import ConfigError
+from mapperd.errors import ConfigError, os_reason
 
 __all__ = [
     "MAX_DEPTH",
@@ -153,7 +153,7 @@ def read_tree(path: Path) -> dict[str, Any]:
         with path.open("rb") as file:
             data = file.read(MAX_FILE_BYTES + 1)
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+        raise ConfigError(f"{path}: cannot be read: {os_reason(error)}") from error
     if len(data) > MAX_FILE_BYTES:
         raise ConfigError(f"{path}: larger than {MAX_FILE_BYTES // 1024} KiB, not a settings file")
     try:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from mapperd.config.tree import Config
-from mapperd.errors import ConfigError
+from mapperd.errors import ConfigError, os_reason
 
 __all__ = ["map_path", "pose_path", "read_secret", "recordings_folder", "state_folder"]
 
@@ -83,7 +83,7 @@ def read_secret(
             data = file.read(MAX_BYTES + 1)
         line = data.decode().split("\n", 1)[0].strip("\r")
     except OSError as error:
-        raise ConfigError(f"{setting}: {place}: {error.strerror}", f"$.{setting}") from error
+        raise ConfigError(f"{setting}: {place}: {os_reason(error)}", f"$.{setting}") from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{setting}: {place}: is no text", f"$.{setting}") from error
     if mode & stat.S_IWOTH:

@@ -12,7 +12,7 @@ from mapperd.odometry.decoder import DecoderCounters
 from mapperd.odometry.links import LinkPhase, OdometryLinkStatus
 from oculus_driver.discovery.probe import Layer, Verdict
 
-__all__ = ["LAYERS", "LinkEvidence", "judge_link"]
+__all__ = ["LAYERS", "PORT_REMEDIES", "LinkEvidence", "judge_link", "without_odometry"]
 
 LAYERS = ("address", "port", "bytes", "frames", "checks", "poses")
 
@@ -20,6 +20,14 @@ OPEN = (LinkPhase.WAITING, LinkPhase.RECEIVING, LinkPhase.SILENT)
 MAX_NAMES = 6
 MUCH_LOST = 0.05
 """Part of a stream that belongs to no frame, above which something is wrong with the line."""
+
+
+PORT_REMEDIES = {
+    "udp": "give the source another port, or stop the program that uses this one",
+    "tcp": "check that the sender is on, its address, and that this host is in its subnet",
+    "serial": "check the plug, the name, and that this user is in the group dialout",
+}
+"""By kind of a link that cannot be opened."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +78,7 @@ def _port(evidence: LinkEvidence) -> tuple[Verdict, str]:
     status = evidence.status
     if status.phase in OPEN or status.bytes_received:
         return "ok", f"{evidence.address} is open"
-    advice = {
-        "udp": "give the source another port, or stop the program that uses this one",
-        "tcp": "check that the sender is on, its address, and that this host is in its subnet",
-        "serial": "check the plug, the name, and that this user is in the group dialout",
-    }[evidence.address.kind]
-    return "failed", f"{status.reason}; {advice}"
+    return "failed", f"{status.reason}; {PORT_REMEDIES[evidence.address.kind]}"
 
 
 def _bytes(evidence: LinkEvidence) -> tuple[Verdict, str]:
@@ -123,14 +126,15 @@ def _checks(evidence: LinkEvidence) -> tuple[Verdict, str]:
             return "failed", f"every record is refused: {_counts(decoder.rejects)}"
         return "failed", (
             f"no odometry among them ({_counts(decoder.ignored or decoder.messages)}): "
-            + _without_odometry(evidence.format)
+            + without_odometry(evidence.format)
         )
     if bad:
         return "doubtful", f"{decoder.records} records; refused: {_counts(bad)}"
     return "ok", f"{decoder.records} records, none refused"
 
 
-def _without_odometry(name: str) -> str:
+def without_odometry(name: str) -> str:
+    """Return what to do about a sender of valid messages without odometry."""
     if name == "mavlink":
         return (
             "the autopilot sends no position or attitude to this link, or another system's are "

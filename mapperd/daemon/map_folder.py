@@ -16,7 +16,7 @@ from mapperd import __version__
 from mapperd.api import OperationError
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
-from mapperd.errors import ExportError, MapError, StoreError
+from mapperd.errors import ExportError, MapError, StoreError, os_reason
 from mapperd.export.cells import Heights
 from mapperd.export.clouds import write_ply
 from mapperd.export.formats import FORMATS, crs_of, write_map
@@ -119,7 +119,7 @@ class MapFolder:
         except (ExportError, MapError, StoreError) as error:
             raise OperationError(str(error), "cannot_write") from error
         except OSError as error:
-            raise OperationError(f"{self.folder}: {error.strerror}", "cannot_write") from error
+            raise OperationError(f"{self.folder}: {os_reason(error)}", "cannot_write") from error
         finally:
             self._busy.release()
         done = {"path": str(files[0]), "bytes": size, "seconds": self._clock() - began_s}

@@ -9,6 +9,7 @@ from typing import Any
 
 from mapperd.config.odometry import FIXED, NOBODY, OdometryFusionConfig
 from mapperd.config.tree import Config
+from mapperd.daemon.doctor import PORT_REMEDIES, without_odometry
 from mapperd.odometry.links import LinkPhase
 from oculus_driver.link.state import LinkState
 
@@ -18,6 +19,12 @@ PATIENCE_S = 5.0
 """Time after the start within which sonar and odometry are expected."""
 
 MAX_REASONS = 3
+ONE_CLIENT = "It serves one client: close other programs that use it"
+NO_PING = "no ping within"
+"""Begin of the reason of a sonar that was asked for pings and sends none."""
+
+HOUR_S = 3600.0
+NOT_MAPPED = "The sonar is recorded and shown, its pings are not mapped"
 
 Values = Mapping[str, Any]
 
@@ -28,8 +35,8 @@ class Problem:
 
     Attributes:
         code: `no_sonar`, `sonar_in_use`, `sonar_unreachable`, `sonar_silent`, `no_odometry`,
-            `odometry_link`, `odometry_rejected`, `no_attitude`, `no_position`,
-            `recording_paused`.
+            `odometry_quiet`, `odometry_format`, `clock_off`, `odometry_rejected`, `no_attitude`,
+            `no_position`, `no_map`, `recording_paused`.
         text: what is wrong and what to do, one line.
         link: the odometry source that it is about, or "".
     """
@@ -43,7 +50,8 @@ def problems_of(status: Values, config: Config) -> list[Problem]:
     """Return the problems of a session, the most severe first; empty in its first seconds.
 
     Args:
-        status: with `uptime_s`, `sonar`, `odometry` and `recording`, as of `DaemonApi.status`.
+        status: with `uptime_s`, `sonar`, `odometry`, `localization` and `recording` of
+            `DaemonApi.status`.
         config: in force.
     """
     if status["uptime_s"] < PATIENCE_S:
@@ -51,6 +59,7 @@ def problems_of(status: Values, config: Config) -> list[Problem]:
     return [
         *_sonar(status["sonar"], config),
         *_odometry(status["odometry"], config.odometry),
+        *_localization(status["localization"]),
         *_recording(status["recording"]),
     ]
 
@@ -74,9 +83,15 @@ def _sonar(sonar: Values, config: Config) -> Iterator[Problem]:
             else ""
         )
         where = sonar["address"] or given
-        yield Problem("sonar_unreachable", f"the sonar at {where} sends nothing: {reason}{remedy}")
-    elif state == LinkState.SILENT:
-        yield Problem("sonar_silent", f"the sonar does not ping: {reason}; see `mapperd doctor`")
+        text = f"the sonar at {where} sends nothing: {reason}. {ONE_CLIENT}"
+        yield Problem("sonar_unreachable", f"{text}{remedy}")
+    elif state == LinkState.SILENT or (
+        state == LinkState.CONFIGURING and reason.startswith(NO_PING)
+    ):
+        yield Problem(
+            "sonar_silent",
+            f"the sonar does not ping: {reason}. {ONE_CLIENT}; `mapperd doctor` shows its state",
+        )
 
 
 def _odometry(odometry: Values, config: OdometryFusionConfig) -> Iterator[Problem]:
@@ -85,19 +100,18 @@ def _odometry(odometry: Values, config: OdometryFusionConfig) -> Iterator[Proble
     links = odometry["connections"]
     quiet = {name: one for name, one in links.items() if one["state"] != LinkPhase.RECEIVING}
     if len(quiet) == len(links):
-        where = ", ".join(f"{one['link']} ({name})" for name, one in links.items())
-        yield Problem(
-            "no_odometry",
-            f"no odometry: nothing arrives on {where}. The sonar is recorded and shown, its pings "
-            "are not mapped. Let the vehicle send there, or correct odometry.sources; "
-            "`mapperd doctor` checks each link",
-        )
+        faults = "; ".join(_quiet(name, one) for name, one in links.items())
+        yield Problem("no_odometry", f"no odometry: {faults}. {NOT_MAPPED}")
         return
     for name, one in quiet.items():
-        why = f": {one['reason']}" if one["reason"] else ""
-        text = f"odometry source {name} ({one['link']}) is {one['state']}{why}"
-        yield Problem("odometry_link", f"{text}; `mapperd doctor` checks each link", name)
-    if odometry["received"] and not odometry["accepted"]:
+        text = f"an odometry source is quiet: {_quiet(name, one)}; `mapperd doctor` checks it"
+        yield Problem("odometry_quiet", text, name)
+    unusable = list(_unusable(odometry["links"], config))
+    yield from unusable
+    for name, one in odometry["sources"].items():
+        if (offset_s := one.get("clock_offset_s")) is not None:
+            yield Problem("clock_off", _clock_off(name, offset_s), name)
+    if odometry["received"] and not odometry["accepted"] and not unusable:
         yield Problem(
             "odometry_rejected",
             f"every odometry record is rejected: {_counts(odometry['rejected'])}. "
@@ -107,24 +121,75 @@ def _odometry(odometry: Values, config: OdometryFusionConfig) -> Iterator[Proble
         yield from _missing(odometry, config)
 
 
+def _quiet(name: str, link: Values) -> str:
+    """Why a link brings nothing, and what to do."""
+    if link["state"] == LinkPhase.BACKING_OFF:
+        kind = str(link["link"]).split(" ", 1)[0].lower()  # a serial link is its device
+        return f"{link['reason']} ({name}): {PORT_REMEDIES.get(kind, PORT_REMEDIES['serial'])}"
+    return (
+        f"nothing arrives on {link['link']} ({name}): let the vehicle send there, or correct "
+        "odometry.sources"
+    )
+
+
+def _unusable(links: Values, config: OdometryFusionConfig) -> Iterator[Problem]:
+    """Sources that send bytes of another format, or messages without odometry."""
+    for source in config.sources:
+        one = links.get(source.name)
+        if one is None or not one["bytes"] or one["records"]:
+            continue
+        if not one["frames"]:
+            yield Problem(
+                "odometry_format",
+                f"nothing that arrives from odometry source {source.name} is of format "
+                f"{source.format}: correct its format, or what sends to {source.link}",
+                source.name,
+            )
+        elif not one["rejected"]:
+            yield Problem(
+                "odometry_format",
+                f"odometry source {source.name} sends no odometry, only "
+                f"{_counts(one['messages'])}: {without_odometry(source.format)}",
+                source.name,
+            )
+
+
+def _clock_off(name: str, offset_s: float) -> str:
+    side = "ahead of" if offset_s > 0 else "behind"
+    size_s = abs(offset_s)
+    amount = f"{size_s / HOUR_S:.1f} h" if size_s >= HOUR_S else f"{size_s:.1f} s"
+    return (
+        f"the clock of odometry source {name} is {amount} {side} this computer's: its stamps are "
+        "fitted to their arrival. Synchronize the clocks (NTP, chrony) for exact times"
+    )
+
+
+def _localization(localization: Values | None) -> Iterator[Problem]:
+    if localization is not None and not localization["map"]:
+        yield Problem(
+            "no_map",
+            "localization has no map: set localization.map_path to a saved map, or send one with "
+            "`mapperctl set_map`",
+        )
+
+
 def _missing(odometry: Values, config: OdometryFusionConfig) -> Iterator[Problem]:
     """What a pose lacks, of the records that arrive."""
     has = {name for name, one in odometry["quantities"].items() if one["newest_ns"] is not None}
     arriving = " and ".join(sorted(has)) or "nothing usable"
-    rest = "The sonar is recorded and shown, its pings are not mapped"
     if "attitude" not in has:
         yield Problem(
             "no_attitude",
-            f"the odometry has no attitude, only {arriving}. {rest}. Add a source of the attitude "
-            f"to odometry.sources{_awaited('attitude', odometry, config)}",
+            f"the odometry has no attitude, only {arriving}. {NOT_MAPPED}. Add a source of the "
+            f"attitude to odometry.sources{_awaited('attitude', odometry, config)}",
         )
     elif not has & {"position", "velocity"} and config.owners.position != FIXED:
         awaited = [_awaited(one, odometry, config) for one in ("position", "velocity")]
         yield Problem(
             "no_position",
-            f"the odometry has neither horizontal position nor velocity, only {arriving}. {rest}. "
-            "Add a DVL or another position to odometry.sources, or map from one spot with "
-            f"odometry.owners.position: {FIXED}{''.join(awaited)}",
+            f"the odometry has neither horizontal position nor velocity, only {arriving}. "
+            f"{NOT_MAPPED}. Add a DVL or another position to odometry.sources, or map from one "
+            f"spot with odometry.owners.position: {FIXED}{''.join(awaited)}",
         )
 
 

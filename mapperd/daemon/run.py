@@ -151,7 +151,8 @@ def _require_space(config: Config, live: Live, opened: OpenMap, events: EventLog
         return
     text = f"no space to keep a session: {problem}"
     if config.recording.require_space:
-        raise StoreError(f"{text}; recording.require_space: false allows it", "disk_full")
+        remedy = "delete files or choose another disk; recording.require_space: false allows it"
+        raise StoreError(f"{text}; {remedy}", "disk_full")
     events.add(Severity.ERROR, "no_space", text)
 
 

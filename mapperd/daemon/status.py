@@ -14,8 +14,9 @@ from mapperd.events import EventLog, Severity
 from mapperd.localization.report import localization_summary, map_name_of, state_of
 from mapperd.localization.status import LocalizationFacts
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.odometry.links import OdometryLink
+from mapperd.odometry.links import LinkPhase, OdometryLink
 from mapperd.pipeline.worker import StatusSnapshot
+from oculus_driver.link.state import LinkState
 
 __all__ = ["LocalizationWatch", "Watch", "status_of"]
 
@@ -35,7 +36,6 @@ def status_of(
         "progress": facts.progress,
         **parts,
         "pose": _pose(facts),
-        "localization": localization_summary(facts.localization, config),
         "pings": facts.pings,
         "latency_ms": facts.latency_ms,
         "behind": {**facts.behind, **_queue(live)},
@@ -56,6 +56,7 @@ def _parts(live: Live, facts: StatusSnapshot, uptime_s: float) -> dict[str, Any]
         "uptime_s": uptime_s,
         "sonar": _sonar(live, facts),
         "odometry": {**facts.odometry, "connections": {ln.name: _link(ln) for ln in live.links}},
+        "localization": localization_summary(facts.localization, live.config),
         "recording": live.recorder.status(),
     }
 
@@ -232,6 +233,9 @@ class Watch:
             await asyncio.sleep(LOOK_S)
             self._look_at_recording()
             self._look_at_limits()
+            links = (link.status.phase for link in self._live.links)
+            if self._live.link.state == LinkState.CLOSED or LinkPhase.CLOSED in links:
+                continue  # the session ends
             parts = _parts(self._live, self._live.mapping.snapshot, time.monotonic() - began_s)
             parts["recording"] = None  # its own events report it
             self.look_at_problems(problems_of(parts, self._live.config))

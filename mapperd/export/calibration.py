@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.config.loader import YamlProblem, parse_yaml
-from mapperd.errors import ConfigError
+from mapperd.errors import ConfigError, os_reason
 from mapperd.mapping.content import VoxelCloud
 from mapperd.mapping.probability import probabilities_of
 from mapperd.mapping.sonar_map import Voxels
@@ -116,6 +116,6 @@ def load_calibration(path: Path) -> Calibration:
         curve = msgspec.convert(tree, _File)
         return Calibration(np.array(curve.log_odds), np.array(curve.calibrated))
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+        raise ConfigError(f"{path}: cannot be read: {os_reason(error)}") from error
     except (YamlProblem, msgspec.ValidationError, ValueError) as error:
         raise ConfigError(f"{path}: {error}") from error

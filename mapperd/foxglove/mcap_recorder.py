@@ -8,7 +8,7 @@ import foxglove
 from foxglove.mcap import MCAPWriteOptions
 
 from mapperd.client.changes import ClientChange
-from mapperd.errors import ExportError
+from mapperd.errors import ExportError, os_reason
 from mapperd.foxglove.bridge import FoxgloveRelay
 from mapperd.foxglove.channels import Channels
 from mapperd.foxglove.map_publisher import RECORDING
@@ -42,7 +42,7 @@ class ChunkFile:
         except FileExistsError as error:
             raise ExportError(f"{path}: file exists; choose another name") from error
         except OSError as error:
-            raise ExportError(f"{path}: cannot be written: {error.strerror}") from error
+            raise ExportError(f"{path}: cannot be written: {os_reason(error)}") from error
 
     @property
     def held(self) -> int:
@@ -75,7 +75,7 @@ class ChunkFile:
                 at += self._file.write(memoryview(held)[at:])
         except OSError as error:
             self._file.truncate(self.bytes)
-            raise ExportError(f"{self._path}: cannot be written: {error.strerror}") from error
+            raise ExportError(f"{self._path}: cannot be written: {os_reason(error)}") from error
         self.bytes += at
 
     def close(self) -> None:

@@ -186,7 +186,7 @@ class ViewerProxy:
             return HTTPStatus.UNAUTHORIZED, "a token is needed: add ?token=TOKEN to the address"
         if not hmac.compare_digest(given.encode(), self._access.token):
             self._failures.failed(peer, time.monotonic())
-            return HTTPStatus.UNAUTHORIZED, "wrong token"
+            return HTTPStatus.UNAUTHORIZED, "wrong token; see --viewer-token-file"
         return None
 
 

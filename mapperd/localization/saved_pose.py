@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
-from mapperd.errors import MapError
+from mapperd.errors import MapError, os_reason
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.io import atomic_file
 
@@ -88,7 +88,7 @@ def load_pose(path: Path, frame: str) -> PlanarGaussian | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise MapError(f"{path}: cannot be read: {error.strerror}", "bad_saved_pose") from error
+        raise MapError(f"{path}: cannot be read: {os_reason(error)}", "bad_saved_pose") from error
     try:
         saved = msgspec.json.decode(data, type=_Saved)
         pose = PlanarGaussian(*saved.mean, np.array(saved.covariance))

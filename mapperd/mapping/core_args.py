@@ -10,7 +10,7 @@ import numpy as np
 
 from mapperd import _core
 from mapperd.config.tree import Config
-from mapperd.errors import MapError
+from mapperd.errors import MapError, os_reason
 from mapperd.geometry.motion import PingMotion
 from mapperd.imaging.ping_image import PingImage
 from mapperd.io import atomic_file
@@ -109,7 +109,7 @@ def load_map(core: _core.VoxelMap, path: Path) -> None:
             # A device or a huge file of another kind is not read to its end.
             data = begin + file.read() if begin == magic else begin
     except OSError as error:
-        raise MapError(f"{path}: cannot be read: {error.strerror}", "unreadable") from error
+        raise MapError(f"{path}: cannot be read: {os_reason(error)}", "unreadable") from error
     try:
         core.load_map(data)
     except ValueError as error:

@@ -57,7 +57,10 @@ class OdometryClock:
 
     Attributes:
         max_age_ns: may change.
+        offset_ns: newest Unix stamp minus its arrival where they disagree, else None.
     """
+
+    offset_ns: int | None = None
 
     def __init__(self, max_age_ns: int, latency_ns: int = 0) -> None:
         self.max_age_ns = max_age_ns
@@ -103,6 +106,8 @@ class OdometryClock:
             stamp: int | None = odometry.stamp_ns
         else:
             stamp = self._carried_over(odometry, arrival_ns)
+        is_fitted = odometry.clock == "unix" and self._distrusted
+        self.offset_ns = odometry.stamp_ns - arrival_ns if is_fitted else None
         off = stamp is None or abs(stamp - arrival_ns) > self.max_age_ns
         ahead = stamp is not None and stamp - arrival_ns > AHEAD_NS
         self._off = self._off + 1 if off or ahead else 0

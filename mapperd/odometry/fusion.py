@@ -45,6 +45,11 @@ __all__ = ["FusedPose", "Fusion", "FusionState"]
 
 Floats = NDArray[np.float64]
 
+NO_POSITION = (
+    "the odometry has neither position nor velocity so far: add a DVL, or map from one spot with "
+    "odometry.owners.position: fixed"
+)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FusedPose:
@@ -230,7 +235,11 @@ class Fusion:
                 "velocity": self._in.velocity.status(),
             },
             "sources": {
-                name: {"received": count, "rejected": dict(self.rejects.get(name, {}))}
+                name: {
+                    "received": count,
+                    "rejected": dict(self.rejects.get(name, {})),
+                    **self._clock_offset(name),
+                }
                 for name, count in self.received.items()
             },
             "confidence": self._gate.confidence,
@@ -238,6 +247,15 @@ class Fusion:
             "velocities_without_attitude": self._in.reckoning.unattended,
             "levelling": self._level.status(),
         }
+
+    def _clock_offset(self, source: str) -> dict[str, float]:
+        """By how much a source's clock is off, if its stamps cannot be used as they are."""
+        offsets = [
+            clock.offset_ns
+            for key, clock in self._clocks.items()
+            if key[0] == source and clock.offset_ns is not None
+        ]
+        return {"clock_offset_s": offsets[-1] / 1e9} if offsets else {}
 
     def _taken(self, source: str, odometry: Odometry, arrival_ns: int | None) -> Reject | None:
         if (problem := bad_record(odometry)) is not None:
@@ -283,7 +301,7 @@ class Fusion:
                 return reckoned
         found = value_at(series, t_ns, self._reach, POSITION)
         if not series and isinstance(found, Reject):
-            return Reject("no_position", "the odometry has neither position nor velocity so far")
+            return Reject("no_position", NO_POSITION)
         return found if isinstance(found, Reject) else _Placed(found.value, found.segment)
 
     def _reckoned(self, last: "Sample[BasePosition] | None", t_ns: int) -> _Placed | None:

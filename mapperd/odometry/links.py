@@ -8,6 +8,7 @@ opening ─▶ waiting ─▶ receiving ⇄ silent
 """
 
 import asyncio
+import os
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -117,6 +118,8 @@ async def _read_tcp(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) ->
             reader, writer = await asyncio.open_connection(address.host, address.port)
     except TimeoutError:
         raise TimeoutError(f"no answer within {CONNECT_S:g} s") from None
+    except ConnectionError as error:
+        raise OSError(error.errno, os.strerror(error.errno or 0).lower()) from error
     try:
         writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         on_open()

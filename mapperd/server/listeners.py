@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from mapperd.errors import ConfigError, LiveError
+from mapperd.errors import ConfigError, LiveError, os_reason
 
 __all__ = [
     "Listener",
@@ -240,5 +240,7 @@ def _bind(listening: socket.socket, path: Path, mode: int) -> None:
 
 def _why(error: OSError) -> str:
     if isinstance(error, BlockingIOError):
-        return "another process listens there"
-    return error.strerror or str(error)  # a path that is too long has no errno
+        return (
+            "another process listens there, such as another mapperd: stop it, or set server.socket"
+        )
+    return os_reason(error)

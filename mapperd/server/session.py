@@ -222,7 +222,8 @@ class Newcomer:
             raise StreamError(f"too many wrong tokens; wait {wait_s:.0f} s", "locked_out")
         if not is_proof(proof, self.token, self.challenge):
             failures.failed(self.peer, now_s)
-            raise StreamError("wrong token", "wrong_token")
+            text = "wrong token; use a copy of the file that server.token_file of the daemon names"
+            raise StreamError(text, "wrong_token")
 
 
 @dataclass(frozen=True, slots=True)

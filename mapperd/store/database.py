@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from urllib.parse import quote
 
-from mapperd.errors import StoreError
+from mapperd.errors import StoreError, os_reason
 
 __all__ = [
     "APPLICATION_ID",
@@ -263,7 +263,7 @@ def only_writer(path: Path) -> Iterator[None]:
         handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as error:
         reason = "disk_full" if error.errno == errno.ENOSPC else "read_only"
-        raise StoreError(f"{lock}: cannot be made: {error.strerror}", reason) from error
+        raise StoreError(f"{lock}: cannot be made: {os_reason(error)}", reason) from error
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -11,7 +11,7 @@ from typing import Any
 from mapperd import _core
 from mapperd.config.changes import with_values
 from mapperd.config.tree import Config
-from mapperd.errors import ConfigError, MapError
+from mapperd.errors import ConfigError, MapError, os_reason
 from mapperd.geometry.geodesy import Origin
 from mapperd.mapping.content import MapContent
 from mapperd.mapping.sonar_map import SonarMap
@@ -101,7 +101,7 @@ def _beginning(path: Path) -> bytes:
         with path.open("rb") as file:
             return file.read(OCTOMAP_HEADER_BYTES)
     except OSError as error:
-        raise MapError(f"{path}: cannot be read: {error.strerror}", "unreadable") from error
+        raise MapError(f"{path}: cannot be read: {os_reason(error)}", "unreadable") from error
 
 
 def _settings(

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mapperd import _core
 from mapperd.config.tree import Config
-from mapperd.errors import ExportError, StoreError
+from mapperd.errors import ExportError, StoreError, os_reason
 from mapperd.io import atomic_file
 from mapperd.mapping.sonar_map import MapCounts, SonarMap, Voxels, fingerprint
 from mapperd.store.database import check_version, open_reader, reading, translated
@@ -354,7 +354,7 @@ def _spool(path: Path) -> Iterator[BinaryIO]:
         with tempfile.TemporaryFile(dir=path.parent) as file:
             yield cast("BinaryIO", file)
     except OSError as error:
-        raise ExportError(f"{path}: cannot be written: {error.strerror}") from error
+        raise ExportError(f"{path}: cannot be written: {os_reason(error)}") from error
 
 
 def _contents(file: BinaryIO) -> Iterator[bytes]:

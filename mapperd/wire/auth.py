@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from mapperd.errors import ConfigError
+from mapperd.errors import ConfigError, os_reason
 
 __all__ = [
     "CREDENTIALS",
@@ -115,7 +115,7 @@ def read_token(path: Path, place: str = "$.server.token_file") -> bytes:
             mode = path.stat().st_mode
             token = file.read(MAX_BYTES + 1).strip()
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}", place) from error
+        raise ConfigError(f"{path}: cannot be read: {os_reason(error)}", place) from error
     if mode & 0o007:
         raise ConfigError(f"{path}: everybody may read it or write to it; chmod 600 it", place)
     if not MIN_LETTERS <= len(token) <= MAX_BYTES or not all(33 <= c < 127 for c in token):  # noqa: PLR2004 printable ASCII

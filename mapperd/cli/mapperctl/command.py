@@ -122,7 +122,10 @@ def _target(args: argparse.Namespace) -> DaemonTarget:
         if _is_socket(path):
             return DaemonTarget(path)
     looked = ", ".join(map(str, places))
-    raise CtlError(f"no daemon is running: no socket at {looked}", CtlExit.UNAVAILABLE)
+    raise CtlError(
+        f"no daemon is running: no socket at {looked}; start mapperd, or give --address",
+        CtlExit.UNAVAILABLE,
+    )
 
 
 def _settings(args: argparse.Namespace) -> Layered:

@@ -36,6 +36,7 @@ from mapperd.wire.messages import (
 __all__ = ["ControlConnection", "DaemonTarget"]
 
 CONNECT_S = 5.0
+NO_DAEMON = "check that mapperd runs there and that its server.address is this one"
 READ_BYTES = 65536
 
 REASONS: Mapping[str, CtlExit] = MappingProxyType(
@@ -179,7 +180,9 @@ class ControlConnection:
         if greeting.challenge:
             if not self._target.token:
                 raise CtlError(
-                    f"{self._target}: wants a token: --token-file", CtlExit.NO_PERMISSION
+                    f"{self._target}: needs a token: give --token-file a copy of the file that "
+                    "server.token_file of the daemon names",
+                    CtlExit.NO_PERMISSION,
                 )
             proof = proof_of(self._target.token, greeting.challenge)
         self._send(HelloMessage(version=VERSION, proof=proof, name="mapperctl"))
@@ -235,15 +238,19 @@ class ControlConnection:
         try:
             yield
         except TimeoutError as error:
-            raise CtlError(f"{self._target}: no answer", CtlExit.UNAVAILABLE) from error
+            raise CtlError(
+                f"{self._target}: no answer; {NO_DAEMON}", CtlExit.UNAVAILABLE
+            ) from error
         except PermissionError as error:
-            text = f"{self._target}: you may not: {error.strerror}"
+            text = (
+                f"{self._target}: {error.strerror}; join the group that owns it, and log in again"
+            )
             raise CtlError(text, CtlExit.NO_PERMISSION) from error
         except ssl.SSLCertVerificationError as error:
             text = f"{self._target}: not trusted: {error.verify_message}"
             raise CtlError(text, CtlExit.NO_PERMISSION) from error
         except OSError as error:
-            text = f"{self._target}: no daemon answers: {error.strerror or error}"
+            text = f"{self._target}: no daemon answers: {error.strerror or error}; {NO_DAEMON}"
             raise CtlError(text, CtlExit.UNAVAILABLE) from error
 
 

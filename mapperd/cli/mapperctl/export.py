@@ -30,7 +30,7 @@ from mapperd.client import (
 )
 from mapperd.config.changes import with_values
 from mapperd.config.tree import Config
-from mapperd.errors import ExportError, MapError
+from mapperd.errors import ExportError, MapError, os_reason
 from mapperd.export.calibration import Calibration, load_calibration
 from mapperd.export.formats import check_calibration
 from mapperd.foxglove.recording import FoxgloveRecording
@@ -164,7 +164,7 @@ async def _recorded(client: MapClient, args: argparse.Namespace) -> None:
                 await recording.stop()
         partial.replace(path)
     except OSError as error:
-        raise ExportError(f"{path}: cannot be written: {error.strerror}") from error
+        raise ExportError(f"{path}: cannot be written: {os_reason(error)}") from error
     finally:
         with contextlib.suppress(OSError):
             partial.unlink()

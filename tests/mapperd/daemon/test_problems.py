@@ -22,7 +22,9 @@ def status(
     sonar: tuple[str, str] = ("pinging", ""),
     links: dict[str, str] | None = None,
     accepted: int = 10,
+    frames: dict[str, int] | None = None,
     rejected: dict[str, int] | None = None,
+    clock_offset_s: float | None = None,
     **parts: Any,
 ) -> dict[str, Any]:
     quantities = {name: {"newest_ns": 1 if name in has else None} for name in QUANTITIES}
@@ -35,13 +37,23 @@ def status(
         "sonar": {"state": sonar[0], "reason": sonar[1], "address": None},
         "odometry": {
             "source": "odometry",
-            "received": 10,
+            "received": 10 if accepted or rejected else 0,
             "accepted": accepted,
             "rejected": rejected or {},
             "quantities": quantities,
-            "sources": {"dvl": {"rejected": rejected or {}}},
+            "sources": {"dvl": {"rejected": rejected or {}, "clock_offset_s": clock_offset_s}},
             "connections": connections,
+            "links": {
+                "odometry": {
+                    "bytes": 99,
+                    "frames": 10 if frames is None else sum(frames.values()),
+                    "messages": frames or {},
+                    "records": 10 if frames is None else 0,
+                    "rejected": {},
+                }
+            },
         },
+        "localization": None,
         "recording": {"state": "logging", "reason": ""},
     } | parts
 
@@ -90,19 +102,43 @@ def test_nothing_is_missed_in_the_first_seconds() -> None:
             status(links={"odometry": "waiting"}),
             "",
             "no_odometry",
-            ["UDP 127.0.0.1:52200 (odometry)", "Let the vehicle send there", "`mapperd doctor`"],
+            ["UDP 127.0.0.1:52200 (odometry)", "let the vehicle send there", "odometry.sources"],
         ),
         (
             status("attitude", "position", links={"one": "receiving", "dvl": "backing off"}),
             "",
-            "odometry_link",
-            ["source dvl", "backing off", "`mapperd doctor`"],
+            "odometry_quiet",
+            ["(dvl)", "give the source another port", "`mapperd doctor`"],
+        ),
+        (
+            status(accepted=0, rejected={"not_a_frame": 7}, frames={}),
+            "odometry: {sources: [{format: mavlink}]}",
+            "odometry_format",
+            ["nothing that arrives", "of format mavlink: correct its format"],
+        ),
+        (
+            status(accepted=0, frames={"HEARTBEAT": 9}),
+            "odometry: {sources: [{format: mavlink}]}",
+            "odometry_format",
+            ["sends no odometry, only HEARTBEAT 9", "the autopilot sends no position"],
         ),
         (
             status(accepted=0, rejected={"clock_off": 9, "jump": 1}),
             "",
             "odometry_rejected",
             ["clock_off 9, jump 1", "docs/guides/odometry.md"],
+        ),
+        (
+            status("attitude", "position", localization={"map": ""}),
+            "",
+            "no_map",
+            ["localization.map_path", "`mapperctl set_map`"],
+        ),
+        (
+            status("attitude", "position", clock_offset_s=-10800.0),
+            "",
+            "clock_off",
+            ["source dvl is 3.0 h behind this computer's", "Synchronize"],
         ),
         (
             status("attitude", "position", sonar=("searching", "no status received yet")),
