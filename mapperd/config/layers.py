@@ -10,7 +10,7 @@ import yaml
 
 from mapperd.config.aliases import tree_updated
 from mapperd.config.catalog import parameters
-from mapperd.config.loader import config_of, read_tree
+from mapperd.config.loader import config_of, holds_nodes, parse_yaml, read_tree
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, os_reason
 
@@ -174,6 +174,8 @@ def text_with(text: str, name: str, value: object) -> str:
     Raises:
         ConfigError: the value stands in the file in a form that cannot be replaced.
     """
+    if holds_nodes(parse_yaml(text)):
+        raise ConfigError(f"{name}: the file holds parameters of ROS 2 nodes: edit it there", name)
     node = yaml.compose(text, Loader=yaml.SafeLoader)
     keys = name.split(".")
     inside: yaml.MappingNode | None = None

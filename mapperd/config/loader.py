@@ -22,6 +22,7 @@ __all__ = [
     "check_value",
     "config_from_text",
     "config_of",
+    "holds_nodes",
     "load_config",
     "parse_yaml",
     "read_tree",
@@ -235,6 +236,11 @@ def _without_nodes(tree: dict[Any, Any], name: str) -> dict[Any, Any]:
                 raise ConfigError(f"{name}: {node}: {shown}: {text}", f"$.{shown}")
             origins[shown] = node
     return merged
+
+
+def holds_nodes(tree: object) -> bool:
+    """Whether these are parameters of ROS 2 nodes, as `parse_yaml` gives them."""
+    return isinstance(tree, dict) and any(_nodes_of(tree, ""))
 
 
 def _nodes_of(tree: dict[Any, Any], prefix: str) -> Iterator[tuple[str, Any]]:

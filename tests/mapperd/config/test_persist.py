@@ -53,3 +53,9 @@ def test_a_value_of_several_lines_is_not_touched() -> None:
     text = "odometry:\n  sources:\n    - { name: a, link: 'udp://0.0.0.0:27000' }\n"
     with pytest.raises(ConfigError, match="several lines"):
         text_with(text, "odometry.sources", [])
+
+
+def test_parameters_of_nodes_are_not_touched() -> None:
+    text = "mapper:\n  ros__parameters:\n    filtering: {min_range: 0.8}\n"
+    with pytest.raises(ConfigError, match="parameters of ROS 2 nodes: edit it there"):
+        text_with(text, "filtering.min_range", 1.0)
