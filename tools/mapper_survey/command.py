@@ -17,7 +17,7 @@ from mapper_survey.errors import SurveyError
 from mapper_survey.export import PRODUCTS, ExportOptions, export_survey
 from mapper_survey.folder import Folder
 from mapper_survey.memory import bytes_of
-from mapper_survey.report import REPORT, Report, report_survey
+from mapper_survey.report import REPORT, PairRecord, Report, report_survey
 from mapper_survey.request import Request, read_survey
 from mapper_survey.running import DIVES, MAP, RunOptions, dive_map, plan_survey, run_survey
 from mapper_survey.scaling import (
@@ -294,11 +294,17 @@ def _report_lines(report: Report) -> list[str]:
     lines = [f"{ground.merged_m2:.0f} m2 mapped, {ground.overlap_m2:.0f} m2 by two dives or more"]
     return lines + [
         f"{pair.a}, {pair.b}: {pair.mean_missing_share:.1%} without a partner within "
-        f"{report.tolerance_m:g} m ({pair.grade}); "
+        f"{report.tolerance_m:g} m ({pair.grade or _overlap_text(pair)}); "
         f"{pair.a_to_b.conflicts + pair.b_to_a.conflicts} conflicts"
         for pair in report.pairs
         if pair.mean_missing_share is not None
     ]
+
+
+def _overlap_text(pair: PairRecord) -> str:
+    ways = pair.a_to_b, pair.b_to_a
+    compared, voxels = (sum(getattr(way, name) for way in ways) for name in ("compared", "voxels"))
+    return f"no grade: {compared} of {voxels} voxels overlap"
 
 
 SCHEDULER_MS = 3.0

@@ -49,6 +49,10 @@ EXCELLENT, MODERATE = 0.1, 0.3
 """Grades of the published mapper's analyser, by the share of voxels without a partner."""
 
 
+MIN_OVERLAP = 0.05
+"""Share of a dive's voxels that the other has observed, below which agreement has no grade."""
+
+
 class DiveRecord(msgspec.Struct, frozen=True):
     """Ground of one dive."""
 
@@ -84,7 +88,7 @@ class HeightRecord(msgspec.Struct, frozen=True):
 
 
 class PairRecord(msgspec.Struct, frozen=True):
-    """Two dives."""
+    """Two dives; `grade` is None with little overlap."""
 
     a: str
     b: str
@@ -174,7 +178,12 @@ def _pair(
     for number, count in dz:
         apart.add_one(abs(number), count)
     heights = _heights(dz, apart, comparison.resolution_m)
-    return PairRecord(a, b, there, back, heights, only, _grade(only), missing, _grade(missing))
+    grade = _grade(missing) if max(map(_overlap_of, (there, back))) >= MIN_OVERLAP else None
+    return PairRecord(a, b, there, back, heights, only, _grade(only), missing, grade)
+
+
+def _overlap_of(way: WayRecord) -> float:
+    return way.compared / way.voxels if way.voxels else 0.0
 
 
 def _way(way: OneWayDifference, comparison: Comparison) -> WayRecord:
@@ -300,24 +309,46 @@ def _overlap(report: Report, pictures: Pictures, raster: Raster) -> Any:  # noqa
 
 
 def _disagreement(report: Report, pictures: Pictures, raster: Raster) -> Any:  # noqa: ANN401
+    compared = (pictures.compared > 0) | np.isfinite(pictures.spread_m)
+    shown = _broad(raster.shown_m(compared)) if compared.any() else None
+    voxels = [way for pair in report.pairs for way in (pair.a_to_b, pair.b_to_a)]
+    number, whole = (sum(getattr(way, name) for way in voxels) for name in ("compared", "voxels"))
+    share = number / whole if whole else 0.0
     figure, (left, right) = _maps(
-        f"disagreement where several dives looked; tolerance {report.tolerance_m:g} m",
+        f"disagreement where several dives looked ({share:.1%} of their voxels); "
+        f"tolerance {report.tolerance_m:g} m; grey: one dive",
         pictures,
         raster,
         number=2,
+        shown=shown,
     )
     spread = np.where(np.isfinite(pictures.spread_m), pictures.spread_m, np.nan)
-    high = max(5 * report.tolerance_m, report.resolution_m)
-    image = _put(left, spread, pictures, raster, cmap="magma_r", vmin=0.0, vmax=high)
-    left.set_title("highest less lowest surface, the most in a pixel", fontsize=10, loc="left")
-    bar = {"ax": left, "label": "spread [m]", "shrink": 0.8, "extend": "max"}
-    figure.colorbar(image, **bar)
     with np.errstate(invalid="ignore"):
         missing = pictures.missing / np.where(pictures.compared > 0, pictures.compared, np.nan)
-    image = _put(right, missing, pictures, raster, cmap="magma_r", vmin=0.0, vmax=1.0)
-    right.set_title("voxels that the other dive has not", fontsize=10, loc="left")
-    figure.colorbar(image, ax=right, label="share", shrink=0.8)
+    high = max(5 * report.tolerance_m, report.resolution_m)
+    for axes, picture, most, title, bar in (
+        (left, spread, high, "highest less lowest surface, the most in a pixel", "spread [m]"),
+        (right, missing, 1.0, "voxels that the other dive has not", "share"),
+    ):
+        single = np.where(pictures.dives > 0, 0.0, np.nan)
+        _put(axes, single, pictures, raster, cmap=_plain(LOOKED))
+        image = _put(axes, picture, pictures, raster, cmap="plasma", vmin=0.0, vmax=most)
+        axes.set_title(title, fontsize=10, loc="left")
+        if shown is not None:
+            axes.set(xlim=shown[:2], ylim=shown[2:])
+        extend = "max" if picture is spread else "neither"
+        figure.colorbar(image, ax=axes, label=bar, shrink=0.8, extend=extend)
     return figure
+
+
+def _broad(
+    box_m: tuple[float, float, float, float],
+) -> tuple[float, float, float, float]:
+    """Widen a narrow strip, so that it fits a page: left, right, bottom, top."""
+    left, right, bottom, top = box_m
+    width, height = right - left, top - bottom
+    more_x, more_y = max(height - width, 0.0) / 2, max(width / 2 - height, 0.0) / 2
+    return left - more_x, right + more_x, bottom - more_y, top + more_y
 
 
 def _distances(report: Report, ways: Mapping[tuple[str, str], OneWayDifference]) -> Any:  # noqa: ANN401
@@ -348,10 +379,23 @@ def _distances(report: Report, ways: Mapping[tuple[str, str], OneWayDifference])
 
 
 def _maps(
-    title: str, pictures: Pictures, raster: Raster, *, number: int = 1
+    title: str,
+    pictures: Pictures,
+    raster: Raster,
+    *,
+    number: int = 1,
+    shown: tuple[float, float, float, float] | None = None,
 ) -> tuple[Any, list[Any]]:
-    """A figure with some maps beside each other, or above where they are wide."""
-    left, right, bottom, top = _shown(pictures, raster)
+    """A figure with some maps beside each other, or above where they are wide.
+
+    Args:
+        title: of the figure.
+        pictures: of the ground.
+        raster: of the pictures.
+        number: of maps.
+        shown: left, right, bottom and top, m; None shows what was looked at.
+    """
+    left, right, bottom, top = shown or _shown(pictures, raster)
     ratio = float(np.clip((top - bottom) / (right - left), 0.3, 1.6))
     wide = ratio < 1
     width, height = 9.0, 6.9 * ratio + 1.2  # the rest is the scale's, and the title's

@@ -198,6 +198,23 @@ def test_grades_are_those_of_the_published_analyser(
     assert same.a_to_b.p95_m == 0
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_little_overlap_has_no_grade(tmp_path: Path) -> None:
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(50), np.arange(20)))
+    floor = np.stack([x, y, np.full(len(x), -30)], axis=1)
+    grades = []
+    for step in (49, 45):  # 2 % and 10 % overlap
+        moved = {"a": 0, "b": step}
+        files = {
+            name: store_of(tmp_path / f"{name}{step}.db", map_of(floor + np.array((by, 0, 0))))
+            for name, by in moved.items()
+        }
+        (pair,) = report_survey(files, files["a"], tmp_path / "out", 0.05).pairs
+        assert (pair.a_to_b.compared > 0, pair.mean_missing_share) == (True, 0)
+        grades.append(pair.grade)
+    assert grades == [None, "excellent"]
+
+
 def test_pieces_of_any_size_give_the_same(
     files: dict[str, Path], made: tuple[Report, Path], tmp_path: Path, undrawn: pytest.MonkeyPatch
 ) -> None:
