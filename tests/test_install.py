@@ -1,0 +1,108 @@
+"""The commands of the installation run in an empty folder; the file of the image is sound."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from mapperd import __version__
+from tests.support.shell_blocks import blocks_of
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "getting-started" / "install.md"
+DOCKERFILE = (ROOT / "Dockerfile").read_text("utf-8")
+
+
+def block_with(text: str) -> str:
+    (code,) = (block.code for block in blocks_of(PAGE) if text in block.code)
+    return code
+
+
+def run(code: str, folder: Path) -> str:
+    """Run commands with nothing of this environment but Python, the registry and the network."""
+    python = Path(sys.executable).resolve().parent
+    kept = {name: os.environ[name] for name in os.environ if name.startswith("PIP_")}
+    environment = {
+        "PATH": f"{python}:/usr/local/bin:/usr/bin:/bin",
+        "HOME": str(folder),
+        "REPOSITORY": str(ROOT),
+        **kept,
+    }
+    done = subprocess.run(  # noqa: S603
+        ["/bin/bash", "-euc", code],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_the_commands_of_a_topside_pc_and_of_a_board_without_compiler_run(tmp_path: Path) -> None:
+    topside, board = tmp_path / "topside", tmp_path / "board"
+    topside.mkdir()
+    (board / "wheels").mkdir(parents=True)
+    assert f"mapperd {__version__}" in run(block_with("'.[mavlink,topside]'"), topside)
+    wheel = f"cd mapperd && . venv/bin/activate && pip wheel --no-deps -w {board}/wheels ."
+    run(wheel, topside)
+    assert f"mapperd {__version__}" in run(block_with("wheels/mapperd-*"), board)
+    check = f"cd {board} && . venv/bin/activate && python {ROOT}/scripts/check_wheel.py"
+    run(check, board)
+
+
+def labels() -> dict[str, str]:
+    found = re.findall(
+        r"""^LABEL (\w+)=(?:'((?:[^'\\]|\\\n)*)'|"([^"\n]*)")$""", DOCKERFILE, re.MULTILINE
+    )
+    return {name: (quoted or plain).replace("\\\n", "") for name, quoted, plain in found}
+
+
+def test_the_image_has_the_labels_of_a_blueos_extension() -> None:
+    found = labels()
+    assert found["version"] == __version__
+    permissions = json.loads(found["permissions"])["HostConfig"]
+    assert permissions["NetworkMode"] == "host"
+    assert permissions["Binds"] == ["/usr/blueos/extensions/mapperd:/data"]
+    for name in ("authors", "company", "tags", "links"):
+        json.loads(found[name])
+    assert {"type", "requirements"} <= found.keys()
+
+
+def test_the_image_s_file_names_what_exists_and_is_sent() -> None:
+    sent = {
+        line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line[:1] == "!"
+    }
+    project = (ROOT / "pyproject.toml").read_text("utf-8")
+    built = set(re.findall(r'^    "/([\w.]+)', project, re.MULTILINE)) - {"scripts"}
+    assert built <= sent
+    assert all((ROOT / name).exists() for name in sent)
+    for name in re.findall(r"^COPY (requirements/\S+)", DOCKERFILE, re.MULTILINE):
+        assert (ROOT / name).is_file()
+    (command,) = re.findall(r"^CMD (.*)$", DOCKERFILE, re.MULTILINE)
+    shell, option, script = json.loads(command)
+    subprocess.run([f"/bin/{shell}", "-n", option, script], check=True)  # noqa: S603
+
+
+def test_images_are_built_on_machines_of_their_architecture() -> None:
+    jobs = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text("utf-8"))["jobs"]
+    machines = {
+        one["arch"]: one["runner"] for one in jobs["image"]["strategy"]["matrix"]["include"]
+    }
+    assert set(machines) == {"amd64", "arm64"}
+    assert machines["arm64"].endswith("-arm")
+
+
+def test_the_page_states_the_pythons_of_the_package() -> None:
+    project = (ROOT / "pyproject.toml").read_text("utf-8")
+    minors = [int(minor) for minor in re.findall(r'"cp3(\d\d)-manylinux', project)]
+    assert f"3.{min(minors)} to 3.{max(minors)}" in PAGE.read_text("utf-8")
+    assert f'requires-python = ">=3.{min(minors)}"' in project
