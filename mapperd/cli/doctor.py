@@ -17,13 +17,13 @@ from mapperd.cli.mapperctl.errors import CtlError
 from mapperd.cli.mapperctl.views import status_lines
 from mapperd.config.layers import load_settings
 from mapperd.config.link_address import parse_address
+from mapperd.config.paths import socket_places
 from mapperd.config.tree import Config
 from mapperd.daemon.doctor import LinkEvidence, judge_link
 from mapperd.errors import ConfigError, Reject
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.formats import check_levelling, make_decoder
 from mapperd.odometry.links import OdometryLink
-from mapperd.wire.socket_paths import socket_places
 from oculus_driver.command_line import CommandParser
 from oculus_driver.discovery.probe import Layer, ProbeOptions, evaluate, probe
 

@@ -67,8 +67,8 @@ def daemon_address(address: str) -> DaemonAddress:
 
 def _usual_paths() -> tuple[Path, ...]:
     # Imported here: the settings' types take longer to import than all of this package.
+    from mapperd.config.paths import socket_places  # noqa: PLC0415
     from mapperd.config.tree import Config  # noqa: PLC0415
-    from mapperd.wire.socket_paths import socket_places  # noqa: PLC0415
 
     return tuple(socket_places(Config(), os.environ))
 

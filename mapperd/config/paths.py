@@ -1,4 +1,4 @@
-"""The daemon's folders, and files that hold secrets."""
+"""The daemon's folders and socket, and files that hold secrets."""
 
 import os
 import stat
@@ -8,7 +8,17 @@ from pathlib import Path
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, os_reason
 
-__all__ = ["map_path", "pose_path", "read_secret", "recordings_folder", "state_folder"]
+__all__ = [
+    "SOCKET",
+    "SYSTEM",
+    "map_path",
+    "pose_path",
+    "read_secret",
+    "recordings_folder",
+    "socket_path",
+    "socket_places",
+    "state_folder",
+]
 
 
 def state_folder(config: Config, environ: Mapping[str, str]) -> Path:
@@ -51,6 +61,38 @@ def map_path(config: Config, environ: Mapping[str, str]) -> Path:
         path = Path(config.outofcore.map_path)
         return path / MAP_NAME if path.is_dir() else path
     return state_folder(config, environ) / MAP_NAME
+
+
+SOCKET = "mapperd.sock"
+
+SYSTEM = Path("/run/mapperd")
+"""The folder that systemd makes for `RuntimeDirectory=mapperd`."""
+
+
+def socket_path(config: Config, environ: Mapping[str, str]) -> Path:
+    """Return the path that a daemon listens on.
+
+    Args:
+        config: the settings; `server.socket` comes first.
+        environ: the process's variables: $RUNTIME_DIRECTORY is systemd's, $XDG_RUNTIME_DIR the
+            user's; with neither, the socket is in the folder of the maps.
+    """
+    if config.server.socket:
+        return Path(config.server.socket)
+    given = environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    for folder in (given, environ.get("XDG_RUNTIME_DIR", "")):
+        if Path(folder).is_absolute():
+            return Path(folder) / SOCKET
+    return state_folder(config, environ) / SOCKET
+
+
+def socket_places(config: Config, environ: Mapping[str, str], system: Path = SYSTEM) -> list[Path]:
+    """Return where a client looks for a daemon, in order: the user's socket, then the machine's."""
+    if config.server.socket:
+        return [Path(config.server.socket)]
+    bare = {name: value for name, value in environ.items() if name != "RUNTIME_DIRECTORY"}
+    own = socket_path(config, bare)
+    return list(dict.fromkeys((own, system / SOCKET, state_folder(config, bare) / SOCKET)))
 
 
 MAX_BYTES = 4096

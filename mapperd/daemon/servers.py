@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 from mapperd.api import DaemonApi
 from mapperd.config.daemon import ServerConfig
+from mapperd.config.paths import socket_path
 from mapperd.config.tree import Config
 from mapperd.daemon.daemon import Daemon
 from mapperd.daemon.debug_pictures import draw_pictures
@@ -29,7 +30,6 @@ from mapperd.server.state_feed import StateFeed
 from mapperd.server.stream_server import StreamServer
 from mapperd.telemetry.telemetry import Telemetry
 from mapperd.wire.auth import CREDENTIALS, read_token, token_file
-from mapperd.wire.socket_paths import socket_path
 from oculus_driver.ping import Ping
 
 __all__ = [

@@ -16,11 +16,11 @@ from mapperd.cli.mapperctl.remote import run
 from mapperd.cli.mapperctl.views import params_lines
 from mapperd.config.changes import facts_of
 from mapperd.config.layers import Layered, load_settings, user_folder
+from mapperd.config.paths import socket_places
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 from mapperd.server.listeners import address_of
 from mapperd.wire.auth import read_token
-from mapperd.wire.socket_paths import socket_places
 
 __all__ = ["main"]
 

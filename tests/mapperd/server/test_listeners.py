@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 import trustme
 
+from mapperd.config.paths import socket_path, socket_places
 from mapperd.config.tree import Config, ServerConfig, ServiceConfig
 from mapperd.daemon.servers import open_listeners
 from mapperd.errors import ConfigError, LiveError
 from mapperd.events import EventLog, Severity
 from mapperd.server.listeners import address_of, open_tcp_listener, open_unix_listener, server_tls
 from mapperd.wire.auth import CREDENTIALS, read_token, token_file
-from mapperd.wire.socket_paths import socket_path, socket_places
 from tests.support.control_server import TOKEN, is_listening
 
 pytestmark = pytest.mark.net

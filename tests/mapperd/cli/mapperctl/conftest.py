@@ -23,7 +23,7 @@ def _no_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("XDG_CONFIG_HOME", "XDG_RUNTIME_DIR", "XDG_STATE_HOME"):
         monkeypatch.setenv(name, str(tmp_path / "xdg"))
     monkeypatch.setattr("mapperd.config.layers.load_settings.__defaults__", (tmp_path / "etc",))
-    monkeypatch.setattr("mapperd.wire.socket_paths.socket_places.__defaults__", (tmp_path / "run",))
+    monkeypatch.setattr("mapperd.config.paths.socket_places.__defaults__", (tmp_path / "run",))
 
 
 class Running:
