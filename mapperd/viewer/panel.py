@@ -46,8 +46,8 @@ label, .mantine-InputWrapper-label, .mantine-Text-root {
 """Legible labels. On a phone the panels are a sheet below the map: sonar image, controls, link."""
 
 GRID_TEXT = (
-    '<div style="font-size:13px;padding:0 10px 10px;opacity:.85">grid 1 m, thick lines 10 m; axes '
-    "of 1 m at the origin: red x, green y, blue z</div>"
+    '<div style="font-size:13px;padding:0 10px 10px;opacity:.85">grid 1 m and 10 m; axes: red x, '
+    "green y, blue z</div>"
 )
 
 Post = Callable[[Callable[[], object]], None]
@@ -131,7 +131,7 @@ class Panel:
             self._handles.banner = server.gui.add_html("")
             self._handles.health = server.gui.add_html("")
             self._handles.legend = server.gui.add_html("")
-        self._status.float(x=15, y=-95, width=330)  # above the axes; notes come on top
+        self._status.float(x=15, y=-15, width=330)
         server.gui.main_panel.float(x=-15, y=15, width=330)
         server.gui.add_html(STYLE)
         self._handles.summary = server.gui.add_html("")
