@@ -275,6 +275,12 @@ def _verdict(arguments: Arguments, summary: dict[str, Any]) -> DaemonExit:
     if problem is not None:
         return _fail(DaemonExit.CANNOT_WRITE, f"standard output: cannot be written: {problem}")
     code = DaemonExit.BAD_DATA if recording.get("data_lost") else DaemonExit.OK
+    if (stored := summary.get("store", {})).get("data_lost"):
+        named = list(stored["sessions_not_mapped"].items())
+        listed = "; ".join(f"{session}: {why}" for session, why in named[:MAX_PLACES])
+        more = "; …" if len(named) > MAX_PLACES else ""
+        text = f"{stored['path']}: recorded data are not in the map: {listed}{more}"
+        code = _fail(DaemonExit.BAD_DATA, text)
     if bricks := lost_bricks(summary):
         path = summary["store"]["path"]
         code = _fail(

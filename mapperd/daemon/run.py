@@ -132,6 +132,7 @@ async def _map(run: LiveRun) -> tuple[MapContent, dict[str, Any]]:
                 "path": stored["path"],
                 "bricks_lost": whole.bricks_lost,
                 "sessions_not_mapped": stored["sessions_not_mapped"],
+                "data_lost": stored["data_lost"],
                 "loss": stored["loss"],
             }
         return whole, summary_of(source, whole, live.poses, live.counters, wall_s)

@@ -17,7 +17,10 @@ from oculus_driver.errors import RecordingError
 from oculus_driver.recording import OCULUS, BackgroundLog, Chunk, LogPolicy, SonarLog
 from oculus_driver.stream import MessageBounds
 
-__all__ = ["Recorder"]
+__all__ = ["PREFIX", "Recorder"]
+
+PREFIX = "dive"
+"""Names of the files begin with it."""
 
 MIB = 1 << 20
 
@@ -53,7 +56,7 @@ class Recorder:
             self._files = SonarLog(
                 folder,
                 policy,
-                prefix="dive",
+                prefix=PREFIX,
                 metadata={SESSION: session},
                 others={LINK: DECISIONS, **sources},
                 hold=True,
@@ -107,6 +110,11 @@ class Recorder:
     def newest(self) -> int:
         """Number of the newest piece; 0 before the first, and without a recording."""
         return 0 if self._log is None else self._log.offered
+
+    @property
+    def end(self) -> RecordingOffset | None:
+        """Position after the newest piece; None while that is not written."""
+        return self.place_of(self.newest)
 
     def place_of(self, number: int) -> RecordingOffset | None:
         """Return the position after a piece; None while the piece is not written."""

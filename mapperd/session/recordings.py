@@ -8,16 +8,29 @@ from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 
+from mapperd.pipeline.recorder import PREFIX
 from mapperd.session_log import DECISIONS, SESSION, Session, decision_of
 from mapperd.store.position import RecordingOffset
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording import Chunk, DamagedPart, Recording, open_recording
 
-__all__ = ["DamagedData", "RecordedSession", "Tail", "files_in", "files_of", "sessions_of"]
+__all__ = [
+    "DamagedData",
+    "RecordedSession",
+    "Tail",
+    "files_in",
+    "files_of",
+    "number_of",
+    "recorded_in",
+    "sessions_of",
+]
 
 SUFFIX = ".mcap"
 SIGNATURE_BYTES = 8
 """An MCAP file begins with them."""
+
+BLANK_BYTES = 1 << 20
+"""A file with as many zeros at its beginning is blank."""
 
 
 @dataclass(slots=True)
@@ -28,7 +41,8 @@ class DamagedData:
         allowed: whether data that fail their checksum are mapped all the same.
         bytes: number of bytes that fail it, by file.
         parts: the first 1000 parts that fail it, by file.
-        losses: the first other damage that may have cost data, by file; no missing end.
+        losses: the first other damage that may have cost data, by file; no missing end of a
+            session's last file.
     """
 
     allowed: bool = False
@@ -38,7 +52,9 @@ class DamagedData:
 
     def __str__(self) -> str:
         """Return what is damaged, with the first places; empty without damage."""
-        found = [f"{path.name}: {damage}" for path, damage in self.losses.items()][:1]
+        found = [f"{path.name}: {damage}" for path, damage in self.losses.items()]
+        if len(found) > 1:
+            found[1:] = [f"damage of {len(found) - 1} more files"]
         if self.bytes:
             path, parts = next(iter(self.parts.items()))
             count = sum(map(len, self.parts.values()))
@@ -54,13 +70,47 @@ class DamagedData:
         """Whether data are missing in a map of the recordings."""
         return bool(self.losses) or (bool(self.bytes) and not self.allowed)
 
-    def read(self, recording: Recording) -> Iterator[Chunk]:
-        """Yield the chunks of a file; damaged ones count as good if they are allowed."""
+    def of(self, paths: Iterable[Path]) -> "DamagedData":
+        """Return the damage of some of the files."""
+        mine = set(paths)
+        return DamagedData(
+            self.allowed,
+            {path: size for path, size in self.bytes.items() if path in mine},
+            {path: parts for path, parts in self.parts.items() if path in mine},
+            {path: loss for path, loss in self.losses.items() if path in mine},
+        )
+
+    def read(self, recording: Recording, *, is_last: bool = True) -> Iterator[Chunk]:
+        """Yield the chunks of a file; damaged ones count as good if they are allowed.
+
+        Args:
+            recording: the file.
+            is_last: nothing follows it in its session; such a file may end anywhere.
+        """
         try:
             for chunk in recording:
                 yield replace(chunk, damaged=False) if self.allowed and chunk.damaged else chunk
         finally:
             self._add(recording)
+            if not is_last and recording.truncated and SESSION in recording.metadata:
+                self.add_loss(recording.path, recording.damage or "it has no end")
+
+    def add_loss(self, path: Path, loss: str) -> None:
+        """Add what is missing in a file or before it, unless something is known of it."""
+        self.losses.setdefault(path, loss)
+
+    def add_holes(self, files: dict[int, Path], first: int | None = None) -> None:
+        """Add the files that are missing between those of a session.
+
+        Args:
+            files: by number, in order.
+            first: number of the first file; None if `files` begin with it.
+        """
+        before = None if first is None else first - 1
+        for number, path in files.items():
+            if before is not None and number != before + 1:
+                self.add_loss(path, missing_before(number, before))
+            before = number
 
     def _add(self, recording: Recording) -> None:
         """Add what reading a file has found so far."""
@@ -71,6 +121,12 @@ class DamagedData:
             self.losses.setdefault(path, recording.damage or "")
 
 
+def missing_before(number: int, before: int) -> str:
+    """Describe missing files between two numbers."""
+    which = f"file {before + 1}" if number == before + 2 else f"files {before + 1} to {number - 1}"
+    return f"{which} before it cannot be found or read"
+
+
 @dataclass(slots=True)
 class _Seen:
     """What reading has shown so far."""
@@ -79,6 +135,8 @@ class _Seen:
     truncated: bool = False
     damage: str | None = None
     read_error: OSError | None = None
+    faults: int = 0
+    chunks: int = 0
 
 
 class RecordedSession:
@@ -105,6 +163,10 @@ class RecordedSession:
         self.damaged = damaged or DamagedData()
         self._seen = _Seen()
         self.size_bytes = 0
+        if session is not None:
+            self.damaged.add_holes(
+                {number: path for path in self.paths if (number := number_of(path)) is not None}
+            )
         with open_recording(self.paths[0]) as recording:
             self.format = recording.format
         for path in self.paths:
@@ -131,16 +193,32 @@ class RecordedSession:
         """Error of the disk that prevented reading a file; a later attempt may succeed."""
         return self._seen.read_error
 
+    def is_complete(self, last: int, end: RecordingOffset | None) -> bool:
+        """Return whether all files were read without a problem up to an end.
+
+        Args:
+            last: number of the last file.
+            end: of the session; if it is unknown, no file may be truncated.
+        """
+        seen = self._seen
+        if seen.faults or seen.read_error is not None or self.damaged.of(self.paths).losses:
+            return False
+        return not seen.truncated if end is None else RecordingOffset(last, seen.chunks) >= end
+
     def __iter__(self) -> Iterator[Chunk]:
         """Read from the front; raises `RecordingError` where a file cannot be opened any more."""
         self._seen = seen = _Seen()
         for path in self.paths:
-            before = seen.bytes_read
+            before, is_last = seen.bytes_read, path is self.paths[-1]
+            seen.chunks = 0
             with open_recording(path) as recording:
-                for chunk in self.damaged.read(recording):
+                for chunk in self.damaged.read(recording, is_last=is_last):
+                    seen.chunks += 1
                     seen.bytes_read = before + recording.bytes_read
                     yield chunk
                 seen.bytes_read = before + recording.bytes_read
+                may_end = is_last or self.session is None
+                seen.faults += recording.faults - (recording.truncated and may_end)
                 seen.truncated = seen.truncated or recording.truncated
                 seen.read_error = seen.read_error or recording.read_error
                 if recording.damage is not None and seen.damage is None:
@@ -213,6 +291,61 @@ def _numbered(path: Path) -> list[tuple[int, str]]:
 NUMBER = re.compile(r"_(\d{6,})_\d{8}T\d{6}Z\.mcap$")
 
 
+def number_of(path: Path) -> int | None:
+    """Return the number in the name of a file of a recorder; None for other names."""
+    number = NUMBER.search(path.name)
+    return None if number is None else int(number[1])
+
+
+def recorded_in(folder: Path) -> tuple[dict[str, dict[int, Path]], dict[Path, str]]:
+    """Return the sessions in the recordings' folder, in order of their first files.
+
+    The first chunk of a session names it, too, and has a checksum.
+
+    Args:
+        folder: of the recordings; need not be there.
+
+    Returns:
+        the files of each session by their numbers, in order, and the files whose session is
+        unknown, with the reason.
+    """
+    sessions: dict[str, dict[int, Path]] = {}
+    unknown: dict[Path, str] = {}
+    other_names: dict[Path, str] = {}
+    for path in files_in([folder]) if folder.is_dir() else []:
+        number = number_of(path)
+        try:
+            with open_recording(path) as recording:
+                first = next(iter(recording), None)
+                session = recording.metadata.get(SESSION)
+        except RecordingError as error:
+            if number is not None and not _is_blank(path):
+                unknown[path] = str(error).removeprefix(f"{path}: ")
+            continue
+        begun = None if first is None or first.damaged else decision_of(first)
+        session = begun.id if isinstance(begun, Session) else session
+        if session is None:
+            if path.name.startswith(f"{PREFIX}_") and number is not None and first is not None:
+                unknown[path] = "its session is not readable"
+        elif number is None:
+            other_names[path] = session
+        else:
+            sessions.setdefault(session, {})[number] = path
+    for path, session in other_names.items():
+        if session not in sessions:
+            unknown[path] = f"session {session}: its name has no number"
+    return sessions, unknown
+
+
+def _is_blank(path: Path) -> bool:
+    """Return whether a file holds nothing, as a power cut leaves it."""
+    try:
+        with path.open("rb") as file:
+            return not any(file.read(BLANK_BYTES))
+    except OSError:
+        return False
+
+
 def files_of(folder: Path, session: str) -> dict[int, Path]:
     """Return a session's recordings, ordered by the numbers in their names.
 
@@ -220,19 +353,7 @@ def files_of(folder: Path, session: str) -> dict[int, Path]:
         folder: of the recordings; need not be there.
         session: id.
     """
-    found = {}
-    for path in files_in([folder]) if folder.is_dir() else []:
-        number = NUMBER.search(path.name)
-        if number is None:
-            continue
-        try:
-            with open_recording(path) as recording:
-                mine = recording.metadata.get(SESSION) == session
-        except RecordingError:
-            continue
-        if mine:
-            found[int(number[1])] = path
-    return found
+    return recorded_in(folder)[0].get(session, {})
 
 
 class Tail:
@@ -256,16 +377,35 @@ class Tail:
         self._files = {number: path for number, path in files.items() if number >= start.file}
         self._start = start
         self._damaged = damaged or DamagedData()
+        self._damaged.add_holes(self._files, start.file or None)
         self.place = start
         self._unflushed = list(self._files.values())
 
     def __iter__(self) -> Iterator[Chunk]:
+        last = max(self._files, default=0)
         for number, path in self._files.items():
+            count = 0
             with open_recording(path) as recording:
-                for count, chunk in enumerate(self._damaged.read(recording), 1):
+                chunks = self._damaged.read(recording, is_last=number == last)
+                for count, chunk in enumerate(chunks, 1):
                     if RecordingOffset(number, count) > self._start:
                         self.place = RecordingOffset(number, count)
                         yield chunk
+            if RecordingOffset(number, count) < self._start:
+                self._damaged.add_loss(path, "it ends before the position of the map")
+
+    @property
+    def loss(self) -> str:
+        """Describe what data are missing in what was read; empty if none are."""
+        if not self._damaged.data_lost:
+            return ""
+        damaged = self._damaged.of(self._files.values())
+        return str(damaged) if damaged.data_lost else ""
+
+    @property
+    def end(self) -> RecordingOffset:
+        """The place: all that is read is written."""
+        return self.place
 
     @property
     def missing(self) -> str:

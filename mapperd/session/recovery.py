@@ -4,9 +4,10 @@ Lost parts of the file are restored from the recordings of all its sessions.
 """
 
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import msgspec
 import numpy as np
@@ -26,16 +27,21 @@ from mapperd.pipeline.build import build_pipeline
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import SessionDecoder, SessionDecoderState, Work
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
-from mapperd.session.recordings import DamagedData, RecordedSession, Tail, files_in, files_of
+from mapperd.session.recordings import (
+    DamagedData,
+    RecordedSession,
+    Tail,
+    files_of,
+    number_of,
+    recorded_in,
+)
 from mapperd.session.replay import Window, as_recorded
 from mapperd.session.store_session import SqlitePersistence
-from mapperd.session_log import SESSION, Remarks, remarks_in, without_skipped
+from mapperd.session_log import Remarks, remarks_in, without_skipped
 from mapperd.store.checkpoint import decode_state, encode_state
 from mapperd.store.metadata import kind_of
 from mapperd.store.position import Position, RecordingOffset, position_in
 from mapperd.store.tile_store import TileStore
-from oculus_driver.errors import RecordingError
-from oculus_driver.recording import open_recording
 
 __all__ = [
     "Recovered",
@@ -116,6 +122,12 @@ def _restored(position: Position) -> tuple[Config, LocalizationSession | None]:
     return config, restored_session(config, position.localization)
 
 
+def _is_headless(files: dict[int, Path], session: str) -> bool:
+    """Return whether a session's files hold data, but not its beginning."""
+    recorded = RecordedSession(list(files.values()), session)
+    return recorded.beginning() is None and any(True for _ in recorded)
+
+
 def _at_start(position: Position, files: dict[int, Path], damaged: DamagedData) -> Position:
     """Return a position with a checkpoint at the start of the recording instead of its own.
 
@@ -187,6 +199,8 @@ def recover(
         sonar_map.reconfigure(config)
         if not any(number >= position.place.file for number in files):
             return Recovered(position.session, 0, 0.0, f"its recordings are not in {folder}")
+        if position.place.file == 0 and _is_headless(files, position.session):
+            damaged.add_loss(min(files.items())[1], HEADLESS)
         rest = StoredSession(
             store, sonar_map, position.session, position, localization=localization
         )
@@ -281,9 +295,12 @@ def map_rest(
         restore_decoder(pipeline.decoder, stored.position)
     persistence.begin(pipeline.decoder, tail, lambda: None, localization)
     persistence.skip(stored.done)
-    left = stored.done
+    left, loss = stored.done, ""
     try:
         for works in _works(pipeline.decoder, tail):
+            if tail.loss != loss:
+                loss = tail.loss
+                persistence.lacks(loss)
             for work in works:
                 if left:
                     left -= 1
@@ -293,6 +310,8 @@ def map_rest(
             if not left:
                 persistence.between(tail.number, 0)
             yield
+        if left:
+            persistence.lacks("its recording ends before the map does")
         persistence.end()
     finally:
         persistence.stop()
@@ -306,8 +325,8 @@ def _works(decoder: SessionDecoder, tail: Tail) -> Iterator[list[Work]]:
 
 def unmapped_sessions(
     config: Config, folder: Path, position: Position | None, *, empty: bool
-) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Return the recorded sessions that the map file should hold and does not, in order.
+) -> tuple[tuple[str, ...], dict[str, str], frozenset[str]]:
+    """Return the recorded sessions that the map file does not hold, in order.
 
     Args:
         config: names the file and the kind of map in it.
@@ -316,62 +335,62 @@ def unmapped_sessions(
         empty: the file holds no brick.
 
     Returns:
-        those that can be mapped now, and those that cannot, with the reason.
+        those that can be mapped now; those that cannot, with the reason, and files of unknown
+        sessions by their names; those of the second that may belong to this map.
     """
-    found = _sessions_in(folder)
+    found, unknown = recorded_in(folder)
     known = set() if position is None else {*position.sessions, *position.emptied}
-    in_map = [recorded.session in known for recorded in found]
-    first = in_map.index(True) if True in in_map else 0
+    first = min((min(files) for session, files in found.items() if session in known), default=0)
     left: list[str] = []
     reasons: dict[str, str] = {}
-    for index, recorded in enumerate(found):
-        session = recorded.session
-        if session is None or session in known or not any(True for _ in recorded):
+    ours: set[str] = set()
+    for session, files in found.items():
+        recorded = RecordedSession(list(files.values()), session)
+        if session in known or not any(True for _ in recorded):
             continue
-        if recorded.beginning() is None:
-            reasons[session] = HEADLESS
-        elif not _is_for(recorded, config):
-            continue
-        elif position is None and not empty:
-            reasons[session] = "the map file does not list its sessions"
-        elif index < first:
-            reasons[session] = "it was recorded before the first session of the map file"
-        else:
+        is_ours, problem = _problem_of(recorded, config)
+        if is_ours and not problem and position is None and not empty:
+            is_ours, problem = False, "the map file does not list its sessions"
+        elif is_ours and not problem and min(files) < first:
+            problem = "it was recorded before the first session of the map file"
+        if not problem:
             left.append(session)
-    return tuple(left), reasons
+            continue
+        reasons[session] = problem
+        if is_ours and min(files) >= first:
+            ours.add(session)
+    between = [range(min(files), max(files)) for files in found.values()]
+    for path, problem in unknown.items():
+        number = number_of(path) or 0
+        if not any(number in numbers for numbers in between):  # otherwise the session lacks it
+            reasons[path.name] = problem
+            if number >= first:
+                ours.add(path.name)
+    return tuple(left), reasons, frozenset(ours)
 
 
 HEADLESS = "its first file is missing"
 """Such as when the disk budget has deleted it; the settings of a session are in its first file."""
 
 
-def _sessions_in(folder: Path) -> list[RecordedSession]:
-    """Return the recorded sessions; other files are ignored."""
-    by_session: dict[str, list[Path]] = {}
-    for path in files_in([folder]) if folder.is_dir() else []:
-        try:
-            with open_recording(path) as recording:
-                session = recording.metadata.get(SESSION)
-        except RecordingError:
-            continue
-        if session is not None:
-            by_session.setdefault(session, []).append(path)
-    return [RecordedSession(paths, session) for session, paths in by_session.items()]
-
-
-def _is_for(recorded: RecordedSession, config: Config) -> bool:
+def _problem_of(recorded: RecordedSession, config: Config) -> tuple[bool, str]:
+    """Return whether a session may belong to a map, and why it cannot be mapped into it."""
     beginning = recorded.beginning()
     if beginning is None:
-        return False
+        return True, HEADLESS
     try:
         theirs = config_of(beginning.settings, "the recording")
-    except ConfigError:
-        return False
-    return (
-        theirs.outofcore.use
-        and theirs.outofcore.map_path == config.outofcore.map_path
-        and kind_of(theirs) == kind_of(config)
-    )
+    except ConfigError as error:
+        return True, f"this version does not accept its settings: {error}"
+    if not theirs.outofcore.use:
+        return False, "its map was kept in memory only"
+    if theirs.outofcore.map_path != config.outofcore.map_path:
+        return False, f"it belongs to another map file: {theirs.outofcore.map_path or 'default'}"
+    ours = kind_of(config)
+    for name, value in kind_of(theirs).items():
+        if value != ours[name]:
+            return False, f"it belongs to a map of other settings: {name} was {value}"
+    return True, ""
 
 
 def map_recorded_sessions(
@@ -402,8 +421,9 @@ def map_recorded_sessions(
     """
     counters = PipelineCounters()
     reasons: dict[str, str] = {}
+    found, _ = recorded_in(folder)
     for session in sessions:
-        files = files_of(folder, session)
+        files = found[session]
         recorded = RecordedSession(list(files.values()), session, damaged)
         try:
             run = as_recorded(recorded)
@@ -426,6 +446,8 @@ def replay_sessions(
     sessions: tuple[str, ...],
     folder: Path,
     damaged: DamagedData | None = None,
+    *,
+    ends: Mapping[str, RecordingOffset] = MappingProxyType({}),
 ) -> bool:
     """Map whole sessions as recorded; return False if any part of them is missing.
 
@@ -434,26 +456,31 @@ def replay_sessions(
         sessions: their ids.
         folder: of the recordings.
         damaged: data that fail their checksum; by default they are not mapped.
+        ends: of the recordings when they were mapped. A truncated recording without one may lack
+            a part.
     """
     complete = True
     own = sonar_map.config
+    found, _ = recorded_in(folder)
     for session in sessions:
-        files = files_of(folder, session)
-        complete &= bool(files) and list(files) == list(range(min(files), max(files) + 1))
-        paths = list(files.values())
-        complete = _replay_session(sonar_map, paths, session, damaged) and complete
+        files, end = found.get(session, {}), ends.get(session)
+        complete = _replay_session(sonar_map, files, session, damaged, end) and complete
     sonar_map.reconfigure(own)
     return complete
 
 
 def _replay_session(
-    sonar_map: SonarMap, paths: list[Path], session: str, damaged: DamagedData | None
+    sonar_map: SonarMap,
+    files: dict[int, Path],
+    session: str,
+    damaged: DamagedData | None,
+    end: RecordingOffset | None,
 ) -> bool:
-    if not paths:
-        return False
-    recorded = RecordedSession(paths, session, damaged)
-    if recorded.beginning() is None:
-        return next(iter(recorded), None) is None  # a crash before the first piece
+    if not files:
+        return end == RecordingOffset()  # a crash before the first file
+    recorded = RecordedSession(list(files.values()), session, damaged)
+    if recorded.beginning() is None:  # a crash before the first piece, or lost data
+        return next(iter(recorded), None) is None and end in (None, RecordingOffset())
     try:
         run = as_recorded(recorded)
         run.localization = poses_depend_on(run.localization)
@@ -461,4 +488,4 @@ def _replay_session(
             pass
     except (CheckpointError, ConfigError):
         return False
-    return recorded.damage is None or recorded.truncated
+    return recorded.is_complete(max(files), end)

@@ -71,6 +71,8 @@ def map_into_store(
         if position is not None and not position.whole and position.session != session:
             raise ReplayError(f"{path} holds a part of another recording: map that one first")
         resumed = None if position is None or position.session != session else position
+        if resumed is not None and damaged is not None and session in resumed.incomplete:
+            damaged.add_loss(paths[0], resumed.incomplete[session])
         if resumed is None or not resumed.whole:
             _require_same_settings(resumed, config, fixed=pose is not None)
             stored = StoredSession(
@@ -131,7 +133,7 @@ def _rebuild(
             run = Run(recorded, config, pose, None, _localization(config, None))
             for _ in run.replay(scratch, Window()).run(recorded):
                 pass
-            return recorded.damage is None or recorded.truncated
+            return recorded.is_complete(len(paths), position.ends.get(position.session))
 
         rebuild_lost(store, sonar_map, map_again)
 

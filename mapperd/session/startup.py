@@ -96,6 +96,7 @@ def open_map(
         session,
         position,
         not_mapped=startup.not_mapped,
+        data_lost=startup.data_lost,
         interval_s=interval_s,
         on_trouble=startup.log_trouble,
         on_damage=startup.log_damage,
@@ -117,6 +118,7 @@ class _Startup:
     def __init__(self, config: Config, path: Path, folder: Path, events: EventLog) -> None:
         self.path = path
         self.not_mapped: dict[str, str] = {}
+        self.data_lost = False
         self._not_recovered = ""
         self._config = config
         self._folder = folder
@@ -208,7 +210,7 @@ class _Startup:
         aside = put_aside(self.path)
         text = f"{error}; it was renamed to {aside.name}, and a new file was created"
         self._events.add(Severity.ERROR, "store_damaged", text, path=str(aside))
-        sessions, _ = unmapped_sessions(self._config, self._folder, None, empty=True)
+        sessions, _, _ = unmapped_sessions(self._config, self._folder, None, empty=True)
         sonar_map, store = self._at_path()
         if not sessions:
             mark.unlink()
@@ -229,15 +231,17 @@ class _Startup:
         self, store: TileStore, sonar_map: SonarMap, position: Position | None
     ) -> tuple[SonarMap, TileStore, Position | None]:
         """Map the recorded sessions that the file lacks, and name those that cannot be mapped."""
-        sessions, reasons = unmapped_sessions(
+        sessions, reasons, ours = unmapped_sessions(
             self._config, self._folder, position, empty=sonar_map.core.revision == 0
         )
+        self.data_lost = bool(ours or self.not_mapped)
         sessions = tuple(session for session in sessions if session not in self.not_mapped)
         if sessions:
             pings, failed = map_recorded_sessions(
                 store, sonar_map, sessions, self._folder, self._damaged, before=position
             )
             reasons |= failed
+            self.data_lost |= bool(failed)
             held = "lacked" if position is not None else "holds no session; it lacked"
             text = (
                 f"the map file {held} {len(sessions)} recorded sessions; {pings} pings of them "
@@ -262,7 +266,9 @@ class _Startup:
         listed = "; ".join(f"{session}: {why}" for session, why in list(named.items())[:MAX_NAMED])
         more = f"; and {len(named) - MAX_NAMED} more" if len(named) > MAX_NAMED else ""
         text = f"recorded sessions that are not in the map as a whole: {listed}{more}"
-        self._events.add(Severity.ERROR, "sessions_not_mapped", text, sessions=named)
+        is_lost = self.data_lost or (position is not None and bool(position.incomplete))
+        severity = Severity.ERROR if is_lost else Severity.WARNING
+        self._events.add(severity, "sessions_not_mapped", text, sessions=named)
 
     def _mark(self) -> None:
         try:
@@ -291,7 +297,9 @@ class _Startup:
             store,
             sonar_map,
             lambda scratch: (
-                replay_sessions(scratch, position.sessions, self._folder, self._damaged)
+                replay_sessions(
+                    scratch, position.sessions, self._folder, self._damaged, ends=position.ends
+                )
                 and not position.incomplete
                 and not position.unrecorded
             ),

@@ -61,6 +61,7 @@ class SqlitePersistence:
         session: id.
         earlier: position of the file at the end of the sessions before; None in a new file.
         not_mapped: recorded sessions that are not in the map, and why.
+        data_lost: whether some of them belong to this map.
         interval_s: returns the time between saves.
         resumed: position of the file within this session.
         on_trouble: called with why saving fails, and with None when it works again.
@@ -78,6 +79,7 @@ class SqlitePersistence:
         earlier: Position | None = None,
         *,
         not_mapped: Mapping[str, str] = MappingProxyType({}),
+        data_lost: bool = False,
         interval_s: Callable[[], float] = lambda: 5.0,
         resumed: Position | None = None,
         on_trouble: Callable[[str | None], None] = lambda _: None,
@@ -93,7 +95,9 @@ class SqlitePersistence:
         self._sessions = tuple(one for one in before if one != session)
         self._emptied = () if earlier is None else earlier.emptied
         self._incomplete = {} if earlier is None else dict(earlier.incomplete)
+        self._ends = {} if earlier is None else earlier.ends
         self._not_mapped = dict(not_mapped)
+        self._data_lost = data_lost
         self._interval_s = interval_s
         self._resumed = resumed
         self._on_trouble = on_trouble
@@ -188,12 +192,16 @@ class SqlitePersistence:
         """
         before = self._sessions, self._emptied, self._incomplete, self._unrecorded
         self._sessions, self._emptied = (), (*self._emptied, *self._sessions)
-        self._incomplete, self._unrecorded = {}, ()
+        self._incomplete, self._unrecorded, self._data_lost = {}, (), False
         try:
             self.store.reset()
         except StoreError:
             self._sessions, self._emptied, self._incomplete, self._unrecorded = before
             raise
+
+    def lacks(self, why: str) -> None:
+        """Note that a part of the session's recording is not in the map."""
+        self._incomplete = {**self._incomplete, self._session: why}
 
     def end(self) -> None:
         """Save the whole session, in the mapping thread."""
@@ -252,6 +260,7 @@ class SqlitePersistence:
             **self.store.status(),
             "checkpoint_bytes": len(self._point.checkpoint) if self._began else 0,
             "sessions_not_mapped": self._not_mapped | self._incomplete,
+            "data_lost": self._data_lost or bool(self._incomplete),
             "loss": self._loss,
         }
 
@@ -340,7 +349,13 @@ class SqlitePersistence:
             emptied=self._emptied,
             incomplete=self._incomplete,
             unrecorded=unrecorded,
+            ends=self._known_ends(self._offsets.end),
         )
+
+    def _known_ends(self, end: RecordingOffset | None) -> dict[str, RecordingOffset]:
+        """Return the ends of the recordings of the sessions in the map."""
+        ends = {one: self._ends[one] for one in self._sessions if one in self._ends}
+        return ends if end is None else {**ends, self._session: end}
 
     def _try_to_sync(self) -> None:
         if self.store.trouble is None:
@@ -413,6 +428,7 @@ class SqlitePersistence:
             emptied=self._emptied,
             incomplete=self._incomplete,
             unrecorded=self._unrecorded,
+            ends=self._known_ends(None),
         ).encoded()
 
     def _origin_deg(self) -> tuple[float, float] | None:
@@ -421,7 +437,8 @@ class SqlitePersistence:
 
     def _sealed_whole(self, position: Position) -> bytes:
         self._await(self._offsets.newest)
-        return position.encoded()
+        ends = self._known_ends(self._offsets.end)
+        return msgspec.structs.replace(position, ends=ends).encoded()
 
     def _await(self, number: int) -> None:
         """Wait until the recording is written; only once for a full disk, not for each ping.

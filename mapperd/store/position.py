@@ -34,6 +34,10 @@ class RecordingOffsets(Protocol):
     def newest(self) -> int:
         """Number of the newest piece."""
 
+    @property
+    def end(self) -> RecordingOffset | None:
+        """Where the recording ends behind the newest piece; None while that is not written."""
+
     def place_of(self, number: int) -> RecordingOffset | None:
         """Where the recording goes on behind a piece; None while that is not written."""
 
@@ -51,6 +55,7 @@ class Position(Struct, frozen=True):
         emptied: ids of sessions that a reset has removed from the map.
         incomplete: sessions of which the map lacks a part, and why.
         unrecorded: ids of sessions of which the recordings lack a part that the map has.
+        ends: end of the recordings by session when all of it was mapped; earlier files lack it.
         crc: CRC-32 of all encoded bytes before it; the last field, None in earlier files.
         place: of the checkpoint.
         done: pieces of work that are in the map since then.
@@ -75,6 +80,7 @@ class Position(Struct, frozen=True):
     emptied: tuple[str, ...] = ()
     incomplete: dict[str, str] = {}
     unrecorded: tuple[str, ...] = ()
+    ends: dict[str, RecordingOffset] = {}
     crc: int | None = None
 
     def encoded(self) -> bytes:

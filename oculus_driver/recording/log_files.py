@@ -172,6 +172,11 @@ class LogFolder:
         start = datetime.fromtimestamp(min(max(unix_ns, 0) // _NS_PER_S, _LAST_SECOND), UTC)
         return self.path / f"{self._prefix}_{self._number:06d}_{start:%Y%m%dT%H%M%SZ}.mcap"
 
+    def give_back(self, path: Path) -> None:
+        """Use the newest number again if its file could not be created."""
+        if not path.exists():
+            self._number -= 1
+
     def add(self, path: Path) -> None:
         """Add the newest file to the closed ones."""
         try:

@@ -26,7 +26,7 @@ from oculus_driver.recording import mcap_records as mcap
 from oculus_driver.recording.chunk import OCULUS, Chunk, Progress
 from oculus_driver.recording.mcap_records import Opcode, channel_of, read_summary
 from oculus_driver.recording.salvage import MAX_RECORD, find_record
-from oculus_driver.recording.writer import GAP_STEP, METADATA_NAME
+from oculus_driver.recording.writer import GAP_STEP, LIBRARY, METADATA_NAME
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
@@ -126,7 +126,11 @@ class _Reader:
 
     def __iter__(self) -> Generator[Chunk]:
         if self.read(len(mcap.MAGIC)) != mcap.MAGIC:
-            self._lose(1, "the first bytes are damaged", "the first bytes are damaged")
+            text = "the first bytes are damaged"
+            if self._header_follows():
+                self.progress.report(text)
+            else:
+                self._lose(1, text, text)
         while not self.finished:
             start = self.position
             try:
@@ -259,6 +263,13 @@ class _Reader:
             if found is not None:
                 return data[: found - start], _DamagedError(f"a message of {size} bytes")
         return data, _CutError() if cut else None
+
+    def _header_follows(self) -> bool:
+        """Return whether the next bytes are the first record of a file of `RecordingWriter`."""
+        first = mcap.header(LIBRARY)
+        head = self.file.read(len(first))
+        self.file.seek(self.position)
+        return head == first
 
     def _record_follows(self) -> bool:
         """Return whether the next bytes can start a record; the end of the file counts as yes."""

@@ -9,7 +9,7 @@ from oculus_driver.errors import RecordingError
 from oculus_driver.framing import header_fault, read_header
 from oculus_driver.recording.chunk import OCULUS, Chunk, DamagedPart, Progress
 from oculus_driver.recording.mcap_reader import read_mcap
-from oculus_driver.recording.mcap_records import HEAD, MAGIC, read_summary, strings
+from oculus_driver.recording.mcap_records import HEAD, MAGIC, header, read_summary, strings
 from oculus_driver.recording.network_capture import read_network_capture
 from oculus_driver.recording.oculus_log import (
     CONVERTED_MAGIC,
@@ -19,6 +19,7 @@ from oculus_driver.recording.oculus_log import (
 )
 from oculus_driver.recording.pcap_files import PCAP_MAGICS, PCAPNG_MAGIC
 from oculus_driver.recording.viewpoint_log import is_ros_bag, read_viewpoint_log
+from oculus_driver.recording.writer import LIBRARY
 from oculus_driver.stream import StreamParser
 from oculus_driver.wire import HEADER, MAX_MESSAGE_SIZE, PAYLOAD_LIMITS
 
@@ -81,7 +82,7 @@ def detect_format(path: Path, file: BinaryIO, size: int) -> str:
     file.seek(0)
     probe = file.read(_PROBE)
     alike = sum(a == b for a, b in zip(probe, MAGIC, strict=False))
-    if alike >= min(_MIN_MAGIC, size):
+    if alike >= min(_MIN_MAGIC, size) or probe.startswith(header(LIBRARY), len(MAGIC)):
         if _is_ros_mcap(file, probe, size):
             raise RecordingError(f"{path}: unsupported file: a ROS bag: {_ROS_BAG}")
         return MCAP

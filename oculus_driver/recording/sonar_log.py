@@ -413,9 +413,13 @@ class SonarLog:
         note = {CLOCK_CHANGE: str(change_ns)} if change_ns else {}
         offset_ns = self._offset.ns
         path = self._folder.next_path(now_ns + offset_ns)
-        writer = RecordingWriter(
-            path, monotonic_to_unix_ns=offset_ns, metadata=self._metadata | note
-        )
+        try:
+            writer = RecordingWriter(
+                path, monotonic_to_unix_ns=offset_ns, metadata=self._metadata | note
+            )
+        except (RecordingError, OSError):
+            self._folder.give_back(path)
+            raise
         self._writer = writer
         self._messages = 0
         self._began_ns = self._synced_ns = now_ns

@@ -41,6 +41,10 @@ class Recording:
             return RecordingOffset()
         return RecordingOffset(3, number) if number <= self.written else None
 
+    @property
+    def end(self) -> RecordingOffset | None:
+        return self.place_of(self.newest)
+
     def wait_for(self, number: int, timeout_s: float) -> bool:
         self.patience_s = timeout_s
         return self.written >= number

@@ -251,6 +251,25 @@ def test_a_disk_that_fails_costs_bytes_and_never_raises(
     assert found[-1] == 39
 
 
+def test_a_file_that_cannot_be_created_leaves_no_hole_in_the_numbers(
+    tmp_path: Path, stream: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os_open, full = os.open, [True]
+
+    def faulty(path: Path, flags: int, *rest: int, **more: int) -> int:
+        if full[0] and flags & os.O_CREAT:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return os_open(path, flags, *rest, **more)
+
+    monkeypatch.setattr(os, "open", faulty)
+    with SonarLog(tmp_path, SMALL) as log:
+        write = writer_of(log)
+        for index, piece in enumerate(pieces(stream)):
+            full[0] = index < 20
+            write(piece, index * SECOND)
+    assert min(path.name.split("_")[1] for path in tmp_path.iterdir()) == "000001"
+
+
 def test_a_folder_that_vanishes_is_reported_and_nothing_raised(
     tmp_path: Path, make_ping: MakePing
 ) -> None:
