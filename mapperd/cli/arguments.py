@@ -22,6 +22,7 @@ examples:
 
 `mapperd init` writes the settings of a vehicle. `mapperd doctor` checks every link and names a
 remedy for the first failure.
+`mapperd calibrate RECORDING` estimates mounting angles, time offset and scale of the ranges.
 
 exit codes: 0 the map is written; 2 usage error; 65 not a recording, nothing was mapped, or a part
 is damaged; 66 cannot open the recording; 69 cannot open a link; 73 cannot write; 78 invalid

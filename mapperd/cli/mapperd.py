@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 import msgspec
 
 from mapperd.cli.arguments import Arguments, parse_arguments
+from mapperd.cli.calibrate import calibrate_command
 from mapperd.cli.doctor import doctor
 from mapperd.cli.init import init
 from mapperd.cli.mapperctl.errors import CtlError
@@ -100,13 +101,15 @@ _EXITS = {
 """The first kind that an error is."""
 
 
+_COMMANDS = {"calibrate": calibrate_command, "doctor": doctor, "init": init}
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; every failure that input can cause is one line and an exit code."""
     _open_closed_streams()
     words = sys.argv[1:] if argv is None else argv
-    for name, run in (("doctor", doctor), ("init", init)):
-        if words[:1] == [name]:
-            return run(words[1:])
+    if words and (command := _COMMANDS.get(words[0])) is not None:
+        return command(words[1:])
     arguments = parse_arguments(words)
     try:
         return _replay(arguments) if arguments.replay else _live(arguments)

@@ -1,0 +1,138 @@
+"""`mapperd calibrate`: mounting, time offset and scale of the ranges from a recording."""
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mapperd.cli.replay import unreadable
+from mapperd.config.layers import load_settings
+from mapperd.errors import ConfigError, ExportError, MapperdError, missing_extra
+from mapperd.io import atomic_file, make_folder
+from mapperd.session.recordings import files_in, sessions_of
+from oculus_driver.errors import RecordingError
+
+if TYPE_CHECKING:
+    from mapperd.calibration.dive import Dive
+    from mapperd.calibration.estimate import Calibration, Parameter
+
+__all__ = ["calibrate_command"]
+
+BAD_DATA, NO_INPUT, CANNOT_WRITE, BAD_CONFIG, INTERRUPTED = 65, 66, 73, 78, 130
+_EXITS = (
+    (ConfigError, BAD_CONFIG),
+    (ExportError, CANNOT_WRITE),
+    (OSError, CANNOT_WRITE),
+    (Exception, BAD_DATA),
+)
+UNITS = {"time_offset": "s", "range_scale": "", "x": "m", "y": "m", "z": "m"}
+DIGITS = {"time_offset": 4, "range_scale": 4}
+SPREAD_LIMIT_M = 0.15
+
+
+def calibrate_command(argv: Sequence[str]) -> int:
+    """Run `mapperd calibrate`; every failure is one line and an exit code."""
+    args = _parser().parse_args(argv)
+    if (problem := unreadable([args.recording])) is not None:
+        return _fail(NO_INPUT, problem)
+    missing = next((name for name in ("scipy", "matplotlib") if find_spec(name) is None), None)
+    if missing is not None:
+        return _fail(BAD_CONFIG, missing_extra(missing, "calibrate"))
+    try:
+        return _calibrate(args)
+    except (MapperdError, RecordingError, OSError) as error:
+        return _fail(next(code for kind, code in _EXITS if isinstance(error, kind)), error)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def _calibrate(args: argparse.Namespace) -> int:
+    from mapperd.calibration.dive import read_dive  # noqa: PLC0415 needs an extra
+    from mapperd.calibration.estimate import calibrate, yaml_lines  # noqa: PLC0415
+
+    config = load_settings([] if args.config is None else [args.config], os.environ).config
+    make_folder(args.out)
+    sessions = sessions_of(files_in([args.recording], begun=True))
+    if not sessions:
+        raise RecordingError(f"{args.recording}: no recording with anything in it")
+    dive = read_dive(sessions[0], config)
+    found = calibrate(dive, config, _progress)
+    lines = yaml_lines(found, config, dive.sound_mps)
+    facts = [asdict(one) | {"observable": one.observable} for one in found.parameters]
+    for name, text in (("calibration.yaml", lines), ("calibration.json", json.dumps(facts))):
+        with atomic_file(args.out / name) as file:
+            file.write(text.encode())
+    _draw(dive, found, args.out / "calibration.png")
+    print("\n".join(map(_row, found.parameters)))  # noqa: T201 a command speaks
+    print(f"\n{lines}\nwritten to {args.out}/calibration.yaml")  # noqa: T201
+    return 0
+
+
+def _row(one: "Parameter") -> str:
+    if not one.observable:
+        return f"{one.name:<12} not observable, left: {one.reason}"
+    digits, unit = DIGITS.get(one.name, 2), UNITS.get(one.name, "deg")
+    return f"{one.name:<12} {one.change:+.{digits}f} ± {one.deviation:.{digits}f} {unit}".rstrip()
+
+
+def _draw(dive: "Dive", found: "Calibration", path: Path) -> None:
+    """Draw how far pings disagree about the height of the floor, before and after."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 an extra
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    from mapperd.calibration.floor import height_spread  # noqa: PLC0415
+
+    figure = Figure(figsize=(12, 5.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    scatter = None
+    for place, (name, values) in enumerate((("before", found.start), ("after", found.values))):
+        points, spread_m = height_spread(dive, found.view, found.floor, values)
+        axes = figure.add_subplot(1, 2, place + 1, aspect="equal")
+        limit = SPREAD_LIMIT_M
+        scatter = axes.scatter(
+            points[:, 0], points[:, 1], c=spread_m, s=2, cmap="coolwarm", vmin=-limit, vmax=limit
+        )
+        typical_cm = 100 * float(abs(spread_m[abs(spread_m) < 0.5]).mean())  # noqa: PLR2004
+        axes.set_title(f"{name}: heights differ by {typical_cm:.1f} cm")
+        axes.set_xlabel("east, m")
+        axes.set_ylabel("north, m")
+    if scatter is not None:
+        figure.colorbar(scatter, label="height above the others' floor, m")
+    with atomic_file(path) as file:
+        figure.savefig(file, format="png", dpi=100)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        "mapperd calibrate",
+        description="Estimate mounting angles, time offset and scale of the ranges from a "
+        "recording over floor and structure (docs/guides/calibrate.md).",
+        epilog="exit codes: 0 done; 65 unusable recording; 66 cannot open it; 73 cannot write; "
+        "78 invalid settings or a missing extra; 130 interrupted",
+    )
+    add = parser.add_argument
+    add("recording", metavar="RECORDING", type=Path, help="recording, or a folder of one session")
+    add("--config", metavar="YAML", type=Path, help="settings file with the measured mounting")
+    add(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        default=Path("mapperd-calibration"),
+        help="folder for calibration.yaml, .json and .png (default: mapperd-calibration)",
+    )
+    return parser
+
+
+def _progress(text: str) -> None:
+    if sys.stderr.isatty():
+        print(f"mapperd: {text}", file=sys.stderr)  # noqa: T201
+
+
+def _fail(code: int, message: object) -> int:
+    print(f"mapperd: {message}", file=sys.stderr)  # noqa: T201
+    return code
