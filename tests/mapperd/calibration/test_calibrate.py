@@ -114,3 +114,17 @@ def test_finds_the_errors_of_a_simulated_dive(
     assert math.isclose(found["pitch"]["change"], 0.0)
     assert "latency_sec: 0.05" in printed
     assert (out / "calibration.png").stat().st_size > 10_000
+
+
+def test_names_a_missing_file_and_a_missing_extra(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main(["calibrate", str(tmp_path / "no.mcap")]) == 66
+    assert "no such file" in capsys.readouterr().err
+    recording = tmp_path / "dive.mcap"
+    recording.write_bytes(b"")
+    monkeypatch.setattr("mapperd.cli.calibrate.find_spec", lambda _: None)
+    assert main(["calibrate", str(recording)]) == 78
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "to install the extra `calibrate`" in error
