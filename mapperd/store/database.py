@@ -202,7 +202,14 @@ def _first(connection: sqlite3.Connection) -> None:
         connection.execute(statement)
 
 
-STEPS: tuple[Step, ...] = (_first,)
+def _second(connection: sqlite3.Connection) -> None:
+    """Add the checksum of the settings and the progress; see mapperd.store.metadata."""
+    columns = {name for _, name, *_ in connection.execute("PRAGMA table_info(progress)")}
+    if "checksum" not in columns:  # as after damage of the version
+        connection.execute("ALTER TABLE progress ADD COLUMN checksum INTEGER")
+
+
+STEPS: tuple[Step, ...] = (_first, _second)
 """Step n makes version n + 1 of version n; version 0 is an empty file."""
 
 VERSION = len(STEPS)
@@ -224,13 +231,13 @@ def migrate(connection: sqlite3.Connection, path: Path, steps: Sequence[Step] = 
 
 
 def check_version(connection: sqlite3.Connection, path: Path) -> None:
-    """For who only reads, and migrates nothing.
+    """Check that a reader, which migrates nothing, can read a file; earlier versions are readable.
 
     Raises:
-        StoreError: it is of another program or another version.
+        StoreError: it is empty, of another program or of a newer version.
     """
     version = _version(connection, path, VERSION)
-    if version != VERSION:
+    if version == 0:
         raise StoreError(
             f"{path}: is of version {version}, and becomes {VERSION} when mapperd opens it",
             "not_a_store",

@@ -15,7 +15,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.database import migrate, transaction, translated
-from mapperd.store.metadata import begun, write_kind
+from mapperd.store.metadata import begun, write_checksum, write_kind
 from mapperd.store.tile_store import TileStore
 from mapperd.store.tiles import COLUMNS, LEVEL, BrickRow, Key, pack
 
@@ -126,7 +126,10 @@ def write_whole(path: Path, config: Config, revision: int, rows: Iterable[BrickR
             migrate(connection, path)
             with transaction(connection):
                 write_kind(connection, config)
-                connection.execute("INSERT INTO progress VALUES (1, ?, x'')", (revision,))
+                connection.execute(
+                    "INSERT INTO progress (id, revision, position) VALUES (1, ?, x'')", (revision,)
+                )
+                write_checksum(connection)
                 begun(connection, revision)
                 for row in rows:
                     connection.execute(

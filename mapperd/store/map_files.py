@@ -39,11 +39,14 @@ class SourcedMap:
         map: with the settings that its voxels came about by; the caller closes it.
         origin: geographic position of the map's origin, if the file has one.
         bricks_lost: damaged bricks, whose space is unknown in the map.
+        has_checksum: False if the settings of a daemon's file cannot be verified: it is of
+            version 1.
     """
 
     map: MapContent
     origin: Origin | None
     bricks_lost: int = 0
+    has_checksum: bool = True
 
 
 def map_in(
@@ -127,9 +130,10 @@ def _stored(
             f"{path}: {lost} bricks of it are damaged; holes would look like water", "bricks_lost"
         )
     position = position_in(stored.position)
-    if position is None or position.origin_deg is None:
-        return SourcedMap(stored, None, lost)
-    return SourcedMap(stored, Origin.of_degrees(*position.origin_deg), lost)
+    origin = None
+    if position is not None and position.origin_deg is not None:
+        origin = Origin.of_degrees(*position.origin_deg)
+    return SourcedMap(stored, origin, lost, stored.has_checksum)
 
 
 def _kind_of_map(path: Path, begin: bytes) -> dict[str, Any]:

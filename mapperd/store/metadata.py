@@ -7,11 +7,16 @@ to what the file held when the next one began, and no further.
 What a stored map is: the settings that its voxels came about by.
 
 None of them may change while the program runs, so that all voxels of a file follow one rule.
+
+The row of the table `progress` holds a CRC-32 of the settings, the revision, the position and the
+keys of the lost bricks. Files of version 1 have none.
 """
 
 import json
 import secrets
 import sqlite3
+import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,12 +30,19 @@ __all__ = [
     "NAME",
     "MapIdentity",
     "begun",
+    "check_facts",
     "check_kind",
+    "checksum_of",
     "fresh",
     "kind_in",
     "kind_of",
+    "lost_crc",
+    "lost_in",
     "progress_in",
     "renewed",
+    "restore_settings",
+    "settings_crc",
+    "write_checksum",
     "write_kind",
 ]
 
@@ -124,15 +136,18 @@ def write_kind(connection: sqlite3.Connection, config: Config) -> None:
     connection.executemany("INSERT INTO fact VALUES (?, ?)", kind_of(config).items())
 
 
-def kind_in(connection: sqlite3.Connection) -> dict[str, Any]:
+def kind_in(connection: sqlite3.Connection, path: Path) -> dict[str, Any]:
     """What a file's map is: settings by their full names, such as this program knows.
 
     Raises:
-        ValueError: one of them is not as it was written.
+        StoreError: one of them is not as it was written.
     """
     known = kind_of(Config()).keys()
     rows = connection.execute("SELECT name, value FROM fact")
-    return {name: json.loads(value) for name, value in rows if name in known}
+    try:
+        return {name: json.loads(value) for name, value in rows if name in known}
+    except (TypeError, ValueError) as error:
+        raise StoreError(f"{path}: is damaged: a setting in it: {error}", "damaged") from error
 
 
 def check_kind(connection: sqlite3.Connection, path: Path, config: Config) -> None:
@@ -176,3 +191,99 @@ def progress_in(connection: sqlite3.Connection, path: Path) -> tuple[int, bytes]
     if not isinstance(position, bytes):
         raise StoreError(f"{path}: is damaged: its position is not a blob", "damaged")
     return revision, position
+
+
+Key = tuple[int, int, int]
+
+
+def lost_in(connection: sqlite3.Connection, path: Path) -> set[Key]:
+    """Return the keys of the bricks that were found damaged and are not rebuilt.
+
+    Raises:
+        StoreError: one of them is not a key.
+    """
+    keys = set(connection.execute(LOST))
+    if not all(isinstance(value, int) for key in keys for value in key):
+        raise StoreError(f"{path}: is damaged: a lost brick has no key", "damaged")
+    return keys
+
+
+LOST = "SELECT x, y, z FROM quarantine WHERE NOT rebuilt"
+
+
+def checksum_of(settings: int, lost: int, revision: int, position: bytes) -> int:
+    """Compute the checksum of a file.
+
+    Args:
+        settings: as of `settings_crc`.
+        lost: as of `lost_crc`.
+        revision: of the map.
+        position: in the input.
+    """
+    return zlib.crc32(msgspec.msgpack.encode((settings, lost, revision, position)))
+
+
+def settings_crc(connection: sqlite3.Connection) -> int:
+    """Compute the CRC-32 of the settings in a file."""
+    return _crc_of(connection.execute("SELECT name, value FROM fact WHERE name != ?", (NAME,)))
+
+
+def lost_crc(connection: sqlite3.Connection) -> int:
+    """Compute the CRC-32 of the keys of a file's lost bricks."""
+    return _crc_of(connection.execute(LOST))
+
+
+def _crc_of(rows: Iterable[tuple[Any, ...]]) -> int:
+    """CRC-32 of rows in any order; damaged ones may hold values of any type."""
+    return zlib.crc32(msgspec.msgpack.encode(sorted(rows, key=repr)))
+
+
+def write_checksum(connection: sqlite3.Connection) -> None:
+    """Write the checksum of what the file holds, in a transaction of the caller."""
+    found = connection.execute("SELECT revision, position FROM progress").fetchone()
+    checksum = checksum_of(settings_crc(connection), lost_crc(connection), *found)
+    connection.execute("UPDATE progress SET checksum = ?", (checksum,))
+
+
+def check_facts(connection: sqlite3.Connection, path: Path) -> bool:
+    """Check the settings, the revision, the position and the lost bricks by their checksum.
+
+    Returns:
+        False if the file has no checksum, as files of version 1.
+
+    Raises:
+        StoreError: one of them is not as it was written.
+    """
+    found = connection.execute("SELECT * FROM progress").fetchone()
+    if found is None:
+        if connection.execute("SELECT count(*) FROM fact").fetchone()[0]:
+            raise StoreError(f"{path}: is damaged: its progress is missing", "damaged")
+        return True
+    _, revision, position, *checksum = found
+    if not checksum or checksum[0] is None:
+        return False
+    facts = settings_crc(connection), lost_crc(connection), revision, position
+    if checksum[0] != checksum_of(*facts):
+        text = (
+            "its settings, its position or its list of lost bricks are damaged: put it aside, and "
+            "map its recordings again"
+        )
+        raise StoreError(f"{path}: {text}", "damaged")
+    return True
+
+
+def restore_settings(connection: sqlite3.Connection, config: Config) -> bool:
+    """Replace damaged settings of a file by others if these have the checksum of the file.
+
+    Returns:
+        whether they have, and the file is sound again.
+    """
+    revision, position, checksum = connection.execute(
+        "SELECT revision, position, checksum FROM progress"
+    ).fetchone()
+    settings = _crc_of(kind_of(config).items())
+    if checksum != checksum_of(settings, lost_crc(connection), revision, position):
+        return False
+    connection.execute("DELETE FROM fact WHERE name != ?", (NAME,))
+    write_kind(connection, config)
+    return True

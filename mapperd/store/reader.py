@@ -1,7 +1,7 @@
 """Look into the map's file while another process writes to it, without ever changing it."""
 
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -15,8 +15,9 @@ from mapperd import _core
 from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.database import check_version, open_reader, reading, translated
-from mapperd.store.metadata import check_kind, kind_in, progress_in
+from mapperd.store.metadata import check_facts, check_kind, kind_in, lost_in, progress_in
 from mapperd.store.tiles import COLUMNS, BrickRow, DamagedBrickError, Key, rows_of, unpack
+from mapperd.store.transfer import check_structure
 
 __all__ = ["BRICK_VOXELS", "Loaded", "StoreReader"]
 
@@ -58,6 +59,7 @@ class StoreReader:
 
     def __init__(self, path: Path, *, finished: bool = False) -> None:
         self.path = path
+        self._is_sound = False
         self._unpacker = zstandard.ZstdDecompressor()
         with ExitStack() as opening:
             self._connection = open_reader(path, finished=finished)
@@ -83,11 +85,9 @@ class StoreReader:
         Raises:
             StoreError: the file cannot be read.
         """
-        try:
-            with translated(self.path), reading(self._connection):
-                return kind_in(self._connection)
-        except ValueError as error:
-            raise StoreError(f"{self.path}: is damaged: {error}", "damaged") from error
+        with translated(self.path), reading(self._connection):
+            check_facts(self._connection, self.path)
+            return kind_in(self._connection, self.path)
 
     def rows(self) -> Iterator[BrickRow]:
         """All bricks as the file holds them, to be put into another file of the same settings.
@@ -95,7 +95,7 @@ class StoreReader:
         Raises:
             StoreError: the file cannot be read, or a row of it is damaged.
         """
-        with translated(self.path), reading(self._connection):
+        with self._reading():
             found = self._connection.execute(
                 f"SELECT {COLUMNS} FROM brick ORDER BY x, y, z"  # noqa: S608 our own text
             )
@@ -119,10 +119,10 @@ class StoreReader:
             StoreError: the file cannot be read, or is of other settings.
         """
         bricks = 0
-        with translated(self.path), reading(self._connection):
+        with self._reading():
             check_kind(self._connection, self.path, sonar_map.config)
             revision, position = progress_in(self._connection, self.path) or (0, b"")
-            lost = set(self._connection.execute("SELECT x, y, z FROM quarantine WHERE NOT rebuilt"))
+            lost = lost_in(self._connection, self.path)
             found = self._connection.execute(
                 # All, if all are wanted: even those whose revision is damaged.
                 f"SELECT {COLUMNS} FROM brick WHERE revision > ? OR NOT ?",  # noqa: S608 our own
@@ -139,7 +139,7 @@ class StoreReader:
         Raises:
             StoreError: the file cannot be read.
         """
-        with translated(self.path), reading(self._connection):
+        with self._reading():
             found = self._connection.execute(
                 "SELECT x, y, z FROM brick UNION SELECT x, y, z FROM quarantine WHERE NOT rebuilt"
             ).fetchall()
@@ -162,7 +162,7 @@ class StoreReader:
         """
         box = [edge for pair in zip(low, high, strict=True) for edge in pair]
         inside = "x BETWEEN ? AND ? AND y BETWEEN ? AND ? AND z BETWEEN ? AND ?"
-        with translated(self.path), reading(self._connection):
+        with self._reading():
             check_kind(self._connection, self.path, sonar_map.config)
             lost = set(
                 self._connection.execute(
@@ -177,6 +177,16 @@ class StoreReader:
             for batch in self._batches(rows_of(found), lost):
                 sonar_map.core.put_bricks(batch)
         return frozenset(lost)
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """One state of the file, which is checked once, before an index is used."""
+        with translated(self.path), reading(self._connection):
+            if not self._is_sound:
+                check_facts(self._connection, self.path)
+                check_structure(self._connection, self.path)
+                self._is_sound = True
+            yield
 
     def _batches(
         self, rows: Iterable[BrickRow], lost: set[Key]

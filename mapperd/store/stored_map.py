@@ -24,7 +24,7 @@ from mapperd.errors import ExportError, StoreError, os_reason
 from mapperd.io import atomic_file
 from mapperd.mapping.sonar_map import MapCounts, SonarMap, Voxels, fingerprint
 from mapperd.store.database import check_version, open_reader, reading, translated
-from mapperd.store.metadata import check_kind, progress_in
+from mapperd.store.metadata import check_facts, check_kind, lost_in, progress_in
 from mapperd.store.octree import SIZE, Subtree, TreeFile, brick_paths, subtree_in
 from mapperd.store.tiles import (
     COLUMNS,
@@ -36,6 +36,7 @@ from mapperd.store.tiles import (
     rows_of,
     unpack,
 )
+from mapperd.store.transfer import check_structure
 
 __all__ = ["StoredMap"]
 
@@ -63,12 +64,13 @@ class StoredMap:
         incomplete: bricks that count as lost if they are damaged in the file, even if unsaved.
 
     Raises:
-        StoreError: the file cannot be read, or is of other settings.
+        StoreError: the file cannot be read, its structure is damaged, or it is of other settings.
 
     Attributes:
         config: as given.
         position: in the input, up to which the map is complete.
         lost: damaged bricks, which are missing in the content or incomplete.
+        has_checksum: False if the file is of version 1: its settings cannot be verified.
     """
 
     def __init__(
@@ -88,7 +90,9 @@ class StoredMap:
             opening.callback(self._connection.close)
             check_version(self._connection, path)
             opening.enter_context(reading(self._connection))
+            self.has_checksum = check_facts(self._connection, path)
             check_kind(self._connection, path, config)
+            check_structure(self._connection, path)
             _, self.position = progress_in(self._connection, path) or (0, b"")
             damaged = self._damaged()
             self.lost = damaged - (unsaved.keys() - incomplete)
@@ -201,7 +205,7 @@ class StoredMap:
         return _Survey(counts, memory_bytes, box_m)
 
     def _damaged(self) -> frozenset[Key]:
-        lost = set(self._connection.execute("SELECT x, y, z FROM quarantine WHERE NOT rebuilt"))
+        lost = lost_in(self._connection, self._path)
         found = self._connection.execute(f"SELECT {COLUMNS} FROM brick")  # noqa: S608 our own text
         for row in rows_of(found):
             try:

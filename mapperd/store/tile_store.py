@@ -27,9 +27,19 @@ from mapperd.store.database import (
     transaction,
     translated,
 )
-from mapperd.store.metadata import MapIdentity, begun, check_kind, progress_in, write_kind
+from mapperd.store.metadata import (
+    MapIdentity,
+    begun,
+    check_facts,
+    check_kind,
+    lost_in,
+    progress_in,
+    restore_settings,
+    write_checksum,
+    write_kind,
+)
 from mapperd.store.tiles import Key, ResidentTiles
-from mapperd.store.transfer import Loader, Position, Saver, Snapshot
+from mapperd.store.transfer import Loader, Position, Saver, Snapshot, check_structure, made
 
 __all__ = ["StoreCounters", "TileStore", "tile_bricks"]
 
@@ -74,6 +84,7 @@ class TileStore:
         identity: of the map; any thread may read it.
         counters: what happened.
         trouble: why nothing can be saved at the moment; None when all is well.
+        had_checksum: False if the file is of version 1: its settings could not be verified.
     """
 
     def __init__(
@@ -104,11 +115,12 @@ class TileStore:
                 self._saved_revision, self.position, self._lost = self._begin(writer, sonar_map)
                 with transaction(writer):
                     self.identity: MapIdentity = begun(writer, self._saved_revision)
+                    write_checksum(writer)
+                self._saver = Saver(writer)
             self.saved_position = self.position
             reader = open_reader(path)
             opening.callback(reader.close)
             self._loader = Loader(reader, path, edge)
-            self._saver = Saver(writer)
             self._core.raise_revision(self._saved_revision)
             self._core.cut_into_tiles(edge, _weakly(self._fetch))
             self._noted: tuple[int, Position] = (self._core.revision, self.position)
@@ -118,14 +130,25 @@ class TileStore:
         self, writer: sqlite3.Connection, sonar_map: SonarMap
     ) -> tuple[int, bytes, set[Key]]:
         found = progress_in(writer, self.path)
+        self._check_facts(writer, sonar_map)
         if found is None:
             with transaction(writer):
                 write_kind(writer, sonar_map.config)
-                writer.execute("INSERT INTO progress VALUES (1, 0, x'')")
+                writer.execute("INSERT INTO progress (id, revision, position) VALUES (1, 0, x'')")
             return 0, b"", set()
         check_kind(writer, self.path, sonar_map.config)
-        lost = set(writer.execute("SELECT x, y, z FROM quarantine WHERE NOT rebuilt"))
-        return *found, lost
+        return *found, lost_in(writer, self.path)
+
+    def _check_facts(self, writer: sqlite3.Connection, sonar_map: SonarMap) -> None:
+        """Check all that is not in a brick; settings that are those of the map are restored."""
+        try:
+            self.had_checksum = check_facts(writer, self.path)
+        except StoreError:
+            check_structure(writer, self.path)
+            with transaction(writer):
+                if not restore_settings(writer, sonar_map.config):
+                    raise
+            self.had_checksum = True
 
     def __enter__(self) -> Self:
         return self
@@ -212,7 +235,7 @@ class TileStore:
                 raise
             self._written = snapshot.number
             self._saved_revision = snapshot.revision
-            self.saved_position = _made(snapshot.position)
+            self.saved_position = made(snapshot.position)
             for key in snapshot.damaged:
                 self._damaged.pop(key, None)
             self._lost.difference_update(snapshot.rebuilt)
@@ -327,7 +350,7 @@ class TileStore:
         Raises:
             StoreError: the file cannot be written; nothing is changed.
         """
-        revision, position = self._core.revision + 1, _made(self._noted[1])
+        revision, position = self._core.revision + 1, made(self._noted[1])
         with self._writing, translated(self.path):
             identity = self._saver.forget(revision, position, self.identity)
             self._numbers += 1
@@ -415,12 +438,8 @@ class TileStore:
         self._try_to_save()
 
 
-def _made(position: Position) -> bytes:
-    return position() if callable(position) else position
-
-
 def _sealed(snapshot: Snapshot) -> Snapshot:
-    return replace(snapshot, position=_made(snapshot.position))
+    return replace(snapshot, position=made(snapshot.position))
 
 
 def _weakly(fetch: Callable[[list[Key]], None]) -> Callable[[list[Key]], None]:

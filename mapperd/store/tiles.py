@@ -85,7 +85,7 @@ def check_row(row: BrickRow) -> None:
     Raises:
         DamagedBrickError: the row is not as it was written.
     """
-    values = (row.revision, row.size, row.crc)
+    values = (*row.key, row.revision, row.size, row.crc)
     if not all(isinstance(value, int) for value in values) or not isinstance(row.data, bytes):
         raise DamagedBrickError("columns of another type")
     if not (0 < row.size <= MAX_BYTES and 0 <= row.revision < 1 << 63):

@@ -9,8 +9,14 @@ import zstandard
 
 from mapperd import _core
 from mapperd.errors import StoreError
-from mapperd.store.database import reading, transaction, translated
-from mapperd.store.metadata import MapIdentity, renewed
+from mapperd.store.database import ADVICE, reading, transaction, translated
+from mapperd.store.metadata import (
+    MapIdentity,
+    checksum_of,
+    lost_crc,
+    renewed,
+    settings_crc,
+)
 from mapperd.store.tiles import (
     COLUMNS,
     LEVEL,
@@ -24,7 +30,7 @@ from mapperd.store.tiles import (
     unpack,
 )
 
-__all__ = ["Loader", "Position", "Saver", "Snapshot", "check_structure", "damaged_rows"]
+__all__ = ["Loader", "Position", "Saver", "Snapshot", "check_structure", "damaged_rows", "made"]
 
 ROWS_AT_ONCE = 32
 """Read by a check: they may take 1.5 MB each."""
@@ -32,12 +38,19 @@ ROWS_AT_ONCE = 32
 Position = bytes | Callable[[], bytes]
 """A place in the input, or what makes it when it is written."""
 
+
+def made(position: Position) -> bytes:
+    """Return a position as it is written."""
+    return position() if callable(position) else position
+
+
 PUT = f"""INSERT INTO brick ({COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?)
     ON CONFLICT (x, y, z) DO UPDATE SET
     revision = excluded.revision, size = excluded.size, crc = excluded.crc, data = excluded.data"""  # noqa: S608 our own text
 
-PROGRESS = """INSERT INTO progress VALUES (1, ?, ?)
-    ON CONFLICT (id) DO UPDATE SET revision = excluded.revision, position = excluded.position"""
+PROGRESS = """INSERT INTO progress (id, revision, position, checksum) VALUES (1, ?, ?, ?)
+    ON CONFLICT (id) DO UPDATE SET revision = excluded.revision, position = excluded.position,
+    checksum = excluded.checksum"""
 
 QUARANTINE = f"""INSERT INTO quarantine ({COLUMNS}, reason)
     SELECT {COLUMNS}, ? FROM brick WHERE x = ? AND y = ? AND z = ?"""  # noqa: S608 our own text
@@ -75,7 +88,10 @@ class Saver:
     """Writes snapshots.
 
     Args:
-        connection: to the file; used by one thread at a time.
+        connection: to the file, whose facts are sound; used by one thread at a time.
+
+    Raises:
+        sqlite3.Error: the file cannot be read.
 
     Attributes:
         bricks_written: rows written.
@@ -86,6 +102,7 @@ class Saver:
     def __init__(self, connection: sqlite3.Connection) -> None:
         self._connection = connection
         self._compressor = zstandard.ZstdCompressor(level=LEVEL)
+        self._settings_crc, self._lost_crc = settings_crc(connection), lost_crc(connection)
         self.bricks_written = self.bricks_packed = 0
         self.bytes_written = 0
 
@@ -96,6 +113,7 @@ class Saver:
             sqlite3.Error: it cannot be; the file is as before.
         """
         rows = sizes = 0
+        lost = self._lost_crc
         with transaction(self._connection):
             for key, reason in snapshot.damaged.items():
                 self._connection.execute(QUARANTINE, (reason, *key))
@@ -108,7 +126,10 @@ class Saver:
                 self._connection.execute(PUT, (*row.key, row.revision, row.size, row.crc, row.data))
                 rows, sizes = rows + 1, sizes + len(row.data)
             self._connection.executemany(REBUILT, snapshot.rebuilt)
-            self._connection.execute(PROGRESS, (snapshot.revision, snapshot.position))
+            if snapshot.damaged or snapshot.unsaved or snapshot.rebuilt:
+                lost = lost_crc(self._connection)
+            self._put_progress(snapshot.revision, made(snapshot.position), lost)
+        self._lost_crc = lost
         self.bricks_written += rows
         self.bytes_written += sizes
 
@@ -136,8 +157,15 @@ class Saver:
         with transaction(self._connection):
             self._connection.execute("DELETE FROM brick")
             self._connection.execute("UPDATE quarantine SET rebuilt = 1, data = NULL")
-            self._connection.execute(PROGRESS, (revision, position))
-            return renewed(self._connection, identity)
+            lost = lost_crc(self._connection)
+            self._put_progress(revision, position, lost)
+            emptied = renewed(self._connection, identity)
+        self._lost_crc = lost
+        return emptied
+
+    def _put_progress(self, revision: int, position: bytes, lost: int) -> None:
+        checksum = checksum_of(self._settings_crc, lost, revision, position)
+        self._connection.execute(PROGRESS, (revision, position, checksum))
 
     def _packed(self, snapshot: Snapshot) -> Iterator[BrickRow]:
         for key, revision, brick in snapshot.bricks:
@@ -224,10 +252,11 @@ def check_structure(connection: sqlite3.Connection, path: Path) -> None:
     Raises:
         StoreError: they are damaged (`damaged`), or the file cannot be read.
     """
-    with translated(path), reading(connection):
+    with translated(path):
         for (verdict,) in connection.execute("PRAGMA integrity_check(1)"):
             if verdict != "ok":
-                raise StoreError(f"{path}: is damaged: {verdict}", "damaged")
+                text = " ".join(verdict.replace("*** in database main ***", "").split())
+                raise StoreError(f"{path}: {ADVICE['damaged']} ({text})", "damaged")
 
 
 def damaged_rows(connection: sqlite3.Connection, path: Path) -> Iterator[dict[Key, str]]:

@@ -7,6 +7,7 @@ import itertools
 import shutil
 import sqlite3
 import struct
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +18,7 @@ from mapperd import _core
 from mapperd.config.tree import Config, IwloConfig, OctreeConfig
 from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
+from mapperd.store.metadata import write_checksum
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore, tile_bricks
 from mapperd.store.tiles import MAX_BYTES, DamagedBrickError, pack, unpack
@@ -197,6 +199,7 @@ def test_a_map_of_more_changes_than_a_double_counts_goes_on(tmp_path: Path, revi
     path = tmp_path / "a.map"
     save(path, voxels_at(np.full((1, 3), 0.05), np.ones(1)))
     change(path, "UPDATE progress SET revision = ?", revision)
+    seal(path)
     for number in range(3):
         sonar_map = SonarMap(WIDE)
         with TileStore(path, sonar_map, tile_size_m=BRICK_M, cache_tiles=1) as store:
@@ -217,6 +220,7 @@ def test_a_revision_that_no_map_has_is_damage_and_reported(tmp_path: Path, revis
     path = tmp_path / "a.map"
     save(path, voxels_at(np.full((1, 3), 0.05), np.ones(1)))
     change(path, "UPDATE progress SET revision = ?", revision)
+    seal(path)
     with pytest.raises(StoreError, match="revision") as caught:
         TileStore(path, SonarMap(WIDE), tile_size_m=BRICK_M, cache_tiles=1)
     assert caught.value.reason == "damaged"
@@ -285,3 +289,9 @@ def change(path: Path, statement: str, *values: int) -> None:
     connection = sqlite3.connect(path, isolation_level=None)
     connection.execute(statement, values)
     connection.close()
+
+
+def seal(path: Path) -> None:
+    """Write the checksum of a file whose revision was changed by hand."""
+    with closing(sqlite3.connect(path)) as connection, connection:
+        write_checksum(connection)

@@ -13,7 +13,7 @@ from mapperd.export.formats import FORMATS, crs_of, write_map
 from mapperd.geometry.geodesy import Origin
 from mapperd.mapping.content import MapContent
 
-__all__ = ["MapOutput", "check_suffix", "make_files", "missing", "origin_among"]
+__all__ = ["MapOutput", "check_suffix", "make_files", "missing", "origin_among", "without_checksum"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +82,11 @@ def make_files(
     files = write_map(sonar_map, path, window, origin, calibration)
     sizes = {str(file): file.stat().st_size for file in files}
     return MapOutput(sizes, crs_of(path, origin), bricks_lost)
+
+
+def without_checksum(path: Path) -> str:
+    """Describe a map file whose settings cannot be verified."""
+    return f"{path}: a file of an earlier version, whose settings cannot be verified"
 
 
 def missing(bricks: int) -> str:

@@ -12,7 +12,13 @@ import numpy as np
 
 from mapperd.cli.mapperctl.bag import bag_of_map, bag_of_recordings
 from mapperd.cli.mapperctl.errors import CtlError, CtlExit, plain
-from mapperd.cli.mapperctl.map_output import check_suffix, make_files, missing, origin_among
+from mapperd.cli.mapperctl.map_output import (
+    check_suffix,
+    make_files,
+    missing,
+    origin_among,
+    without_checksum,
+)
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, ExportError, MapperdError
 from mapperd.export.calibration import Calibration, load_calibration
@@ -58,6 +64,8 @@ def convert(
     with closing(found.map) as whole:
         counts, edge_m = whole.counts(), whole.resolution_m
         yield f"{source}: {counts.occupied} occupied, {counts.free} free voxels of {edge_m:g} m"
+        if not found.has_checksum:
+            yield without_checksum(source)
         place = origin_among(origin, found.origin, config)
         made = make_files(whole, path, place, calibration, bricks_lost=found.bricks_lost)
     yield from made.lines()
@@ -180,6 +188,9 @@ def diff_maps(
         yield json.dumps(_plain(found, (first, second), edges_m, lost))
         return
     yield from _lines(found, (first, second), edges_m)
+    for path, source in ((first, a), (second, b)):
+        if not source.has_checksum:
+            yield without_checksum(path)
     if lost:
         yield missing(lost)
     if cloud is not None:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from mapperd.config.changes import with_values
 from mapperd.config.tree import Config
 from mapperd.errors import MapperdError
 from mapperd.events import EventLog
@@ -23,7 +24,9 @@ from mapperd.session.recordings import Tail, files_of
 from mapperd.session.recovery import StoredSession, map_rest
 from mapperd.session.startup import open_map
 from mapperd.session_log import remarks_in
+from mapperd.store.map_files import map_in
 from mapperd.store.position import RecordingOffset, position_in
+from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
 from tests.mapperd.session.crash.test_startup import config_of, mapped, record, reference
 
@@ -151,6 +154,55 @@ def test_a_changed_byte_is_repaired_or_stated(scenes: Scenes) -> None:
     print(f"{CORRUPTIONS} changed bytes: {counts}")  # noqa: T201
     assert silent == []
     assert right > CORRUPTIONS / 3
+
+
+def map_of_source(path: Path) -> str:
+    with closing(map_in(path, Config()).map) as whole:
+        return whole.sha256()
+
+
+def map_of_reader(path: Path) -> str:
+    with StoreReader(path) as reader:
+        sonar_map = SonarMap(with_values(Config(), reader.kind()))
+        loaded = reader.load(sonar_map)
+    return sonar_map.sha256() if not loaded.lost else ""
+
+
+def test_readers_of_a_changed_file_return_the_right_map_or_refuse(scenes: Scenes) -> None:
+    chance = random.Random(int(os.environ.get("CRASH_SEED", "14")))  # noqa: S311 for the places
+    path = scenes.work / "dive.map"
+    scenes.lay("clean end")
+    sound = path.read_bytes()
+    assert map_of_source(path) == map_of_reader(path) == scenes.expected
+    silent, right, refused = [], 0, 0
+    for number in range(10 * CORRUPTIONS):
+        data = bytearray(sound)
+        at = place_in(data, chance, in_header=number % 2 == 0)
+        data[at] ^= chance.randrange(1, 256)
+        path.write_bytes(data)
+        for read in (map_of_source, map_of_reader):
+            try:
+                fingerprint = read(path)
+            except MapperdError:
+                fingerprint = ""
+            except Exception as error:  # noqa: BLE001 all are listed
+                fingerprint = repr(error)
+            right += fingerprint == scenes.expected
+            refused += not fingerprint
+            if fingerprint not in (scenes.expected, ""):
+                silent.append(f"byte {at}, {read.__name__}: {fingerprint}")
+    print(f"readers: {right} right maps, {refused} refusals, {len(silent)} silent")  # noqa: T201
+    assert silent == []
+    assert right
+    assert refused
+
+
+def place_in(data: bytearray, chance: random.Random, *, in_header: bool) -> int:
+    """Choose a byte anywhere, or where a page of SQLite has its header and its cells."""
+    if not in_header:
+        return chance.randrange(len(data))
+    page = int.from_bytes(data[16:18], "big")
+    return chance.randrange(len(data) // page) * page + chance.randrange(64)
 
 
 def corrupt(folder: Path, chance: random.Random) -> str:

@@ -31,6 +31,7 @@ from mapperd.session_log import (
     chunk_of,
     remarks_in,
 )
+from mapperd.store.metadata import write_checksum
 from mapperd.store.position import Position, RecordingOffset, position_in
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
@@ -188,6 +189,7 @@ def test_a_session_of_an_earlier_version_goes_on(tmp_path: Path, what: Any) -> N
         ((data,),) = file.execute("SELECT position FROM progress").fetchall()
         position = aged(msgspec.msgpack.decode(data)) | {"error_bound": 0.5}
         file.execute("UPDATE progress SET position = ?", (msgspec.msgpack.encode(position),))
+        write_checksum(file)
     assert not content(config)[1].whole
     assert codes(opened(config)) == ["recovered"]
     assert content(config)[0] == reference(config, "a")
@@ -313,6 +315,7 @@ def spoil_checkpoint(config: Config, folder: Path) -> None:
     bad = msgspec.structs.replace(position, checkpoint=earlier)
     with closing(sqlite3.connect(folder / "dive.map")) as file, file:
         file.execute("UPDATE progress SET position = ?", (bad.encoded(),))
+        write_checksum(file)
 
 
 @pytest.mark.parametrize("what", [None, Reset(1, "test"), Settings({"filtering.min_range": 1.5})])
