@@ -88,6 +88,7 @@ def open_map(
     def close() -> None:
         if verification is not None:
             verification.stop()
+            startup.log_unverified(verification)
         store.close()
 
     persistence = SqlitePersistence(
@@ -102,6 +103,7 @@ def open_map(
         on_damage=startup.log_damage,
         on_begin=(lambda: None) if verification is None else verification.start,
         on_loss=startup.log_loss,
+        on_broken=startup.log_broken,
         must_begin=config.recording.require_space,
     )
     if sessions:
@@ -152,7 +154,11 @@ class _Startup:
 
     def verification_of(self, store: TileStore) -> Verification | None:
         """Return the verification of a file that is still to be done during the session."""
-        return None if self._is_verified else Verification(store, self._log_verification)
+        if self._is_verified:
+            return None
+        with contextlib.suppress(OSError):
+            self._unverified.touch()
+        return Verification(store, self._log_verification)
 
     def log_loss(self, problem: str) -> None:
         """Log that the session is not in the file as a whole at its end."""
@@ -162,6 +168,21 @@ class _Startup:
     def log_damage(self, count: int) -> None:
         """Log bricks that were found damaged during the session."""
         self._log_lost(count, "the next start rebuilds them from the recordings")
+
+    def log_broken(self, problem: StoreError) -> None:
+        """Log that the file is damaged as a whole; the next start rebuilds it."""
+        text = f"{problem}; the map may have holes"
+        if problem.reason == "damaged":
+            with contextlib.suppress(StoreError):
+                self._mark()
+            text += " until the next start rebuilds it from the recordings"
+        self._events.add(Severity.ERROR, "store_damaged", text, path=str(self.path))
+
+    def log_unverified(self, verification: Verification) -> None:
+        """Log that the session ended before the file was verified."""
+        if verification.state in ("waiting", "running"):
+            text = "the session ended before the map file was verified; the next start verifies it"
+            self._events.add(Severity.NOTICE, "map_not_verified", text)
 
     def log_trouble(self, problem: str | None) -> None:
         """Log when saving starts to fail, and when it works again."""
@@ -176,6 +197,11 @@ class _Startup:
         """Marker beside a file that is being rebuilt from recordings."""
         return self.path.with_name(f"{self.path.name}.rebuilding")
 
+    @property
+    def _unverified(self) -> Path:
+        """Marker beside a large file until a verification has reached its end."""
+        return self.path.with_name(f"{self.path.name}.unverified")
+
     def _open(self) -> tuple[SonarMap, TileStore]:
         try:
             if self._rebuilding.exists():
@@ -189,17 +215,22 @@ class _Startup:
             return self._rebuild_file(error)
 
     def _checked(self) -> tuple[SonarMap, TileStore]:
-        """Open the file and verify it; a large one only after an interrupted session."""
+        """Open the file and verify it; a large one only after a session that left it unverified."""
         sonar_map, store = self._at_path()
         try:
             position = position_in(store.position)
             is_interrupted = position is not None and not position.whole
-            self._is_verified = is_interrupted or self.path.stat().st_size <= VERIFIED_FIRST_BYTES
+            is_doubtful = is_interrupted or self._unverified.exists()
+            self._is_verified = is_doubtful or self.path.stat().st_size <= VERIFIED_FIRST_BYTES
             if self._is_verified:
                 store.check()
+                self._forget_doubt()
         except BaseException:
             store.close()
             raise
+        if not store.had_checksum:
+            text = f"{self.path}: a file of an earlier version, whose settings cannot be verified"
+            self._events.add(Severity.NOTICE, "map_without_checksum", text)
         return sonar_map, store
 
     def _rebuild_file(self, error: StoreError) -> tuple[SonarMap, TileStore]:
@@ -317,15 +348,15 @@ class _Startup:
 
     def _log_verification(self, problem: StoreError | None) -> None:
         """Log the end of the verification; the next start rebuilds a file with a bad structure."""
-        if problem is None:
-            self._events.add(Severity.INFO, "map_verified", "the map file was verified")
+        if problem is not None:
+            self.log_broken(problem)
             return
-        text = f"{problem}; the map may have holes"
-        if problem.reason == "damaged":
-            with contextlib.suppress(StoreError):
-                self._mark()
-            text += " until the next start rebuilds it from the recordings"
-        self._events.add(Severity.ERROR, "store_damaged", text, path=str(self.path))
+        self._forget_doubt()
+        self._events.add(Severity.INFO, "map_verified", "the map file was verified")
+
+    def _forget_doubt(self) -> None:
+        with contextlib.suppress(OSError):
+            self._unverified.unlink(missing_ok=True)
 
     def _recover(
         self, store: TileStore, sonar_map: SonarMap, position: Position

@@ -68,6 +68,7 @@ class SqlitePersistence:
         on_damage: called with the number of bricks that were found damaged since the last call.
         on_begin: called when the file holds the beginning of the session durably.
         on_loss: called at the end with what of the session is not in the file.
+        on_broken: called with the error when a reader finds the file damaged as a whole.
         must_begin: whether a session that the file cannot take is refused at its beginning.
     """
 
@@ -86,6 +87,7 @@ class SqlitePersistence:
         on_damage: Callable[[int], None] = lambda _: None,
         on_begin: Callable[[], None] = lambda: None,
         on_loss: Callable[[str], None] = lambda _: None,
+        on_broken: Callable[[StoreError], None] = lambda _: None,
         must_begin: bool = True,
     ) -> None:
         self.store = store
@@ -104,6 +106,7 @@ class SqlitePersistence:
         self._on_damage = on_damage
         self._on_begin = on_begin
         self._on_loss = on_loss
+        self._on_broken = on_broken
         self._must_begin = must_begin
         self._loss: str | None = None
         self._lost_before = store.lost
@@ -237,15 +240,20 @@ class SqlitePersistence:
         The caller closes it.
 
         Raises:
-            StoreError: the file cannot be read.
+            StoreError: the file cannot be read, or its structure is damaged.
         """
         unsaved = [] if self._loss is None else self.store.unsaved()
-        whole = StoredMap(
-            self.store.path,
-            self._map.config,
-            unsaved={key: brick for key, _, brick in unsaved},
-            incomplete=self._lost_before,
-        )
+        try:
+            whole = StoredMap(
+                self.store.path,
+                self._map.config,
+                unsaved={key: brick for key, _, brick in unsaved},
+                incomplete=self._lost_before,
+            )
+        except StoreError as error:
+            if error.reason == "damaged":
+                self._on_broken(error)
+            raise
         self.store.suspect(whole.lost)
         return whole
 

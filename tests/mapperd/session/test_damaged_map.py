@@ -132,6 +132,89 @@ def test_readers_of_the_file_refuse_it(config: Config, tmp_path: Path) -> None:
     assert args.file.exists()
 
 
+def flip_cells(path: Path, table: str) -> None:
+    """Change one bit of the number of cells of the first page of a table or an index."""
+    with closing(sqlite3.connect(path)) as file:
+        (page,) = file.execute(
+            "SELECT rootpage FROM sqlite_master WHERE name = ?", (table,)
+        ).fetchone()
+        (size,) = file.execute("PRAGMA page_size").fetchone()
+    data = bytearray(path.read_bytes())
+    at = (page - 1) * size + 4
+    data[at] &= data[at] - 1  # fewer cells: a higher number is refused by SQLite
+    path.write_bytes(data)
+
+
+INDEX = "sqlite_autoindex_brick_1"
+
+
+@pytest.mark.parametrize("table", ["fact", "progress", "brick", INDEX, "brick_by_revision"])
+def test_readers_of_the_file_refuse_a_damaged_page(
+    config: Config, tmp_path: Path, table: str
+) -> None:
+    path, file = path_of(config), tmp_path / "map.ply"
+    flip_cells(path, table)
+    with pytest.raises(StoreError, match="damaged"):
+        map_in(path, Config())
+    with pytest.raises(MapError, match="damaged"):
+        load_known_map(path, config)
+    with pytest.raises(StoreError, match="damaged"), StoreReader(path) as reader:
+        list(reader.rows())
+    args = Namespace(command="convert", source=path, file=file, calibration=None, origin=None)
+    args.min_probability, args.allow_damaged = None, True
+    with pytest.raises(CtlError, match="damaged"):
+        list(run(args, Config()))
+    assert not file.exists()
+
+
+def test_a_damaged_setting_is_not_blamed_on_the_user(config: Config, tmp_path: Path) -> None:
+    path = path_of(config)
+    before = sessions.content(config)[0]
+    stored = b"octree.voxel_resolution0.2"
+    data = path.read_bytes()
+    assert data.count(stored) == 1
+    path.write_bytes(data.replace(stored, stored[:-1] + b"6"))
+    with pytest.raises(StoreError, match="damaged"):
+        map_in(path, Config())
+    assert sessions.codes(sessions.opened(config)) == []  # the settings of the file are these
+    assert sessions.content(config)[0] == before
+    path.write_bytes(path.read_bytes().replace(stored, stored[:-1] + b"6"))
+    other = sessions.config_of(tmp_path, "iwlo: {L_occ: 1.5}\n")
+    assert sessions.codes(sessions.opened(other)) == ["store_damaged"]
+
+
+def test_the_whole_map_of_a_large_damaged_file_is_refused_before_its_verification(
+    config: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mapperd.session.startup.VERIFIED_FIRST_BYTES", 0)
+    flip_cells(path_of(config), INDEX)
+    opening, events = opened(config)
+    with pytest.raises(StoreError, match="damaged"):
+        opening.persistence.whole()
+    opening.close()
+    assert sessions.codes(events) == ["store_damaged", "map_not_verified"]
+    assert sessions.codes(sessions.opened(config)) == ["store_damaged", "map_rebuilt"]
+    assert sessions.content(config)[0] == sessions.reference(config, "a")
+
+
+def test_a_large_file_that_a_session_left_unverified_is_verified_before_the_next(
+    config: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mapperd.session.startup.VERIFIED_FIRST_BYTES", 0)
+    opening, events = opened(config)
+    opening.close()
+    assert sessions.codes(events) == ["map_not_verified"]
+    flip(path_of(config))
+    assert sessions.codes(sessions.opened(config))[0] == "bricks_rebuilt"
+    opening, events = opened(config)  # the file is verified, so the next session verifies again
+    assert isinstance(opening.persistence, SqlitePersistence)
+    opening.persistence._on_begin()
+    wait_for(lambda: "map_verified" in sessions.codes(events))
+    opening.close()
+    assert sessions.codes(events) == ["map_verified"]
+    assert not list(path_of(config).parent.glob("*.unverified"))
+
+
 def test_a_large_file_is_verified_during_the_session(
     config: Config, monkeypatch: pytest.MonkeyPatch
 ) -> None:
