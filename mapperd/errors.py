@@ -11,10 +11,9 @@ MapperdError
 """
 
 import errno
-import re
-import shlex
-import sys
 from dataclasses import dataclass
+
+from oculus_driver.errors import missing_extra
 
 __all__ = [
     "CheckpointError",
@@ -124,27 +123,3 @@ def os_reason(error: OSError) -> str:
     text = error.strerror or str(error) or type(error).__name__
     remedy = OS_REMEDIES.get(error.errno or 0)
     return f"{text}; {remedy}" if remedy else text
-
-
-def missing_extra(library: str, extra: str) -> str:
-    """Return one line that names a missing library and the command that installs its extra.
-
-    The command names the extra's libraries, so it works in every folder, for an installation from
-    a checkout and from a wheel.
-
-    Args:
-        library: name for people.
-        extra: name in the optional dependencies of mapperd.
-    """
-    from importlib import metadata  # noqa: PLC0415 slow to import, rarely needed
-
-    try:
-        requirements = metadata.requires("mapperd") or []
-    except metadata.PackageNotFoundError:  # the source tree is on the path
-        requirements = []
-    marker = re.compile(rf"""\bextra\s*==\s*['"]{re.escape(extra)}['"]""")
-    parts = (requirement.partition(";") for requirement in requirements)
-    libraries = [shlex.quote(name.strip()) for name, _, rule in parts if marker.search(rule)]
-    words = [shlex.quote(sys.executable or "python3"), "-m pip install"]
-    words += libraries or [f"'.[{extra}]'"]
-    return f"{library} cannot be imported; to install the extra `{extra}`: {' '.join(words)}"

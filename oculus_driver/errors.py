@@ -14,6 +14,9 @@ Parsers never raise these for received bytes: malformed bytes are counted and re
 
 from __future__ import annotations
 
+import re
+import shlex
+import sys
 from dataclasses import dataclass
 
 
@@ -72,3 +75,27 @@ class Reject:
     detail: str
     offset: int
     ping_id: int | None = None
+
+
+def missing_extra(library: str, extra: str) -> str:
+    """Return one line that names a missing library and the command that installs its extra.
+
+    The command names the extra's libraries, so it works in every folder, for an installation from
+    a checkout and from a wheel.
+
+    Args:
+        library: name for people.
+        extra: name in the optional dependencies of mapperd.
+    """
+    from importlib import metadata  # noqa: PLC0415 slow to import, rarely needed
+
+    try:
+        requirements = metadata.requires("mapperd") or []
+    except metadata.PackageNotFoundError:  # the source tree is on the path
+        requirements = []
+    marker = re.compile(rf"""\bextra\s*==\s*['"]{re.escape(extra)}['"]""")
+    parts = (requirement.partition(";") for requirement in requirements)
+    libraries = [shlex.quote(name.strip()) for name, _, rule in parts if marker.search(rule)]
+    words = [shlex.quote(sys.executable or "python3"), "-m pip install"]
+    words += libraries or [f"'.[{extra}]'"]
+    return f"{library} cannot be imported; to install the extra `{extra}`: {' '.join(words)}"

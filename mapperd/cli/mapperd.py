@@ -212,7 +212,7 @@ def _replay(arguments: Arguments) -> DaemonExit:
         try:
             sonar_map, summary = map_recordings(arguments, settings, ready, trajectory, show)
         except KeyboardInterrupt:
-            return _fail(DaemonExit.INTERRUPTED, "interrupted; nothing was written")
+            return _fail(DaemonExit.INTERRUPTED, f"interrupted; {_left_by_interrupt(arguments)}")
         stack.callback(sonar_map.close)
         write_results(arguments.out, sonar_map, summary, trajectory)
         code = _verdict(arguments, summary)
@@ -220,6 +220,13 @@ def _replay(arguments: Arguments) -> DaemonExit:
             _print("the page stays until Ctrl-C")
             page.wait()
     return code
+
+
+def _left_by_interrupt(arguments: Arguments) -> str:
+    """Return what an interrupted replay has written."""
+    if arguments.store is None or not arguments.store.exists():
+        return "nothing was written"
+    return f"{arguments.store} holds the last save; the same command maps the rest"
 
 
 def _given_files(arguments: Arguments) -> list[Path]:

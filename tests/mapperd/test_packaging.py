@@ -88,8 +88,11 @@ def test_named_extras_exist() -> None:
         for path in (ROOT / folder).rglob("*.py")
     )
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    found = set(re.findall(r"""missing_extra\([^()]*, ["'](\w+)["']\)""", text))
+    argument = r"(?:[^()]|\([^()]*\))*"
+    found = set(re.findall(rf"""missing_extra\({argument}, ["'](\w+)["']\)""", text))
     assert {"filters", "foxglove", "geo", "las", "mqtt", "ros", "serial", "topside"} <= found
+    assert {"sim", "survey"} <= found
+    assert "install the extra" not in text
     assert found <= set(project["optional-dependencies"])
 
 

@@ -235,6 +235,29 @@ def test_interrupt_writes_nothing_and_is_reported(
     assert list(out.iterdir()) == []
 
 
+def test_an_interrupted_replay_into_a_store_names_what_it_holds(
+    recording: Path,
+    quick_config: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    store = tmp_path / "dive.map"
+    words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(tmp_path)]
+    words += ["--store", str(store)]
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("mapperd.pipeline.executor.process_ping", interrupt)
+        assert main(words) == 130
+    errors = capsys.readouterr().err
+    assert f"{store} holds the last save; the same command maps the rest" in errors
+    assert "nothing was written" not in errors
+    assert main(words) == DaemonExit.OK
+
+
 class TestRealCapture:
     """three_pings_8bit.raw: 256 beams, 2 m, no odometry in it."""
 

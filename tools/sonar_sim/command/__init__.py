@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from oculus_driver import __version__
 from oculus_driver.command_line import CommandParser
-from oculus_driver.errors import OculusError
+from oculus_driver.errors import OculusError, missing_extra
 from sonar_sim.errors import FAULT, INTERRUPTED, USAGE, SonarSimError
 
 __all__ = ["main"]
@@ -20,9 +20,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         parser = _parser()
     except ModuleNotFoundError as error:
-        return _failure(
-            f"{error.name} cannot be imported: install the extra `sim` of mapperd", USAGE
-        )
+        return _failure(missing_extra(str(error.name), "sim"), USAGE)
     args = parser.parse_args(argv)
     try:
         return int(args.run(args))
