@@ -177,7 +177,7 @@ def test_readers_of_a_changed_file_return_the_right_map_or_refuse(scenes: Scenes
     silent, right, refused = [], 0, 0
     for number in range(10 * CORRUPTIONS):
         data = bytearray(sound)
-        at = place_in(data, chance, in_header=number % 2 == 0)
+        at = place_in(data, chance, number % 3)
         data[at] ^= chance.randrange(1, 256)
         path.write_bytes(data)
         for read in (map_of_source, map_of_reader):
@@ -197,12 +197,15 @@ def test_readers_of_a_changed_file_return_the_right_map_or_refuse(scenes: Scenes
     assert refused
 
 
-def place_in(data: bytearray, chance: random.Random, *, in_header: bool) -> int:
-    """Choose a byte anywhere, or where a page of SQLite has its header and its cells."""
-    if not in_header:
-        return chance.randrange(len(data))
+def place_in(data: bytearray, chance: random.Random, where: int) -> int:
+    """Choose a byte of any page, of the header of a page, or of the pages of the settings."""
     page = int.from_bytes(data[16:18], "big")
-    return chance.randrange(len(data) // page) * page + chance.randrange(64)
+    if where == 0:
+        return chance.randrange(len(data))
+    if where == 1:
+        return chance.randrange(1, len(data) // page) * page + chance.randrange(12)
+    used = [at for at in range(page, 3 * page) if data[at]]
+    return chance.choice(used)
 
 
 def corrupt(folder: Path, chance: random.Random) -> str:
