@@ -157,7 +157,8 @@ def _unusable(links: Values, config: OdometryFusionConfig) -> Iterator[Problem]:
 def _clock_off(name: str, offset_s: float) -> str:
     side = "ahead of" if offset_s > 0 else "behind"
     size_s = abs(offset_s)
-    amount = f"{size_s / HOUR_S:.1f} h" if size_s >= HOUR_S else f"{size_s:.1f} s"
+    short = f"{size_s:.1f} s" if size_s >= 1 else f"{1e3 * size_s:.0f} ms"
+    amount = f"{size_s / HOUR_S:.1f} h" if size_s >= HOUR_S else short
     return (
         f"the clock of odometry source {name} is {amount} {side} this computer's: its stamps are "
         "fitted to their arrival. Synchronize the clocks (NTP, chrony) for exact times"
