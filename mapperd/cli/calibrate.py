@@ -32,7 +32,10 @@ _EXITS = (
 )
 UNITS = {"time_offset": "s", "range_scale": "", "x": "m", "y": "m", "z": "m"}
 DIGITS = {"time_offset": 4, "range_scale": 4}
-SPREAD_LIMIT_M = 0.15
+STRUCTURE_M = 0.15
+"""Echoes further from the floor are of structure, and not drawn."""
+
+COLOUR_LIMIT_M = 0.05
 
 
 def calibrate_command(argv: Sequence[str]) -> int:
@@ -93,11 +96,13 @@ def _draw(dive: "Dive", found: "Calibration", path: Path) -> None:
     for place, (name, values) in enumerate((("before", found.start), ("after", found.values))):
         points, spread_m = height_spread(dive, found.view, found.floor, values)
         axes = figure.add_subplot(1, 2, place + 1, aspect="equal")
-        limit = SPREAD_LIMIT_M
+        floor = abs(spread_m) < STRUCTURE_M
+        points, spread_m = points[floor], spread_m[floor]
+        limit = COLOUR_LIMIT_M
         scatter = axes.scatter(
             points[:, 0], points[:, 1], c=spread_m, s=2, cmap="coolwarm", vmin=-limit, vmax=limit
         )
-        typical_cm = 100 * float(abs(spread_m[abs(spread_m) < 0.5]).mean())  # noqa: PLR2004
+        typical_cm = 100 * float(abs(spread_m).mean())
         axes.set_title(f"{name}: heights differ by {typical_cm:.1f} cm")
         axes.set_xlabel("east, m")
         axes.set_ylabel("north, m")
