@@ -208,7 +208,7 @@ class Agreement:
         by_up = (higher - self.residuals(values)) / 2
         self._up = up
         weight = self._sum(by_up**2)
-        weight += weight.mean() + 1e-12
+        weight += weight.mean() + 1e-12 if len(weight) else 0.0
         shared = np.stack([self._sum(by_up * column) for column in jacobian.T], axis=1)
         pull = self._sum(by_up * residuals)
         normal = jacobian.T @ jacobian - shared.T @ (shared / weight[:, None])

@@ -30,6 +30,9 @@ SEED = 5
 LIMITS = {"roll": 0.5, "yaw": 0.5, "time_offset": 0.02, "range_scale": 0.005}
 """A parameter whose standard deviation is larger is not observable."""
 
+PLAUSIBLE = {"roll": 15.0, "yaw": 15.0, "time_offset": 0.25, "range_scale": 0.06}
+"""A larger change shows that the fit went astray."""
+
 REASONS = {
     "pitch": "a turn about the array changes no range and no bearing",
     "x": "the map moves with it",
@@ -108,9 +111,9 @@ def calibrate(
     values, deviation = fit_floor(dive, view, echoes, start, FLOOR)
     deviations = np.full(len(PARAMETERS), np.inf)
     deviations[FLOOR] = deviation
-    scale_known = deviations[7] <= LIMITS["range_scale"]
-    if not scale_known:
+    if not deviations[7] <= LIMITS["range_scale"] or _astray(values - start):
         values = start.copy()
+        deviations[FLOOR] = np.inf
     found = start.copy()
     found[[0, 7]] = values[[0, 7]]
     for number, share in enumerate(BLURS):
@@ -119,11 +122,21 @@ def calibrate(
         agreement = Agreement(dive, view, blur, found, echoes=ECHOES, seed=SEED + number)
         found, deviation = agreement.improve(found, STRUCTURE, ROUNDS)
         deviations[STRUCTURE] = deviation
+        if astray := _astray(found - start):
+            found, deviations = start.copy(), np.full(len(PARAMETERS), np.inf)
+            progress(f"the fit of {', '.join(astray)} went astray: nothing is changed")
+            break
     parameters = tuple(
         _parameter(name, found[k] - start[k], deviations[k]) for k, name in enumerate(PARAMETERS)
     )
     used = np.array([one.change for one in parameters]) + start
     return Calibration(parameters, start, used, view, echoes)
+
+
+def _astray(change: Floats) -> list[str]:
+    """Return the parameters whose change cannot be true."""
+    sizes = dict(zip(PARAMETERS, np.abs(change), strict=True))
+    return [name for name, largest in PLAUSIBLE.items() if not sizes[name] <= largest]
 
 
 def _parameter(name: str, change: float, deviation: float) -> Parameter:
