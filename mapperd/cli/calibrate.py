@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mapperd import __version__
 from mapperd.cli.replay import unreadable
 from mapperd.config.layers import load_settings
 from mapperd.errors import ConfigError, ExportError, MapperdError, missing_extra
@@ -130,6 +131,7 @@ def _parser() -> argparse.ArgumentParser:
         default=Path("mapperd-calibration"),
         help="folder for calibration.yaml, .json and .png (default: mapperd-calibration)",
     )
+    add("--version", action="version", version=f"mapperd {__version__}")
     return parser
 
 
