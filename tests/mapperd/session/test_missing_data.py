@@ -16,6 +16,7 @@ from mapperd.session.recordings import DamagedData, Tail, files_of, sessions_of
 from mapperd.session.recovery import replay_sessions
 from mapperd.session.replay_to_store import map_into_store
 from mapperd.session_log import DECISIONS, LINK, SESSION, Session, chunk_of
+from mapperd.store.metadata import write_checksum
 from mapperd.store.position import Position, RecordingOffset, position_in
 from oculus_driver.recording import OCULUS, RecordingWriter
 from tests.mapperd.conftest import START_NS, make_odometry, make_ping
@@ -286,6 +287,7 @@ def forget_ends(config: Config) -> None:
         assert fields.pop("ends") == {"a": {"file": 3, "chunks": 12}}
         earlier = msgspec.convert({**fields, "crc": None}, Position)
         file.execute("UPDATE progress SET position = ?", (msgspec.msgpack.encode(earlier),))
+        write_checksum(file)
     position = position_in(msgspec.msgpack.encode(earlier))
     assert position is not None
     assert position.ends == {}
