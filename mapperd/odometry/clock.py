@@ -35,6 +35,7 @@ class OdometryClockState(NamedTuple):
         distrusted: Unix stamps are fitted, too.
         delays_ns: the last delays.
         least_delay_ns: the least of them so far.
+        offset_ns: newest Unix stamp minus its arrival where they disagree.
     """
 
     fit: ClockFitState
@@ -42,6 +43,7 @@ class OdometryClockState(NamedTuple):
     distrusted: bool
     delays_ns: list[int]
     least_delay_ns: int | None
+    offset_ns: int | None = None
 
 
 class OdometryClock:
@@ -79,6 +81,7 @@ class OdometryClock:
             self._distrusted,
             list(self._delays),
             self._min_delay_ns,
+            self.offset_ns,
         )
 
     def restore(self, state: OdometryClockState) -> None:
@@ -87,6 +90,7 @@ class OdometryClock:
         self._off, self._distrusted = state.off, state.distrusted
         self._delays = deque(state.delays_ns, maxlen=DISTRUST_AFTER)
         self._min_delay_ns = state.least_delay_ns
+        self.offset_ns = state.offset_ns
 
     def t_host_ns(self, odometry: Odometry, arrival_ns: int | None) -> int | Reject:
         """The record's host time, on the clock of the arrival stamps.

@@ -338,7 +338,7 @@ def test_port_of_the_odometry_in_use(bench: Bench) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", bench.port))
         _, printed = bench.run()
-    one_line(printed, "no odometry: ", "ddress already in use", "give the source another port")
+    one_line(printed, "no odometry: ", "already in use", "give the source another port")
 
 
 @pytest.mark.net
