@@ -299,12 +299,13 @@ class _Reader:
     def _check(self, compression: str, size: int, inflated_size: int, expected: int) -> None:
         """Compare the checksum of the next `size` bytes, a whole chunk; the position is kept.
 
-        A checksum of 0 means that there is none. A chunk that is cut has none either.
+        A checksum of 0 means that there is none. A chunk that is cut has none either, so what is
+        left of it counts as damaged.
         """
         start = self.position
         if start + size > self.size and self.is_checked:
             self.damaged_to = self.size
-            self.progress.report_damaged(start, self.size - start, "no checksum: it is cut")
+            self.progress.report_truncation(f"ends inside a chunk, at byte {self.size}")
         if not expected or start + size > self.size or inflated_size > _MAX_CHECKED:
             return
         source: ByteSource = _Limited(self, size)
@@ -405,7 +406,8 @@ class _Reader:
         """Continue with the next record at or after `start` (`damage`), or stop (`end`)."""
         found = self._next_record(start, self.size)
         if found is None:
-            self.progress.report_truncation(end)
+            if not self.progress.truncated:
+                self.progress.report_truncation(end)
             self.finished = True
             return
         self.losses += 1

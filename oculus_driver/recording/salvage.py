@@ -20,7 +20,9 @@ _WINDOW: Final = 1 << 20
 _NEAR_NS: Final = 3_600_000_000_000
 """Maximum time difference between messages after a damaged place and those before it."""
 
-_HEADS: Final = re.compile(rb"\x05(?=.{3}[\x00-\x04]\x00{4})|\x06(?=.{5}\x00{3})", re.DOTALL)
+_HEADS: Final = re.compile(
+    rb"\x05(?=.{3}[\x00-\x04]\x00{4})|\x06(?=.{5}\x00{3})|\x07(?=.{4}\x00{4})", re.DOTALL
+)
 _MAX_HEAD: Final = mcap.HEAD.size + mcap.CHUNK_HEAD.size + 4 + mcap.U64.size
 _COMPRESSIONS: Final = {0: b"", 3: b"lz4", 4: b"zstd"}
 
@@ -32,9 +34,9 @@ def find_record(
     channels: Container[int],
     near_ns: int | None,
 ) -> int | None:
-    """Return the offset of the first chunk or message inside `search_range`, or None.
+    """Return the offset of the first chunk, message or message index in `search_range`, or None.
 
-    The two opcodes occur in any image, so a position counts only if its whole head is consistent.
+    The three opcodes occur in any image, so a position counts only if its whole head is consistent.
     Reads each byte once, whatever the content.
 
     Args:
@@ -54,7 +56,11 @@ def find_record(
             if at >= span:
                 break
             room = size - start - at
-            if _chunk(window, at, room) or _message(window, at, room, channels, near_ns):
+            if (
+                _chunk(window, at, room)
+                or _message(window, at, room, channels, near_ns)
+                or _message_index(window, at, channels)
+            ):
                 return start + at
         start += span
     return None
@@ -88,6 +94,18 @@ def _message(
         return False
     likely = near_ns is not None and abs(stamp - near_ns) <= _NEAR_NS
     return likely and mcap.HEAD.size + length <= room
+
+
+def _message_index(window: bytes, at: int, channels: Container[int]) -> bool:
+    """Return whether the index of a known channel starts here: its two sizes must agree."""
+    sizes = mcap.HEAD.size + mcap.U16.size + mcap.U32.size
+    if window[at] != Opcode.MESSAGE_INDEX or len(window) - at < sizes:
+        return False
+    _, length = mcap.HEAD.unpack_from(window, at)
+    (number,) = mcap.U16.unpack_from(window, at + mcap.HEAD.size)
+    (size,) = mcap.U32.unpack_from(window, at + mcap.HEAD.size + mcap.U16.size)
+    whole = length == mcap.U16.size + mcap.U32.size + size
+    return whole and size > 0 and size % (2 * mcap.U64.size) == 0 and number in channels
 
 
 _FIRST_WINDOW: Final = 1 << 10

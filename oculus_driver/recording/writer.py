@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording import mcap_records as mcap
+from oculus_driver.recording.chunk import OCULUS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -35,8 +36,11 @@ LIBRARY: Final = "oculus_driver"
 GAP_STEP: Final = 1 << 16
 """Sequence numbers that a marked gap skips; damage skips fewer: a chunk has no room for so many."""
 
-CHUNK_SIZE: Final = 1 << 18
-"""What a damaged byte makes useless, at most; larger messages are alone."""
+CHUNK_SIZE: Final = 1 << 12
+"""Size at which a chunk ends. Each piece of a sonar's stream has a chunk of its own.
+
+A damaged byte makes one chunk useless, and so does the end of a cut file: one ping at most.
+"""
 
 _MAX_LINKS: Final = 1 << 15
 _U64_END: Final = 1 << 64
@@ -51,6 +55,7 @@ class _OpenChunk:
     crc: int = 0
     span_ns: tuple[int, int] | None = None
     indexes: dict[int, bytearray] = field(default_factory=dict)
+    is_full: bool = False
 
     def head_with(self, stamp_ns: int, message: bytes) -> bytes:
         """Return the chunk's head as it is with one more message."""
@@ -94,6 +99,7 @@ class RecordingWriter:
         self._file = _create(self.path, overwrite=overwrite)
         self._position = 0
         self._channels: list[bytes] = []
+        self._streams: set[int] = set()
         self._counts: Counter[int] = Counter()
         self._gaps: Counter[int] = Counter()
         self._span_ns: tuple[int, int] | None = None
@@ -148,6 +154,8 @@ class RecordingWriter:
         self._append(note)
         self._channels.append(note)
         self._counts[number] = 0
+        if encoding == OCULUS:
+            self._streams.add(number)
         return number
 
     def write(
@@ -178,7 +186,8 @@ class RecordingWriter:
         gaps = self._gaps[link] + (gap_before and self._counts[link] > 0)
         sequence = self._counts[link] + GAP_STEP * gaps
         message = mcap.message_head(link, sequence, stamp_ns, len(data)) + bytes(data)
-        if self._chunk is not None and self._chunk.size + len(message) > CHUNK_SIZE:
+        alone = link in self._streams
+        if self._chunk is not None and (alone or self._chunk.is_full):
             self._close_chunk()
         chunk = self._chunk or self._open_chunk()
         start = self._position
@@ -190,6 +199,7 @@ class RecordingWriter:
             self._truncate(start)
             raise
         chunk.add(link, stamp_ns, message)
+        chunk.is_full = alone or chunk.size >= CHUNK_SIZE
         self._counts[link] += 1
         self._gaps[link] = gaps
 

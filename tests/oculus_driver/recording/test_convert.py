@@ -114,16 +114,14 @@ def test_data_that_fail_their_checksum_are_left_out_unless_asked_for(
     with RecordingWriter(source) as writer:
         link = writer.add_link("sonar", OCULUS)
         for number in range(6):
-            if number % 2 == 0:
-                writer.sync()
             writer.write(link, make_ping(ping_id=number), 10**18 + number)
     data = bytearray(source.read_bytes())
     ping = make_ping(ping_id=2)
     data[data.index(ping) + len(ping) - 1] ^= 1
     source.write_bytes(data)
     done = convert(source, target, kind)
-    assert done.left_out == {"checksum": 2 * len(ping)}
-    assert [ping.id for ping in described(target).ping_list] == [0, 1, 4, 5]
+    assert done.left_out == {"checksum": len(ping)}
+    assert [ping.id for ping in described(target).ping_list] == [0, 1, 3, 4, 5]
     assert convert(source, all_of_it, kind, allow_damaged=True).left_out == {}
     assert [ping.id for ping in described(all_of_it).ping_list] == list(range(6))
 

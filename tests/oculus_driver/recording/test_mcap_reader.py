@@ -17,6 +17,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from oculus_driver.recording import (
     OCULUS,
+    ODOMETRY_NATIVE,
     Chunk,
     RecordingWriter,
     mcap_records,
@@ -94,6 +95,22 @@ def test_a_file_cut_anywhere_yields_all_before(written: Written) -> None:
         check_cut(written, int(size))
 
 
+@pytest.mark.parametrize("fixture", ["written", "odometry_written"])
+def test_a_cut_costs_the_last_chunk_only(request: pytest.FixtureRequest, fixture: str) -> None:
+    written: Written = request.getfixturevalue(fixture)
+    for size in np.random.default_rng(3).integers(written.ends[1], written.ends[-1], 50):
+        progress = Progress()
+        data = written.data[: int(size)]
+        good, _ = parts_of(list(read_mcap(io.BytesIO(data), len(data), progress)))
+        whole = [row[3] for row, end in zip(written.rows, written.ends, strict=True) if end <= size]
+        assert good == whole[: len(good)]
+        assert sum(map(len, whole[len(good) :])) <= CHUNK_SIZE
+        pings = [row for row in written.rows[len(good) : len(whole)] if row[1] == OCULUS]
+        assert pings == []
+        assert progress.truncated
+        assert progress.damaged_parts == []
+
+
 def test_the_bytes_of_a_cut_piece_of_a_stream_are_not_lost(written: Written) -> None:
     index = next(n for n, row in enumerate(written.rows) if len(row[3]) > 50_000)
     rows, _ = read(written.data[: written.ends[index] - 10_000])
@@ -105,13 +122,13 @@ def test_zeros_behind_the_end_are_reported(written: Written) -> None:
     rows, progress = read(written.data[:size] + bytes(100_000))
     assert rows == written.rows[:71]
     assert progress.truncated
-    assert (progress.damage or "").startswith("damaged chunk at byte ")
+    assert (progress.damage or "").startswith("damaged at byte ")
 
 
 @pytest.mark.parametrize("shift", range(9))
 def test_a_damaged_record_head_costs_that_record_only(written: Written, shift: int) -> None:
     data = bytearray(written.data)
-    start = written.ends[20]  # of the row's record, as no chunk ends here
+    start = written.start(21)
     assert data[start] == Opcode.MESSAGE
     data[start + shift] ^= 0x81
     rows, progress = read(bytes(data))
@@ -159,7 +176,7 @@ def parts_of(rows: list[Chunk]) -> tuple[list[bytes], list[bytes]]:
 def test_a_changed_byte_marks_the_messages_of_its_chunk(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with RecordingWriter(path) as writer:
-        link = writer.add_link("sonar", OCULUS)
+        link = writer.add_link("dvl", ODOMETRY_NATIVE)
         for number in range(9):
             if number in {3, 6}:
                 writer.sync()
@@ -178,10 +195,11 @@ def test_a_changed_byte_marks_the_messages_of_its_chunk(tmp_path: Path) -> None:
 
 
 def test_each_message_of_a_damaged_chunk_is_marked_even_if_its_head_is_damaged(
-    written: Written,
+    odometry_written: Written,
 ) -> None:
+    written = odometry_written
     data = bytearray(written.data)
-    start = written.ends[20]
+    start = written.start(81)
     assert data[start] == Opcode.MESSAGE
     data[start] ^= 0x81
     progress = Progress()
