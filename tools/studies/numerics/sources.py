@@ -129,6 +129,9 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
             "products/point_cloud.py products/sounding.py simulator.py",
         ),
     ),
+    "fitted to images in double precision, whose samples have 8 bits": _in(
+        "mapperd/calibration/", "agreement.py dive.py"
+    ),
     "checks of the simulator, which run beside it": _in(
         SIMULATOR + "validation/",
         "propagation.py receiver.py recording.py repeatability.py scattering.py setups.py tank.py",

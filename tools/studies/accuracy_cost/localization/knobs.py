@@ -199,7 +199,7 @@ KNOBS = (
     Knob(
         "elevations",
         "Elevations that a return is tried at, 3D",
-        _turned("localization.elevations", "5", 1, 3, 5, 9, 17),
+        _turned("localization.elevations", "15", 1, 5, 9, 15, 25),
         None,
         MARGIN,
         "Too few lose the vehicle among things that stand above and below each other.",
