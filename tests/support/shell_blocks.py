@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
 ROOT = Path(__file__).resolve().parents[2]
 TIMEOUT_S = 300.0
@@ -89,11 +90,51 @@ def _block(match: re.Match[str]) -> Block:
     raise ValueError(f"unknown marker: {marker}")
 
 
-class Reader:
-    """Somebody who follows a page in an empty folder, with the project's commands installed."""
+_LOOPBACK_UP = """
+import fcntl, socket, struct, sys
+with socket.socket() as up:
+    fcntl.ioctl(up, 0x8914, struct.pack("16sH14x", b"lo", 0x41))
+print("up", flush=True)
+sys.stdin.read()
+"""
 
-    def __init__(self, folder: Path, runtime: Path) -> None:
+
+@contextmanager
+def own_network() -> Iterator[list[str]]:
+    """The words before a command that run it in a network with nothing but a loopback.
+
+    So no other test meets a page's sonar. Empty if the system has no such networks.
+    """
+    unshare, nsenter = shutil.which("unshare"), shutil.which("nsenter")
+    if unshare is None or nsenter is None:
+        yield []
+        return
+    with subprocess.Popen(  # noqa: S603 our own commands
+        [unshare, "--user", "--map-root-user", "--net", sys.executable, "-c", _LOOPBACK_UP],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as holder:
+        assert holder.stdin is not None
+        assert holder.stdout is not None
+        words = [nsenter, "--preserve-credentials", "-U", "-n", "-t", str(holder.pid)]
+        yield words if holder.stdout.readline() == "up\n" else []
+        holder.stdin.close()
+
+
+class Reader:
+    """Somebody who follows a page in an empty folder, with the project's commands installed.
+
+    Args:
+        folder: where the commands run.
+        runtime: folder for sockets.
+        network: from `own_network`.
+    """
+
+    def __init__(self, folder: Path, runtime: Path, network: Sequence[str] = ()) -> None:
         """Prepare the commands of pyproject.toml and folders of its own."""
+        self._shell = [*network, "/bin/bash"]
         self.folder = folder / "work"
         self.folder.mkdir()
         commands = folder / "bin"
@@ -121,7 +162,7 @@ class Reader:
     def run(self, code: str) -> subprocess.CompletedProcess[str]:
         """Run commands; stop at the first that fails."""
         process = subprocess.Popen(  # noqa: S603 commands of our own pages
-            ["/bin/bash", "-euo", "pipefail", "-c", code],
+            [*self._shell, "-euo", "pipefail", "-c", code],
             cwd=self.folder,
             env=self.environment,
             stdout=subprocess.PIPE,
@@ -148,7 +189,7 @@ class Reader:
         """A program that answers `block.ready` inside, and ends properly at an interrupt."""
         log = (self.folder / f"background-{time.monotonic_ns()}.log").open("w+")
         process = subprocess.Popen(  # noqa: S603 commands of our own pages
-            ["/bin/bash", "-c", f"exec {block.code}"],
+            [*self._shell, "-c", f"exec {block.code}"],
             cwd=self.folder,
             env=self.environment,
             stdout=log,
@@ -182,12 +223,13 @@ def follow(page: Path, folder: Path) -> None:
     blocks = [block for block in blocks_of(page) if not block.reason]
     with ExitStack() as stack:
         runtime = stack.enter_context(tempfile.TemporaryDirectory(prefix="mapperd-docs-"))
-        if any(block.ready for block in blocks):  # the ports of a sonar are there once
+        network = stack.enter_context(own_network())
+        if not network and any(block.ready for block in blocks):  # a sonar's ports exist once
             lock = stack.enter_context(
                 (Path(tempfile.gettempdir()) / "mapperd-docs.lock").open("w")
             )
             fcntl.flock(lock, fcntl.LOCK_EX)
-        reader = Reader(folder, Path(runtime))
+        reader = Reader(folder, Path(runtime), network)
         files = {match["name"]: match["text"] for match in _FILE.finditer(page.read_text("utf-8"))}
         for name, text in files.items():
             (reader.folder / name).write_text(text)
