@@ -201,7 +201,8 @@ def test_missing_extra(
 ) -> None:
     for name in [name for name in sys.modules if name.startswith(f"mapperd.odometry.{extra}")]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, module, None)
+    for name in {module, *(name for name in sys.modules if name.startswith(f"{module}."))}:
+        monkeypatch.setitem(sys.modules, name, None)
     path = tmp_path / "live.yaml"
     path.write_text(f"odometry: {{sources: [{{format: {extra}}}]}}\n")
     assert mapperd(["--config", str(path), "--out", str(tmp_path / "out")]) == 78
