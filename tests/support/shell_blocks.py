@@ -61,18 +61,20 @@ class Block:
         reason: why the tests do not run it, or "".
         ready: command that succeeds once the block's program answers; only of programs that run
             in the background until the page ends.
+        ended: the program in the background that Ctrl-C ends before, or "".
     """
 
     code: str
     reason: str = ""
     ready: str = ""
+    ended: str = ""
 
 
 def blocks_of(page: Path) -> list[Block]:
     """The shell blocks of a page, in order.
 
     Raises:
-        ValueError: a marker is neither `not run: REASON` nor `background: COMMAND`.
+        ValueError: a marker is not `not run: REASON`, `background: COMMAND` or `ctrl-c: PROGRAM`.
     """
     return [_block(match) for match in _BLOCK.finditer(page.read_text("utf-8"))]
 
@@ -87,6 +89,8 @@ def _block(match: re.Match[str]) -> Block:
         return Block(code, reason=rest)
     if kind == "background" and rest:
         return Block(code, ready=rest)
+    if kind == "ctrl-c" and rest:
+        return Block(code, ended=rest)
     raise ValueError(f"unknown marker: {marker}")
 
 
@@ -135,6 +139,7 @@ class Reader:
     def __init__(self, folder: Path, runtime: Path, network: Sequence[str] = ()) -> None:
         """Prepare the commands of pyproject.toml and folders of its own."""
         self._shell = [*network, "/bin/bash"]
+        self._programs: dict[str, subprocess.Popen[bytes]] = {}
         self.folder = folder / "work"
         self.folder.mkdir()
         commands = folder / "bin"
@@ -143,7 +148,7 @@ class Reader:
         self.environment = os.environ | {
             "PATH": f"{commands}{os.pathsep}{os.environ['PATH']}",
             "HOME": str(folder),
-            "XDG_STATE_HOME": str(folder / "state"),
+            "XDG_STATE_HOME": str(folder / ".local" / "state"),
             "XDG_RUNTIME_DIR": str(runtime),
             "PYTHONPATH": os.pathsep.join(str(ROOT / part) for part in (".", "tools")),
         }
@@ -178,6 +183,12 @@ class Reader:
             raise AssertionError(f"still running after {TIMEOUT_S} s: {code}\n{out}{err}") from None
         return subprocess.CompletedProcess(code, process.returncode, out, err)
 
+    def end(self, program: str) -> None:
+        """Press Ctrl-C in the terminal of a program in the background, and wait for its end."""
+        process = self._programs.pop(program)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(STOP_TIMEOUT_S) in (0, 130)
+
     def simulate_dive(self) -> None:
         """Record dive.mcap, four seconds above a floor."""
         (self.folder / "scene.yaml").write_text(SCENE)
@@ -187,6 +198,7 @@ class Reader:
     @contextmanager
     def background(self, block: Block) -> Iterator[None]:
         """A program that answers `block.ready` inside, and ends properly at an interrupt."""
+        program = block.code.split()[0]
         log = (self.folder / f"background-{time.monotonic_ns()}.log").open("w+")
         process = subprocess.Popen(  # noqa: S603 commands of our own pages
             [*self._shell, "-c", f"exec {block.code}"],
@@ -201,9 +213,10 @@ class Reader:
                 log.seek(0)
                 assert process.poll() is None, log.read()
                 assert time.monotonic() < end, f"{block.ready} failed for {READY_TIMEOUT_S} s"
+            self._programs[program] = process
             yield
-            process.send_signal(signal.SIGINT)
-            assert process.wait(STOP_TIMEOUT_S) in (0, 130)
+            if program in self._programs:
+                self.end(program)
         finally:
             if process.poll() is None:
                 process.kill()
@@ -240,5 +253,7 @@ def follow(page: Path, folder: Path) -> None:
             if block.ready:
                 stack.enter_context(reader.background(block))
                 continue
+            if block.ended:
+                reader.end(block.ended)
             done = reader.run(block.code)
             assert done.returncode == 0, f"{block.code}\n{done.stdout}\n{done.stderr}"

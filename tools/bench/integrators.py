@@ -27,11 +27,12 @@ from bench.contenders import (
 )
 from bench.inputs import LOOKS, SETTINGS, cached, load, loud_share, write_rays
 from bench.our_contender import APERTURE_DEG
-from bench.report import draw, markdown
+from bench.report import details, draw, markdown
 from bench.results import BenchResults, CaseResult, ContenderResult, DetailDifference
 
 PROGRAM = "python -m bench integrators"
 PICTURE = IMAGES / "performance.png"
+DETAILS = PAGES["performance"].with_suffix("") / "integrators.csv"
 RESOLUTIONS_M = (0.1, 0.05)
 DETAIL_BUDGET_S = 4.0
 
@@ -44,10 +45,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     results.save(args.out / "results.json")
     text = markdown(results)
     print(text)
+    (args.out / DETAILS.name).write_text(details(results), encoding="utf-8")
     draw(args.out / "performance.png", results)
     is_whole = not args.only and set(args.looks) == set(LOOKS)
     if is_whole and not args.keep_docs:
         write_section(PAGES["performance"], "integrators", text, PROGRAM)
+        DETAILS.write_text(details(results), encoding="utf-8")
         draw(PICTURE, results)
     return 0
 

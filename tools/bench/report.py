@@ -1,6 +1,8 @@
-"""The run's figures as Markdown."""
+"""The run's figures as Markdown and CSV."""
 
-from collections.abc import Iterator, Sequence
+import csv
+import io
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -103,7 +105,7 @@ def markdown(results: BenchResults) -> str:
         parts += ["## Detail 1 against detail 8", _details(compared)]
     if results.open_water:
         parts += ["## Open water, 10 cm", _open_water(results.open_water)]
-    return "\n\n".join([*parts, "## More of the 5 cm cases", *_fine_cases(results, fine)])
+    return "\n\n".join(parts)
 
 
 def _table(head: Row, rows: Sequence[Row]) -> str:
@@ -183,16 +185,18 @@ def _open_water(times_ms: dict[str, float]) -> str:
     return _table(head, [("evidence grid", *(f"{figure(ms)} ms" for ms in times_ms.values()))])
 
 
-def _fine_cases(results: BenchResults, cases: Sequence[CaseResult]) -> Iterator[str]:
-    bytes_a_second = results.machine.bytes_a_second
-    for case in cases:
-        rows = [
-            _run(contender, case.runs[contender.name], bytes_a_second, results.pings)
-            for contender in CONTENDERS
-            if contender.name in case.runs
-        ]
-        yield f"**{case.name}**, {case.loud_share:.1%} of the pixels above the threshold:"
-        yield _table(COLUMNS, rows)
+def details(results: BenchResults) -> str:
+    """Return every figure of the 5 cm cases as CSV, one row a case and contender."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(("case", *COLUMNS))
+    for case in fine_cases(results.cases):
+        for contender in CONTENDERS:
+            if contender.name in case.runs:
+                run = case.runs[contender.name]
+                row = _run(contender, run, results.machine.bytes_a_second, results.pings)
+                rows.writerow((case.name, *row))
+    return text.getvalue()
 
 
 def _run(contender: Contender, run: ContenderResult, bytes_a_second: float, pings: int) -> Row:

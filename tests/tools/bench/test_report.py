@@ -1,5 +1,7 @@
 """Figures, verdicts and the page, from made-up runs."""
 
+import csv
+import io
 from pathlib import Path
 
 import msgspec
@@ -16,7 +18,8 @@ from bench.contenders import (
     Contender,
 )
 from bench.inputs import AHEAD, DOWN
-from bench.report import COLUMNS, markdown
+from bench.integrators import DETAILS
+from bench.report import COLUMNS, details, markdown
 from bench.results import (
     BenchResults,
     CaseResult,
@@ -185,8 +188,10 @@ def test_tables_hold_both_passes_motion_and_details() -> None:
     assert "| ours, evidence grid, full image | 20, 9 |" in page
     assert "| ours, evidence grid, full image: moving against at rest | 1.1x |" in page
     assert "| 10 m, 5 cm | 50.000% (40.000%) | 0.1 | 4 |" in page
-    whole = "| 20 | 29 | 9 | 10 (0.5x) | 2 k | 7,500 | 6.0 (3.0) | 25 (15) | 0.0% |"
-    assert f"| ours, evidence grid, full image {whole}" in page
+    rows = list(csv.DictReader(io.StringIO(details(results(case)))))
+    [row] = [row for row in rows if row["map and input"] == "ours, evidence grid, full image"]
+    figures = ["20", "29", "9", "10 (0.5x)", "2 k", "7,500", "6.0 (3.0)", "25 (15)", "0.0%"]
+    assert [row[column] for column in COLUMNS[1:]] == figures
 
 
 def test_results_are_read_back_as_they_were_saved(tmp_path: Path) -> None:
@@ -203,5 +208,6 @@ def test_our_page_has_the_marks_and_explains_every_column(tmp_path: Path) -> Non
     explained = copy.read_text(encoding="utf-8").partition("<!-- integrators")[0].lower()
     for column in COLUMNS[3:]:
         assert column.partition(" (")[0].removesuffix(" MB").lower() in explained
+    assert DETAILS.read_text(encoding="utf-8").startswith("case," + ",".join(COLUMNS))
     with pytest.raises(ValueError, match="no section"):
         write_section(copy, "another section", "text")
