@@ -11,6 +11,7 @@ from oculus_driver.recording.chunk import (
 from oculus_driver.recording.convert import WRITABLE, Conversion, convert
 from oculus_driver.recording.info import PingInfo, RecordingInfo, describe
 from oculus_driver.recording.log_files import LogPolicy
+from oculus_driver.recording.network_capture import Datagram, read_datagrams
 from oculus_driver.recording.recording import (
     MCAP,
     OCULUS_LOG,
@@ -39,6 +40,7 @@ __all__ = [
     "Chunk",
     "Conversion",
     "DamagedPart",
+    "Datagram",
     "LogCounters",
     "LogPolicy",
     "LogPosition",
@@ -50,4 +52,5 @@ __all__ = [
     "convert",
     "describe",
     "open_recording",
+    "read_datagrams",
 ]

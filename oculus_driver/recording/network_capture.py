@@ -16,6 +16,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple
 
+from oculus_driver.errors import RecordingError
 from oculus_driver.framing import header_fault, read_header
 from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, Chunk, Progress
 from oculus_driver.recording.pcap_files import PCAPNG_MAGIC, read_pcap_packets, read_pcapng_packets
@@ -24,6 +25,7 @@ from oculus_driver.wire import HEADER, MAGIC, STATUS, STATUS_PORT, TCP_PORT, Mes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
 
 LINK: Final = "sonar"
@@ -36,15 +38,53 @@ Source = tuple[bytes, int]
 
 def read_network_capture(file: BinaryIO, size: int, progress: Progress) -> Iterator[Chunk]:
     """Yield the data sent by sonars in a capture of `size` bytes, in order; update `progress`."""
+    sorter = _FlowSorter(progress)
+    for segment, arrival_ns in _segments(file, size, progress):
+        yield from sorter.take(segment, arrival_ns)
+    yield from sorter.finish()
+
+
+class Datagram(NamedTuple):
+    """A UDP datagram of a capture.
+
+    Attributes:
+        arrival_ns: capture time, nanoseconds since 1970; None if not recorded.
+        port: destination port.
+        payload: the captured bytes.
+    """
+
+    arrival_ns: int | None
+    port: int
+    payload: bytes
+
+
+def read_datagrams(path: Path) -> Iterator[Datagram]:
+    """Yield the datagrams of a capture, in order; damaged packets are skipped.
+
+    Raises:
+        RecordingError: the file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            size = file.seek(0, 2)
+            for segment, arrival_ns in _segments(file, size, Progress()):
+                if segment.protocol == UDP:
+                    yield Datagram(arrival_ns, segment.flow.destination_port, segment.payload)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _segments(
+    file: BinaryIO, size: int, progress: Progress
+) -> Iterator[tuple[Segment, int | None]]:
+    """Yield the TCP and UDP payloads of a capture, and their capture times."""
     file.seek(0)
     is_new = file.read(len(PCAPNG_MAGIC)) == PCAPNG_MAGIC
     read_packets = read_pcapng_packets if is_new else read_pcap_packets
-    sorter = _FlowSorter(progress)
     for packet in read_packets(file, size, progress):
         segment = segment_of(packet.link_type, packet.data)
         if segment is not None:
-            yield from sorter.take(segment, packet.arrival_ns)
-    yield from sorter.finish()
+            yield segment, packet.arrival_ns
 
 
 @dataclass(slots=True)
