@@ -9,11 +9,13 @@ from pathlib import Path
 
 from mapperd import __version__
 from mapperd.geometry.frames import Pose, pose_from_rpy
+from mapperd.odometry.odometry_files import OdometryOptions
 from oculus_driver.command_line import CommandParser, did_you_mean
 
 __all__ = ["Arguments", "parse_arguments"]
 
 MAX_POSITION_M = 1e7
+MAX_OFFSET_S = 1e10
 EPILOG = """\
 examples:
   mapperd --config vehicle.yaml
@@ -43,6 +45,7 @@ class Arguments:
         integrator: overrides the setting; None keeps it.
         start_s, duration_s: the part of the recording to map.
         allow_damaged: map data that fail their checksum, too.
+        odometry: files that replace the recorded odometry; None uses that.
         view_port: port of the page that shows the replay; None shows none.
     """
 
@@ -57,6 +60,7 @@ class Arguments:
     duration_s: float | None
     allow_damaged: bool = False
     view_port: int | None = None
+    odometry: OdometryOptions | None = None
 
 
 VIEW_PORT = 8080
@@ -85,6 +89,8 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
         parser.error("--store needs --replay, without --start and --duration")
     if args.allow_damaged and not args.replay:
         parser.error("--allow-damaged needs --replay")
+    if problem := _bad_odometry(args):
+        parser.error(problem)
     if args.as_recorded and (problem := _contradiction(args)) is not None:
         parser.error(problem)
     return Arguments(
@@ -99,6 +105,7 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
         duration_s=args.duration,
         allow_damaged=args.allow_damaged,
         view_port=args.view,
+        odometry=_odometry(args),
     )
 
 
@@ -112,11 +119,30 @@ def _unknown(words: Sequence[str]) -> str:
     return f"{stray}: to map a recording: mapperd --replay {shlex.quote(stray)}"
 
 
+def _odometry(args: argparse.Namespace) -> OdometryOptions | None:
+    if not args.odometry:
+        return None
+    frames = None if args.odometry_frames is None else tuple(args.odometry_frames)
+    return OdometryOptions(tuple(args.odometry), args.odometry_offset, args.odometry_topic, frames)
+
+
+def _bad_odometry(args: argparse.Namespace) -> str | None:
+    """Return what the options of the odometry's files contradict."""
+    if args.odometry and not args.replay:
+        return "--odometry needs --replay"
+    if args.odometry and args.pose is not None:
+        return "--odometry cannot be combined with --pose"
+    for name in ("offset", "topic", "frames"):
+        if getattr(args, f"odometry_{name}") and not args.odometry:
+            return f"--odometry-{name} needs --odometry"
+    return None
+
+
 def _contradiction(args: argparse.Namespace) -> str | None:
     """Return which option contradicts --as-recorded, which takes all from the recording."""
     if not args.replay:
         return "--as-recorded needs --replay"
-    others = ("config", "store", "pose", "integrator", "start", "duration")
+    others = ("config", "store", "pose", "odometry", "integrator", "start", "duration")
     found = [f"--{name}" for name in others if getattr(args, name)]
     return f"--as-recorded cannot be combined with {', '.join(found)}" if found else None
 
@@ -169,6 +195,29 @@ def _parser() -> CommandParser:
         help="pose of a vehicle that stands still (metres, degrees); ignores odometry",
     )
     add(
+        "--odometry",
+        metavar="FILE",
+        type=Path,
+        nargs="+",
+        default=[],
+        help="odometry of other files in place of the recorded one: TUM, CSV with a header, ROS "
+        "bags, ArduPilot .tlog and .BIN, captures, recordings",
+    )
+    add(
+        "--odometry-offset",
+        metavar="S",
+        type=_offset,
+        default=0.0,
+        help="add S seconds to the times of these files",
+    )
+    add("--odometry-topic", metavar="TOPIC", help="topic of the poses in a ROS bag")
+    add(
+        "--odometry-frames",
+        metavar=("FIXED", "BODY"),
+        nargs=2,
+        help="frames of the poses in a ROS bag's transforms (default: odom or map, base_link)",
+    )
+    add(
         "--integrator",
         choices=("evidence_grid", "rays"),
         help="method of integration (default: the setting mapping.integrator)",
@@ -200,11 +249,11 @@ def _parser() -> CommandParser:
 
 
 def _with_joined_pose(argv: Sequence[str]) -> list[str]:
-    """Argparse takes "-1,0,..." for an option; joined to --pose it is a value."""
+    """Argparse takes "-1,0,..." for an option; joined to its own option it is a value."""
     joined: list[str] = []
     for word in argv:
-        if joined and joined[-1] == "--pose":
-            joined[-1] = f"--pose={word}"
+        if joined and joined[-1] in ("--pose", "--odometry-offset"):
+            joined[-1] += f"={word}"
         else:
             joined.append(word)
     return joined
@@ -231,6 +280,16 @@ def _seconds(text: str) -> float:
         value = math.nan
     if not 0 <= value < MAX_POSITION_M:
         raise argparse.ArgumentTypeError(f"{text!r}: a number of seconds >= 0 was expected")
+    return value
+
+
+def _offset(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= MAX_OFFSET_S:
+        raise argparse.ArgumentTypeError(f"{text!r}: a number of seconds was expected")
     return value
 
 

@@ -18,7 +18,7 @@ from mapperd.cli.calibrate import calibrate_command
 from mapperd.cli.doctor import doctor
 from mapperd.cli.init import init
 from mapperd.cli.mapperctl.errors import CtlError
-from mapperd.cli.replay import map_recordings, unreadable
+from mapperd.cli.replay import map_recordings, unreadable, unreadable_odometry
 from mapperd.cli.surroundings import listen, odometry_lines, sonar_lines
 from mapperd.config.layers import Layered, load_settings, settings_files
 from mapperd.config.live import ConfigStore
@@ -185,12 +185,18 @@ def _live(arguments: Arguments) -> DaemonExit:
 
 def _replay(arguments: Arguments) -> DaemonExit:
     """Check, map, write."""
-    if (problem := unreadable(arguments.replay)) is not None:
+    problem = unreadable(arguments.replay)
+    if problem is None and arguments.odometry is not None:
+        problem = unreadable_odometry(arguments.odometry.paths)
+    if problem is not None:
         return _fail(DaemonExit.NO_INPUT, problem)
 
     def ready() -> None:
         make_folder(arguments.out)
         _check_picture()
+        if arguments.odometry is not None:
+            names = ", ".join(map(str, arguments.odometry.paths))
+            _print(f"odometry of {names}; odometry in the recordings is ignored")
 
     def settings() -> Config:
         return _settings(arguments).config

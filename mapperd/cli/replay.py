@@ -19,6 +19,7 @@ from mapperd.export.trajectory import Trajectory
 from mapperd.geometry.frames import Pose
 from mapperd.mapping.content import MapContent
 from mapperd.mapping.sonar_map import SonarMap
+from mapperd.odometry.odometry_files import OdometryFiles, captured_odometry, read_odometry
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.persistence import MapPersistence, TilePersistence
 from mapperd.session.recordings import DamagedData, RecordedSession, files_in, sessions_of
@@ -30,34 +31,44 @@ from mapperd.session.replay import (
     contents,
     first_range_m,
     not_empty,
+    require_overlap,
 )
 from mapperd.session.replay_to_store import map_into_store
 from mapperd.store.stored_map import StoredMap
 from mapperd.store.tile_store import TileStore
 from oculus_driver.errors import RecordingError
+from oculus_driver.recording import PCAP, PCAPNG
 
 if TYPE_CHECKING:
     from mapperd.cli.mapperctl.view import ReplayView
 
-__all__ = ["map_recordings", "unreadable"]
+__all__ = ["map_recordings", "unreadable", "unreadable_odometry"]
 
 
 def unreadable(paths: Sequence[Path]) -> str | None:
     """Why a path cannot be a recording at all, before its content is looked at."""
     for path in paths:
-        try:
-            if not path.exists():
-                return f"{path}: there is no such file"
-            if path.is_dir():
-                if not files_in([path]):
-                    return f"{path}: there is no recording in this folder{_bag_in(path)}"
-            elif not path.is_file():
-                return f"{path}: is not a file"
-        except OSError as error:  # such as a name that is too long
-            return f"{path}: {os_reason(error)}"
-        if not os.access(path, os.R_OK):
-            return f"{path}: may not be read"
+        if (problem := _unreadable(path)) is not None:
+            return problem
+        if path.is_dir() and not files_in([path]):
+            return f"{path}: there is no recording in this folder{_bag_in(path)}"
     return None
+
+
+def unreadable_odometry(paths: Sequence[Path]) -> str | None:
+    """Return why a path cannot hold odometry at all, before its content is looked at."""
+    return next(filter(None, map(_unreadable, paths)), None)
+
+
+def _unreadable(path: Path) -> str | None:
+    try:
+        if not path.exists():
+            return f"{path}: there is no such file"
+        if not path.is_dir() and not path.is_file():
+            return f"{path}: is not a file"
+    except OSError as error:  # such as a name that is too long
+        return f"{path}: {os_reason(error)}"
+    return None if os.access(path, os.R_OK) else f"{path}: may not be read"
 
 
 def _bag_in(folder: Path) -> str:
@@ -88,18 +99,22 @@ def map_recordings(
         RecordingError: one is not a recording, or is empty.
     """
     damaged = DamagedData(allowed=arguments.allow_damaged)
-    sessions = sessions_of(files_in(arguments.replay, begun=True), damaged)
-    if not sessions:
+    paths = files_in(arguments.replay, begun=True)
+    if not paths:
         raise RecordingError(f"{arguments.replay[0]}: no recording with anything in it")
+    sessions = sessions_of(paths, damaged)
     if arguments.as_recorded:
         runs = [as_recorded(session) for session in not_empty(sessions)]
         sonar_map = SonarMap(runs[0].config)
     else:
         sonar_map = SonarMap(settings())
+        if (odometry := _odometry(arguments, sessions, sonar_map.config)) is not None:
+            sessions = sessions_of(paths, damaged, odometry)
+            require_overlap(sessions)
         runs = [as_asked(session, arguments.pose, sonar_map.config) for session in sessions]
         if len(runs) > 1 and (arguments.start_s or arguments.duration_s is not None):
             raise ReplayError("--start and --duration choose a part of one session, not of several")
-        _require_data(sessions, odometry=arguments.pose is None)
+        _require_data(sessions, arguments)
         if arguments.pose is not None:
             _require_reach(sessions, arguments.pose, sonar_map)
     ready()
@@ -114,6 +129,17 @@ def map_recordings(
             )
         return _mapped_on_disk(runs, sonar_map, window, arguments.out, trajectory)
     return sonar_map, _mapped(runs, sonar_map, window, trajectory, show(sonar_map))
+
+
+def _odometry(
+    arguments: Arguments, sessions: Sequence[RecordedSession], config: Config
+) -> OdometryFiles | None:
+    """Return the odometry of other files, or of captures; None reads the recorded odometry."""
+    if arguments.odometry is not None:
+        return read_odometry(arguments.odometry, config)
+    if arguments.pose is None and all(one.format in (PCAP, PCAPNG) for one in sessions):
+        return captured_odometry([path for one in sessions for path in one.paths], config)
+    return None
 
 
 def _mapped_on_disk(
@@ -197,13 +223,14 @@ def _stored(
         path,
         lambda _: trajectory.flush(),
         damaged=session.damaged,
+        odometry=session.odometry,
         on_mapped=trajectory.add,
     )
     wall_s = time.perf_counter() - began_s
     return whole, summary_of(recording_facts(sessions), whole, poses, counters, wall_s)
 
 
-def _require_data(sessions: Sequence[RecordedSession], *, odometry: bool) -> None:
+def _require_data(sessions: Sequence[RecordedSession], arguments: Arguments) -> None:
     """Refuse early what could only end in a map without a ping."""
     found = [contents(session) for session in sessions]
     has_sonar, has_odometry = (any(kinds) for kinds in zip(*found, strict=True))
@@ -213,10 +240,10 @@ def _require_data(sessions: Sequence[RecordedSession], *, odometry: bool) -> Non
         raise RecordingError(f"{sessions[0].paths[0]}: nothing can be read from it{damage}")
     if not has_sonar:
         raise RecordingError(f"{sessions[0].paths[0]}: no sonar data in it{damage}")
-    if odometry and not has_odometry:
+    if arguments.pose is None and not has_odometry:
         raise ReplayError(
-            f"no odometry in it{damage}, so the poses of the vehicle are unknown; if it stood "
-            "still, give its pose with --pose x,y,z,roll,pitch,yaw"
+            f"no odometry in it{damage}, so the poses of the vehicle are unknown; give them with "
+            "--odometry FILE, or if it stood still, with --pose x,y,z,roll,pitch,yaw"
         )
 
 

@@ -292,7 +292,8 @@ def recording_facts(sessions: Sequence[RecordedSession]) -> dict[str, Any]:
         "damaged_parts": parts[:MAX_PARTS],
         "damaged_used": sessions[0].damaged.allowed,
     }
-    return {"recording": facts}
+    odometry = sessions[0].odometry
+    return {"recording": facts if odometry is None else facts | {"odometry": odometry.summary()}}
 
 
 def localization_summary(facts: LocalizationFacts) -> dict[str, Any]:

@@ -9,6 +9,7 @@ wrong length made us wait for: 280 bytes at most, none of a datagram.
 
 from collections.abc import Iterator
 from dataclasses import replace
+from mmap import mmap
 from typing import Any, NamedTuple
 
 import msgspec
@@ -23,7 +24,14 @@ from mapperd.odometry.decoder import CountersState, DecoderCounters
 from mapperd.odometry.mavlink_messages import ACCELERATIONS, ORDER, READERS, specific_force
 from mapperd.odometry.records import Clock, Odometry
 
-__all__ = ["BootClock", "MavlinkDecoder", "MavlinkFrames", "stamp_of_us"]
+__all__ = [
+    "BootClock",
+    "MavlinkDecoder",
+    "MavlinkFrames",
+    "frame_size",
+    "navigation_frame",
+    "stamp_of_us",
+]
 
 V1, V2 = 0xFE, 0xFD
 V1_OVERHEAD, V2_OVERHEAD, SIGNATURE = 8, 12, 13
@@ -83,7 +91,7 @@ class MavlinkFrames:
     def _frame_end(self, place: int) -> int | None:
         """End of what would be a frame at `place`; `place` itself for none; None to wait."""
         buffer = self._buffer
-        size = _frame_size(buffer, place)
+        size = frame_size(buffer, place)
         if place < len(buffer) and (size is None or place + size > len(buffer)):
             return place if self._datagrams else None
         return None if size is None else place + size
@@ -114,7 +122,7 @@ class MavlinkFrames:
         if not self._in_sync or (end < len(buffer) and buffer[end] not in (V1, V2)):
             return False
         for inner in range(place + 1, end):
-            size = _frame_size(buffer, inner) or 0
+            size = frame_size(buffer, inner) or 0
             if size and inner + size <= len(buffer):
                 message = self._parsed(inner, inner + size)
                 if not (message is None or isinstance(message, common.MAVLink_unknown)):
@@ -122,7 +130,7 @@ class MavlinkFrames:
         return True
 
 
-def _frame_size(buffer: bytearray, place: int) -> int | None:
+def frame_size(buffer: bytearray | bytes | mmap, place: int) -> int | None:
     """Length of the frame at `place`; 0 if none begins there, None with too few bytes."""
     if place >= len(buffer):
         return None
@@ -133,6 +141,21 @@ def _frame_size(buffer: bytearray, place: int) -> int | None:
     if buffer[place] == V1:
         return buffer[place + 1] + V1_OVERHEAD
     return buffer[place + 1] + V2_OVERHEAD + (SIGNATURE if buffer[place + 2] & SIGNED else 0)
+
+
+_USED = frozenset(getattr(common, f"MAVLINK_MSG_ID_{name}") for name in (*READERS, *ACCELERATIONS))
+
+
+def navigation_frame(frame: bytes, settings: FormatSettings) -> bool:
+    """Return whether a whole frame is a message for `MavlinkDecoder`, by its header alone."""
+    if frame[0] == V1:
+        sender, number = frame[3:5], frame[5]
+    else:
+        sender, number = frame[5:7], int.from_bytes(frame[7:10], "little")
+    wanted = settings.mavlink_system_id, settings.mavlink_component_id
+    return number in _USED and all(
+        want in (0, have) for want, have in zip(wanted, sender, strict=True)
+    )
 
 
 WRAP_MS = 1 << 32

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 
+from mapperd.odometry.odometry_files import OdometryFiles
 from mapperd.pipeline.recorder import PREFIX
 from mapperd.session_log import DECISIONS, SESSION, Session, decision_of
 from mapperd.store.position import RecordingOffset
@@ -146,6 +147,7 @@ class RecordedSession:
         paths: of the files.
         session: as the attribute.
         damaged: as the attribute; by default such data are not used.
+        odometry: as the attribute.
 
     Attributes:
         paths: of the files.
@@ -153,14 +155,20 @@ class RecordedSession:
         format: of the first file.
         size_bytes: of all files.
         damaged: what damage costs.
+        odometry: of other files, read in place of the recorded odometry; None reads that.
     """
 
     def __init__(
-        self, paths: Sequence[Path], session: str | None, damaged: DamagedData | None = None
+        self,
+        paths: Sequence[Path],
+        session: str | None,
+        damaged: DamagedData | None = None,
+        odometry: OdometryFiles | None = None,
     ) -> None:
         self.paths = tuple(paths)
         self.session = session
         self.damaged = damaged or DamagedData()
+        self.odometry = odometry
         self._seen = _Seen()
         self.size_bytes = 0
         if session is not None:
@@ -208,11 +216,13 @@ class RecordedSession:
     def __iter__(self) -> Iterator[Chunk]:
         """Read from the front; raises `RecordingError` where a file cannot be opened any more."""
         self._seen = seen = _Seen()
+        merge = None if self.odometry is None else self.odometry.merge()
         for path in self.paths:
             before, is_last = seen.bytes_read, path is self.paths[-1]
             seen.chunks = 0
             with open_recording(path) as recording:
-                for chunk in self.damaged.read(recording, is_last=is_last):
+                chunks = self.damaged.read(recording, is_last=is_last)
+                for chunk in chunks if merge is None else merge.into(chunks, is_last=is_last):
                     seen.chunks += 1
                     seen.bytes_read = before + recording.bytes_read
                     yield chunk
@@ -251,18 +261,23 @@ def files_in(paths: Iterable[Path], *, begun: bool = False) -> list[Path]:
     return found
 
 
-def sessions_of(paths: Iterable[Path], damaged: DamagedData | None = None) -> list[RecordedSession]:
+def sessions_of(
+    paths: Iterable[Path],
+    damaged: DamagedData | None = None,
+    odometry: OdometryFiles | None = None,
+) -> list[RecordedSession]:
     """Put files together that follow each other in one session.
 
     Args:
         paths: of the files, in order.
         damaged: of all sessions; by default each has its own, and such data are not used.
+        odometry: of other files, for all sessions; None reads the recorded odometry.
 
     Raises:
         RecordingError: one cannot be read, or is not a recording.
     """
     return [
-        RecordedSession(list(group), session, damaged)
+        RecordedSession(list(group), session, damaged, odometry)
         for session, group in groupby(paths, key=_session_of)
     ]
 
@@ -363,6 +378,7 @@ class Tail:
         files: of `files_of`.
         start: where to begin.
         damaged: data that fail their checksum; by default they are not used.
+        odometry: as of `RecordedSession`; its chunks count in the places.
 
     Attributes:
         place: behind the chunk that was read last.
@@ -373,25 +389,34 @@ class Tail:
         files: dict[int, Path],
         start: RecordingOffset,
         damaged: DamagedData | None = None,
+        odometry: OdometryFiles | None = None,
     ) -> None:
-        self._files = {number: path for number, path in files.items() if number >= start.file}
+        self._files = {
+            number: path
+            for number, path in files.items()
+            if number >= start.file or odometry is not None  # which is merged from the front
+        }
         self._start = start
+        self._odometry = odometry
         self._damaged = damaged or DamagedData()
-        self._damaged.add_holes(self._files, start.file or None)
+        self._damaged.add_holes(self._files, None if odometry is not None else start.file or None)
         self.place = start
         self._unflushed = list(self._files.values())
 
     def __iter__(self) -> Iterator[Chunk]:
         last = max(self._files, default=0)
+        merge = None if self._odometry is None else self._odometry.merge()
         for number, path in self._files.items():
-            count = 0
+            count, is_last = 0, number == last
             with open_recording(path) as recording:
-                chunks = self._damaged.read(recording, is_last=number == last)
+                chunks = self._damaged.read(recording, is_last=is_last)
+                if merge is not None:
+                    chunks = merge.into(chunks, is_last=is_last)
                 for count, chunk in enumerate(chunks, 1):
                     if RecordingOffset(number, count) > self._start:
                         self.place = RecordingOffset(number, count)
                         yield chunk
-            if RecordingOffset(number, count) < self._start:
+            if number == self._start.file and RecordingOffset(number, count) < self._start:
                 self._damaged.add_loss(path, "it ends before the position of the map")
 
     @property

@@ -16,6 +16,7 @@ from mapperd.localization.session import LocalizationSession, begun, begun_again
 from mapperd.localization.stage import LocalizationStage
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.bridge import ENCODING_PREFIX
+from mapperd.odometry.odometry_files import OdometryFiles
 from mapperd.pipeline.build import build_pipeline
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import PingStream, PosedPing, Work
@@ -35,6 +36,8 @@ __all__ = [
     "contents",
     "first_range_m",
     "not_empty",
+    "poses_of",
+    "require_overlap",
 ]
 
 MAX_LATE_CHUNKS = 1000
@@ -218,6 +221,59 @@ def _first_sonar_ns(recording: Iterable[Chunk]) -> int | None:
     return min(stamp for stamp in stamps if abs(stamp - median) <= FIRST_SPREAD_NS)
 
 
+def poses_of(
+    odometry: OdometryFiles | None, config: Config, pose: Pose | None
+) -> FixedPose | OdometryPoses:
+    """Return where the pings of a session get their poses from.
+
+    Args:
+        odometry: of other files; None uses the recorded odometry.
+        config: the settings.
+        pose: of a vehicle at rest; None uses the odometry.
+    """
+    if pose is not None:
+        return FixedPose(pose)
+    return OdometryPoses(config if odometry is None else odometry.settings(config))
+
+
+def require_overlap(sessions: Sequence[RecordedSession]) -> None:
+    """Check that odometry of other files overlaps with a session in time.
+
+    Raises:
+        ReplayError: it overlaps with none, or the recordings have no time stamps.
+    """
+    problems = [problem for session in sessions if (problem := _no_overlap(session))]
+    if len(problems) == len(sessions):
+        raise ReplayError(problems[0])
+
+
+def _no_overlap(session: RecordedSession) -> str | None:
+    odometry = session.odometry
+    if odometry is None:
+        return None
+    first_ns = _first_sonar_ns(session)
+    if first_ns is None:
+        return "its sonar data have no time stamps: odometry of other files cannot be used"
+    offset_s = (first_ns - odometry.first_ns) / 1e9 + odometry.offset_ns / 1e9
+    remedy = (
+        "check the clocks of both, or move the odometry with --odometry-offset SECONDS "
+        f"({offset_s:.1f} lets both begin together)"
+    )
+    if odometry.last_ns < first_ns:
+        apart_s = (first_ns - odometry.last_ns) / 1e9
+        return f"{odometry} ends {apart_s:.1f} s before the sonar data begin; {remedy}"
+    last_ns = first_ns
+    for chunk in session if odometry.first_ns > first_ns else ():
+        if chunk.encoding == OCULUS and chunk.arrival_ns is not None and not chunk.damaged:
+            last_ns = max(last_ns, chunk.arrival_ns)
+        if last_ns >= odometry.first_ns:
+            return None
+    if odometry.first_ns > last_ns:
+        apart_s = (odometry.first_ns - last_ns) / 1e9
+        return f"{odometry} begins {apart_s:.1f} s after the sonar data end; {remedy}"
+    return None
+
+
 class Run:
     """A recorded session to map, with its settings, poses and localization; maps once.
 
@@ -243,7 +299,7 @@ class Run:
     ) -> None:
         self.session = session
         self.config = config
-        self.poses = OdometryPoses(config) if pose is None else FixedPose(pose)
+        self.poses = poses_of(session.odometry, config, pose)
         self.remarks = remarks
         self.localization = localization
 

@@ -14,11 +14,12 @@ from mapperd.localization.session import (
     restored_session,
 )
 from mapperd.mapping.sonar_map import SonarMap
+from mapperd.odometry.odometry_files import OdometryFiles
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.session.recordings import DamagedData, RecordedSession, Tail
 from mapperd.session.recovery import StoredSession, config_at, map_rest
-from mapperd.session.replay import Run, Window
+from mapperd.session.replay import Run, Window, poses_of
 from mapperd.session_log import SESSION
 from mapperd.store.maintenance import rebuild_lost
 from mapperd.store.position import Position, RecordingOffset, position_in
@@ -39,6 +40,7 @@ def map_into_store(
     on_chunk: Callable[[PipelineCounters], None] = lambda _: None,
     *,
     damaged: DamagedData | None = None,
+    odometry: OdometryFiles | None = None,
     on_mapped: Callable[[int | None, Pose], None] = lambda *_: None,
 ) -> tuple[StoredMap, FixedPose | OdometryPoses, PipelineCounters]:
     """Map a recording into a file, from its resume point; the file keeps its other content.
@@ -50,6 +52,7 @@ def map_into_store(
         path: of the map's file.
         on_chunk: called after every chunk.
         damaged: data that fail their checksum; by default they are not mapped.
+        odometry: of other files; None uses the recorded odometry.
         on_mapped: as of `PingExecutor`.
 
     Returns:
@@ -62,9 +65,9 @@ def map_into_store(
         CheckpointError: the resume point cannot be restored.
         MapError: nothing can be saved, so nothing more can be mapped.
     """
-    session = _identity(paths)
+    session = _identity(paths, odometry)
     sonar_map, counters = SonarMap(config), PipelineCounters()
-    poses = OdometryPoses(config) if pose is None else FixedPose(pose)
+    poses = poses_of(odometry, config, pose)
     with _open(path, sonar_map) as store:
         store.check()
         position = position_in(store.position)
@@ -85,7 +88,7 @@ def map_into_store(
                 _localization(config, resumed),
             )
             start = RecordingOffset() if resumed is None else resumed.place
-            tail = Tail(dict(enumerate(paths, 1)), start, damaged)
+            tail = Tail(dict(enumerate(paths, 1)), start, damaged, odometry)
             confirm = _is_foreign(paths[0])
             for _ in map_rest(
                 stored,
@@ -97,7 +100,12 @@ def map_into_store(
                 on_mapped=on_mapped,
             ):
                 on_chunk(counters)
-    _rebuild(path, paths, config, pose, damaged)
+
+    def recorded(session: str) -> RecordedSession:
+        whose = None if _is_foreign(paths[0]) else session
+        return RecordedSession(paths, whose, damaged, odometry)
+
+    _rebuild(path, config, pose, recorded)
     whole = StoredMap(path, config)
     if lost := whole.bricks_lost:
         whole.close()
@@ -115,10 +123,9 @@ def _open(path: Path, sonar_map: SonarMap) -> TileStore:
 
 def _rebuild(
     path: Path,
-    paths: Sequence[Path],
     config: Config,
     pose: Pose | None,
-    damaged: DamagedData | None,
+    recorded: Callable[[str], RecordedSession],
 ) -> None:
     """Rebuild lost bricks of a file that holds this recording alone."""
     sonar_map = SonarMap(config)
@@ -128,12 +135,11 @@ def _rebuild(
             return
 
         def map_again(scratch: SonarMap) -> bool:
-            session = None if _is_foreign(paths[0]) else position.session
-            recorded = RecordedSession(paths, session, damaged)
-            run = Run(recorded, config, pose, None, _localization(config, None))
-            for _ in run.replay(scratch, Window()).run(recorded):
+            session = recorded(position.session)
+            run = Run(session, config, pose, None, _localization(config, None))
+            for _ in run.replay(scratch, Window()).run(session):
                 pass
-            return recorded.is_complete(len(paths), position.ends.get(position.session))
+            return session.is_complete(len(session.paths), position.ends.get(position.session))
 
         rebuild_lost(store, sonar_map, map_again)
 
@@ -156,9 +162,9 @@ def _require_same_settings(resumed: Position | None, config: Config, *, fixed: b
         raise ReplayError("the first part was mapped with other settings: restore them")
 
 
-def _identity(paths: Sequence[Path]) -> str:
+def _identity(paths: Sequence[Path], odometry: OdometryFiles | None) -> str:
     """Return an id that is equal for equal recordings in any folder."""
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(b"" if odometry is None else odometry.identity())
     for path in paths:
         digest.update(path.stat().st_size.to_bytes(8, "little"))
         with path.open("rb") as file:
