@@ -19,10 +19,14 @@ from mapperd.export.trajectory import Trajectory
 from mapperd.geometry.frames import Pose
 from mapperd.mapping.content import MapContent
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.odometry.odometry_files import OdometryFiles, captured_odometry, read_odometry
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.persistence import MapPersistence, TilePersistence
-from mapperd.session.recordings import DamagedData, RecordedSession, files_in, sessions_of
+from mapperd.session.recordings import (
+    DamagedData,
+    RecordedSession,
+    files_in,
+    sessions_of,
+)
 from mapperd.session.replay import (
     Run,
     Window,
@@ -31,13 +35,13 @@ from mapperd.session.replay import (
     contents,
     first_range_m,
     not_empty,
+    odometry_of,
     require_overlap,
 )
 from mapperd.session.replay_to_store import map_into_store
 from mapperd.store.stored_map import StoredMap
 from mapperd.store.tile_store import TileStore
 from oculus_driver.errors import RecordingError
-from oculus_driver.recording import PCAP, PCAPNG
 
 if TYPE_CHECKING:
     from mapperd.cli.mapperctl.view import ReplayView
@@ -108,7 +112,8 @@ def map_recordings(
         sonar_map = SonarMap(runs[0].config)
     else:
         sonar_map = SonarMap(settings())
-        if (odometry := _odometry(arguments, sessions, sonar_map.config)) is not None:
+        if arguments.pose is None:
+            odometry = odometry_of(sessions, arguments.odometry, sonar_map.config)
             sessions = sessions_of(paths, damaged, odometry)
             require_overlap(sessions)
         runs = [as_asked(session, arguments.pose, sonar_map.config) for session in sessions]
@@ -129,17 +134,6 @@ def map_recordings(
             )
         return _mapped_on_disk(runs, sonar_map, window, arguments.out, trajectory)
     return sonar_map, _mapped(runs, sonar_map, window, trajectory, show(sonar_map))
-
-
-def _odometry(
-    arguments: Arguments, sessions: Sequence[RecordedSession], config: Config
-) -> OdometryFiles | None:
-    """Return the odometry of other files, or of captures; None reads the recorded odometry."""
-    if arguments.odometry is not None:
-        return read_odometry(arguments.odometry, config)
-    if arguments.pose is None and all(one.format in (PCAP, PCAPNG) for one in sessions):
-        return captured_odometry([path for one in sessions for path in one.paths], config)
-    return None
 
 
 def _mapped_on_disk(

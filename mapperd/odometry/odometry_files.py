@@ -33,6 +33,7 @@ __all__ = [
     "OdometryMerge",
     "OdometryOptions",
     "captured_odometry",
+    "content_files",
     "read_odometry",
 ]
 
@@ -205,6 +206,15 @@ def _span(file: OdometryFile) -> tuple[int, int, set[str]]:
     return first_ns, last_ns, links
 
 
+def content_files(paths: Iterable[Path]) -> Iterator[Path]:
+    """Yield files, and those in the folders of bags."""
+    for path in paths:
+        if path.is_dir():
+            yield from sorted(one for one in path.iterdir() if one.is_file())
+        else:
+            yield path
+
+
 @dataclass(frozen=True, slots=True)
 class OdometryFiles:
     """The odometry of all files, checked.
@@ -252,11 +262,10 @@ class OdometryFiles:
     def identity(self) -> bytes:
         """Return an id that is equal for equal files with equal offsets, in any folder."""
         digest = hashlib.sha256(str(self.offset_ns).encode())
-        for file in self.files:
-            for path in sorted(file.path.iterdir()) if file.path.is_dir() else [file.path]:
-                digest.update(path.stat().st_size.to_bytes(8, "little"))
-                with path.open("rb") as content:
-                    digest.update(content.read(ID_BYTES))
+        for path in content_files(file.path for file in self.files):
+            digest.update(path.stat().st_size.to_bytes(8, "little"))
+            with path.open("rb") as content:
+                digest.update(content.read(ID_BYTES))
         return digest.digest()
 
     def summary(self) -> dict[str, Any]:

@@ -7,6 +7,7 @@ have those axes instead.
 import contextlib
 import math
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,7 @@ from oculus_driver.recording import Chunk
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
+    from rosbags.typesys.store import Typestore
 
 __all__ = ["RosPoses", "is_ros_bag", "message_time_ns", "open_ros_bag", "ros_messages"]
 
@@ -70,17 +72,24 @@ def open_ros_bag(path: Path) -> "Iterator[AnyReader]":
     """
     try:
         from rosbags.highlevel import AnyReader  # noqa: PLC0415 an extra
-        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
     except ModuleNotFoundError as error:
         raise ConfigError(f"{path}: {missing_extra('rosbags', 'ros')}") from error
     with _explained(path):
-        store = None if path.suffix == ".bag" else get_typestore(Stores.ROS2_HUMBLE)
+        store = None if path.suffix == ".bag" else _default_types()
         reader = AnyReader([path], default_typestore=store)
         reader.open()
     try:
         yield reader
     finally:
         reader.close()
+
+
+@lru_cache(maxsize=1)
+def _default_types() -> "Typestore":
+    """Return the types of bags that do not define theirs."""
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 an extra
+
+    return get_typestore(Stores.ROS2_HUMBLE)
 
 
 def ros_messages(
@@ -183,7 +192,8 @@ class RosPoses:
         if not found and TRANSFORMS not in types.values():
             raise self._bad(
                 "has no odometry: no nav_msgs/Odometry, geometry_msgs/PoseStamped, "
-                f"PoseWithCovarianceStamped or tf2_msgs/TFMessage in it, but {_listed(list(types))}"
+                f"PoseWithCovarianceStamped or tf2_msgs/TFMessage, but {_listed(list(types))}; "
+                "give another file with --odometry, or the --pose of a vehicle that stands still"
             )
         return found[0] if found else None
 

@@ -9,7 +9,9 @@ from itertools import groupby
 from pathlib import Path
 
 from mapperd.odometry.odometry_files import OdometryFiles
+from mapperd.odometry.ros_bag import is_ros_bag
 from mapperd.pipeline.recorder import PREFIX
+from mapperd.session.ros_recording import open_source
 from mapperd.session_log import DECISIONS, SESSION, Session, decision_of
 from mapperd.store.position import RecordingOffset
 from oculus_driver.errors import RecordingError
@@ -175,11 +177,11 @@ class RecordedSession:
             self.damaged.add_holes(
                 {number: path for path in self.paths if (number := number_of(path)) is not None}
             )
-        with open_recording(self.paths[0]) as recording:
-            self.format = recording.format
+        self.format = ""
         for path in self.paths:
-            with open_recording(path) as recording:
+            with open_source(path) as recording:
                 self.size_bytes += recording.size_bytes
+                self.format = self.format or recording.format
 
     @property
     def bytes_read(self) -> int:
@@ -220,7 +222,7 @@ class RecordedSession:
         for path in self.paths:
             before, is_last = seen.bytes_read, path is self.paths[-1]
             seen.chunks = 0
-            with open_recording(path) as recording:
+            with open_source(path) as recording:
                 chunks = self.damaged.read(recording, is_last=is_last)
                 for chunk in chunks if merge is None else merge.into(chunks, is_last=is_last):
                     seen.chunks += 1
@@ -247,13 +249,15 @@ class RecordedSession:
 def files_in(paths: Iterable[Path], *, begun: bool = False) -> list[Path]:
     """Replace folders by the recordings in them, in the order in which they were written.
 
+    A folder with a ROS bag is one recording.
+
     Args:
         paths: of files and folders.
         begun: pass those in folders over with nothing in them, as a kill leaves them.
     """
     found: list[Path] = []
     for path in paths:
-        if path.is_dir():
+        if path.is_dir() and not is_ros_bag(path):
             inside = sorted(path.glob(f"*{SUFFIX}"), key=_numbered)
             found += [one for one in inside if not begun or _begins(one)]
         else:
@@ -292,7 +296,7 @@ def _begins(path: Path) -> bool:
 
 
 def _session_of(path: Path) -> str | None:
-    with open_recording(path) as recording:
+    with open_source(path) as recording:
         return recording.metadata.get(SESSION)
 
 
@@ -408,7 +412,7 @@ class Tail:
         merge = None if self._odometry is None else self._odometry.merge()
         for number, path in self._files.items():
             count, is_last = 0, number == last
-            with open_recording(path) as recording:
+            with open_source(path) as recording:
                 chunks = self._damaged.read(recording, is_last=is_last)
                 if merge is not None:
                     chunks = merge.into(chunks, is_last=is_last)

@@ -16,16 +16,22 @@ from mapperd.localization.session import LocalizationSession, begun, begun_again
 from mapperd.localization.stage import LocalizationStage
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.bridge import ENCODING_PREFIX
-from mapperd.odometry.odometry_files import OdometryFiles
+from mapperd.odometry.odometry_files import (
+    OdometryFiles,
+    OdometryOptions,
+    captured_odometry,
+    read_odometry,
+)
 from mapperd.pipeline.build import build_pipeline
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import PingStream, PosedPing, Work
 from mapperd.pipeline.persistence import MapPersistence
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.session.recordings import RecordedSession
+from mapperd.session.ros_recording import ROS_BAG
 from mapperd.session_log import Remarks, Session, remarks_in, without_skipped
 from oculus_driver.ping import Ping
-from oculus_driver.recording import OCULUS, Chunk
+from oculus_driver.recording import OCULUS, PCAP, PCAPNG, Chunk
 
 __all__ = [
     "Replay",
@@ -36,6 +42,7 @@ __all__ = [
     "contents",
     "first_range_m",
     "not_empty",
+    "odometry_of",
     "poses_of",
     "require_overlap",
 ]
@@ -221,6 +228,31 @@ def _first_sonar_ns(recording: Iterable[Chunk]) -> int | None:
     return min(stamp for stamp in stamps if abs(stamp - median) <= FIRST_SPREAD_NS)
 
 
+def odometry_of(
+    sessions: Sequence[RecordedSession], options: OdometryOptions | None, config: Config
+) -> OdometryFiles | None:
+    """Return the odometry that replaces the recorded one; None reads that.
+
+    Captures of the network and ROS bags hold it beside the sonar's data.
+
+    Args:
+        sessions: their recordings.
+        options: files with the odometry; None looks for it in the recordings.
+        config: the sources.
+
+    Raises:
+        RecordingError: a file of odometry is malformed, or holds none.
+        ConfigError: a format needs a library that is not installed.
+    """
+    if options is not None:
+        return read_odometry(options, config)
+    formats = {session.format for session in sessions}
+    paths = tuple(path for session in sessions for path in session.paths)
+    if formats <= {PCAP, PCAPNG}:
+        return captured_odometry(paths, config)
+    return read_odometry(OdometryOptions(paths), config) if formats == {ROS_BAG} else None
+
+
 def poses_of(
     odometry: OdometryFiles | None, config: Config, pose: Pose | None
 ) -> FixedPose | OdometryPoses:
@@ -242,8 +274,8 @@ def require_overlap(sessions: Sequence[RecordedSession]) -> None:
     Raises:
         ReplayError: it overlaps with none, or the recordings have no time stamps.
     """
-    problems = [problem for session in sessions if (problem := _no_overlap(session))]
-    if len(problems) == len(sessions):
+    problems = [_no_overlap(session) for session in sessions]
+    if problems[0] is not None and all(problems):
         raise ReplayError(problems[0])
 
 

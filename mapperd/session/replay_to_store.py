@@ -14,18 +14,18 @@ from mapperd.localization.session import (
     restored_session,
 )
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.odometry.odometry_files import OdometryFiles
+from mapperd.odometry.odometry_files import OdometryFiles, content_files
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.session.recordings import DamagedData, RecordedSession, Tail
 from mapperd.session.recovery import StoredSession, config_at, map_rest
 from mapperd.session.replay import Run, Window, poses_of
+from mapperd.session.ros_recording import open_source
 from mapperd.session_log import SESSION
 from mapperd.store.maintenance import rebuild_lost
 from mapperd.store.position import Position, RecordingOffset, position_in
 from mapperd.store.stored_map import StoredMap
 from mapperd.store.tile_store import TileStore
-from oculus_driver.recording import open_recording
 
 __all__ = ["map_into_store"]
 
@@ -146,7 +146,7 @@ def _rebuild(
 
 def _is_foreign(path: Path) -> bool:
     """Return whether another program recorded a file."""
-    with open_recording(path) as recording:
+    with open_source(path) as recording:
         return SESSION not in recording.metadata
 
 
@@ -165,7 +165,7 @@ def _require_same_settings(resumed: Position | None, config: Config, *, fixed: b
 def _identity(paths: Sequence[Path], odometry: OdometryFiles | None) -> str:
     """Return an id that is equal for equal recordings in any folder."""
     digest = hashlib.sha256(b"" if odometry is None else odometry.identity())
-    for path in paths:
+    for path in content_files(paths):
         digest.update(path.stat().st_size.to_bytes(8, "little"))
         with path.open("rb") as file:
             digest.update(file.read(ID_BYTES))
