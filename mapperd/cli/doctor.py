@@ -98,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = CommandParser(
         "mapperd doctor",
         description="Watch every link for a while; name the first layer that fails and what to do. "
-        "A running daemon holds the links: it is asked instead.",
+        "A running daemon holds the links; then doctor asks the daemon.",
         epilog="exit codes: 0 all links work; 1 a link fails; 78 invalid settings; 130 interrupted",
     )
     add = parser.add_argument

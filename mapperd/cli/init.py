@@ -34,7 +34,7 @@ VEHICLES = {
 }
 DVLS = {
     "water-linked": "Water Linked A50 or A125, read directly",
-    "autopilot": "the autopilot has its data already, such as by the BlueOS DVL extension",
+    "autopilot": "the autopilot has its data already, such as from the BlueOS DVL extension",
     "none": "attitude and depth alone",
 }
 
@@ -111,7 +111,7 @@ AUTOPILOT = """\
       water_density: {density} # kg/m3: 1025 in the sea, 998 in fresh water; for the depth
 """
 DVL = """\
-    # Not if BlueOS's DVL extension feeds the autopilot: then its data would count twice.
+    # Remove it if BlueOS's DVL extension feeds the autopilot: its data would count twice.
     - name: dvl
       format: water_linked_json
       link: tcp://{dvl_address}:16171
@@ -235,7 +235,7 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         "mapperd init",
         description="Write commented settings for a vehicle and its sonar, and a token for other "
-        "computers. On a terminal it asks for what no option gives.",
+        "computers. On a terminal it asks for what the options leave out.",
         epilog="exit codes: 0 written; 2 usage error; 73 cannot write, or the file exists; "
         "130 interrupted",
         allow_abbrev=False,
@@ -246,9 +246,9 @@ def _parser() -> CommandParser:
         metavar="FILE",
         type=Path,
         nargs="?",
-        help="settings to write (default: those of this user, which `mapperd` reads by itself)",
+        help="settings file to write (default: the user's, which `mapperd` reads by itself)",
     )
-    add("--service", action="store_true", help=f"write those of the service, {SERVICE_SETTINGS}")
+    add("--service", action="store_true", help=f"write {SERVICE_SETTINGS}, for the service")
     add("--force", action="store_true", help="replace the file")
     add("--yes", action="store_true", help="ask nothing; options that are left out have defaults")
     add("--vehicle", choices=VEHICLES, help=_listed(VEHICLES))
@@ -257,23 +257,28 @@ def _parser() -> CommandParser:
         "--dvl-address",
         metavar="HOST",
         default=default.dvl_address,
-        help=f"of a Water Linked DVL (default: {default.dvl_address})",
+        help=f"address of a Water Linked DVL (default: {default.dvl_address})",
     )
     add(
         "--fixed",
         action="store_true",
         help="the vehicle stays at one spot: map with attitude and depth alone",
     )
-    add("--sonar", metavar="ADDRESS", help="of the sonar; `any` finds it by its broadcasts")
-    add("--position", metavar="X,Y,Z", type=_three, help="of the sonar, m: forward, port, up")
+    add("--sonar", metavar="ADDRESS", help="address of the sonar; `any` finds it by its broadcasts")
+    add(
+        "--position",
+        metavar="X,Y,Z",
+        type=_three,
+        help="position of the sonar, m: forward, port, up",
+    )
     add(
         "--orientation",
         metavar="ROLL,PITCH,YAW",
         type=_three,
-        help="of the sonar, degrees; pitch 0 looks ahead, 90 down",
+        help="orientation of the sonar, degrees; pitch 0 looks ahead, 90 down",
     )
-    add("--range", metavar="M", type=_number, help="of the pings")
-    add("--water", choices=WATERS, help="for the speed of sound")
+    add("--range", metavar="M", type=_number, help="range of the pings, m")
+    add("--water", choices=WATERS, help="kind of water; sets the speed of sound")
     add(
         "--stream",
         metavar="HOST:PORT",
@@ -445,7 +450,7 @@ def _next_steps(
     except ConfigError as error:
         lines.append(str(error))
     if setup.vehicle == "bluerov2":
-        lines.append('in BlueOS: a MAVLink endpoint "UDP client", this computer, port 52210')
+        lines.append('in BlueOS, add a MAVLink endpoint "UDP client": this computer, port 52210')
         if setup.dvl == "none" and not setup.fixed:
             lines.append(
                 "without a DVL or another position, pings are recorded and shown, not mapped; "

@@ -76,10 +76,10 @@ class DaemonExit(IntEnum):
 
 
 REMEDIES = {
-    "no_odometry": "no odometry came: check odometry.sources, or give the --pose of a vehicle that "
-    "stands still",
-    "no_position": "only attitude came: add a DVL or another position, or map from one spot with "
-    "odometry.owners.position: fixed",
+    "no_odometry": "no odometry arrived: check odometry.sources, or give the --pose of a vehicle "
+    "that stands still",
+    "no_position": "only attitude arrived: add a DVL or another position, or map from one spot "
+    "with odometry.owners.position: fixed",
     **dict.fromkeys(
         ("before_odometry", "after_odometry", "odometry_gap"),
         "odometry and pings are apart in time: check the clocks of both recordings, or allow "
@@ -141,7 +141,7 @@ def _check_picture() -> None:
 HOW_TO_START = """\
 to start:
   mapperd init                 asks for vehicle and sonar, and writes the settings
-  mapperd --config FILE        maps live with settings of yours
+  mapperd --config FILE        maps live with your settings
   mapperd --replay FILE        maps a recording"""
 
 
@@ -149,7 +149,7 @@ def _without_settings() -> DaemonExit:
     """List what is on the network and how to start; no sonar is asked for pings."""
     code = _fail(
         DaemonExit.BAD_CONFIG,
-        "no settings, so no sonar is started: run `mapperd init`, or give --config",
+        "no settings, so no sonar is started: run `mapperd init`, or pass --config",
     )
     heard = asyncio.run(listen())
     lines = [*sonar_lines(heard), *odometry_lines(heard), HOW_TO_START]
@@ -347,7 +347,7 @@ def _why_empty(summary: dict[str, Any], dropped: str) -> str:
         return f"no ping lies in the chosen part; {outside} were read outside of it"
     if "live" in summary:
         sonar = summary["live"]["sonar"]
-        return f"no ping came from the sonar ({sonar}); `mapperd doctor` names what fails"
+        return f"no ping arrived from the sonar ({sonar}); `mapperd doctor` names what fails"
     rejected, total = summary["bytes_rejected"], summary["bytes_total"]
     return f"no ping in it; {rejected} of {total} bytes of sonar data rejected"
 

@@ -252,7 +252,7 @@ class OdometryLinkState:
         """It is open; nothing has come yet."""
         self._opened += 1
         self._heard_ns = now_ns
-        self._enter(LinkPhase.WAITING, f"{self._where} is open, nothing has come", now_ns)
+        self._enter(LinkPhase.WAITING, f"{self._where} is open, nothing received yet", now_ns)
 
     def received(self, size: int, now_ns: int) -> None:
         """Bytes came."""

@@ -30,6 +30,12 @@ __all__ = ["main"]
 SUBCOMMANDS = (discover, watch, log, info, play, convert, render, fire, doctor)
 
 EPILOG = """\
+examples:
+  oculus discover --first
+  oculus log --out dive1 --range 20
+  oculus info dive.mcap
+  oculus render dive.mcap dive.mp4
+
 exit codes: 0 success; 1 the sonar or the link failed, see the message; 2 invalid arguments;
 65 the file is not a recording, or a part of it is damaged and left out; 130 interrupted"""
 

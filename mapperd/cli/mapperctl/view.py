@@ -54,7 +54,8 @@ def open_page(host: str, port: int) -> "ViserServer":
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if port not in (0, server.get_port()):  # it takes the next one that is free
         server.stop()
-        raise CtlError(f"{host}:{port}: somebody else listens there: --port", CtlExit.UNAVAILABLE)
+        text = f"{host}:{port}: another program listens there: choose another --port"
+        raise CtlError(text, CtlExit.UNAVAILABLE)
     server.request_share_url = _never_shared  # type: ignore[method-assign]
     server.gui.configure_theme(
         dark_mode=True, show_logo=False, show_share_button=False, brand_color=(14, 116, 144)

@@ -140,7 +140,7 @@ def bench(
 def test_wrong_address_of_the_sonar(bench: Bench) -> None:
     code, printed = bench.run(sonar=free_tcp_port())
     one_line(printed, "If 127.0.0.1 is wrong, correct device.address", "finds the sonar")
-    one_line(printed, "no ping came from the sonar", "`mapperd doctor`")
+    one_line(printed, "no ping arrived from the sonar", "`mapperd doctor`")
     assert code == DaemonExit.BAD_DATA
 
 
@@ -356,7 +356,7 @@ def test_second_daemon(short: Path, bench: Bench) -> None:
 def test_port_of_the_page_in_use(capsys: Capture) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         assert mapperctl(["view", "--port", str(other.getsockname()[1])]) != 0
-    one_line(capsys.readouterr().err, "somebody else listens there: --port")
+    one_line(capsys.readouterr().err, "another program listens there: choose another --port")
 
 
 # Tokens

@@ -74,7 +74,7 @@ def test_without_settings_no_sonar_is_started(
     printed = capsys.readouterr()
     (line,) = printed.err.splitlines()
     assert line == (
-        "mapperd: no settings, so no sonar is started: run `mapperd init`, or give --config"
+        "mapperd: no settings, so no sonar is started: run `mapperd init`, or pass --config"
     )
     for part in ("sonar: ", "mapperd init", "--config FILE", "--replay FILE"):
         assert part in printed.out

@@ -60,7 +60,7 @@ def test_a_connection_that_another_page_makes_is_refused() -> None:
     try:
         assert asyncio.run(status("https://elsewhere.example")) == 403
         assert asyncio.run(status(f"http://{place}")) == 101
-        with pytest.raises(CtlError, match="somebody else listens there") as taken:
+        with pytest.raises(CtlError, match="another program listens there") as taken:
             open_page("127.0.0.1", server.get_port())
         assert taken.value.code == CtlExit.UNAVAILABLE
         assert server.request_share_url() is None, "nothing goes to other computers"

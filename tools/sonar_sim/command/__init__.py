@@ -12,6 +12,11 @@ from sonar_sim.errors import FAULT, INTERRUPTED, USAGE, SonarSimError
 __all__ = ["main"]
 
 EPILOG = """\
+examples:
+  sonar-sim serve harbour
+  sonar-sim capture tank --out tank.mcap
+  sonar-sim render wreck --out out/wreck --pings 3
+
 exit codes: 0 success; 1 failure; 2 invalid command or scene; 130 interrupted"""
 
 

@@ -31,7 +31,7 @@ DAEMON = "native@udp:127.0.0.1:52200"
 _FAULT_HELP = {
     "cut": "pings that end in the middle, with the connection",
     "flip": "pings with one to eight flipped bits",
-    "stall": "pings before which nothing comes for a while",
+    "stall": "pings with a pause before them",
     "lose": "pings that are never sent",
     "garbage": "pings with noise in front",
     "restart": "pings before which the sonar restarts",
@@ -49,7 +49,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("M370s", "M750d", "M1200d", "M3000d"),
         help="sonar model (default: the scene's)",
     )
-    add("--listen", metavar="ADDRESS", type=address, default="127.0.0.1")
+    add(
+        "--listen",
+        metavar="ADDRESS",
+        type=address,
+        default="127.0.0.1",
+        help="address of this computer to serve at (default: %(default)s)",
+    )
     add("--port", type=port, default=TCP_PORT, help="TCP port (default: %(default)s)")
     add(
         "--status-to",
@@ -58,7 +64,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="send status messages there instead of broadcasting",
     )
     add("--status-port", type=port, default=STATUS_PORT, help="UDP port (default: %(default)s)")
-    add("--serial", metavar="ID", type=count, default=ServeSettings().device_id)
+    add(
+        "--serial",
+        metavar="ID",
+        type=count,
+        default=ServeSettings().device_id,
+        help="serial number of the sonar (default: %(default)s)",
+    )
     add("--standby", action="store_true", help="stay silent until a client requests pings")
     add(
         "--ends",
@@ -85,7 +97,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         faults.add_argument(
             option, metavar="SHARE", type=share, default=0.0, help=_FAULT_HELP[name]
         )
-    faults.add_argument("--stall-s", metavar="S", type=positive, default=2.0)
+    faults.add_argument(
+        "--stall-s",
+        metavar="S",
+        type=positive,
+        default=2.0,
+        help="length of a pause of --stall (default: %(default)s)",
+    )
     faults.add_argument("--refuse-second", action="store_true", help="refuse a second client")
     faults.add_argument(
         "--silent-after",
