@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
 __all__ = ["CommandParser", "GroupedHelp", "did_you_mean"]
 
@@ -41,11 +41,16 @@ class CommandParser(argparse.ArgumentParser):
             message += did_you_mean(word, self._options())
         self.exit(USAGE, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
-    def add_completion(self) -> None:
-        """Add `--print-completion SHELL`."""
+    def add_completion(self, whole: Callable[[], argparse.ArgumentParser] | None = None) -> None:
+        """Add `--print-completion SHELL`.
+
+        Args:
+            whole: makes the parser to complete, where it is not this one.
+        """
         self.add_argument(
             "--print-completion",
             action=_PrintCompletion,
+            const=whole,
             dest=argparse.SUPPRESS,
             default=argparse.SUPPRESS,
             choices=SHELLS,
@@ -108,5 +113,6 @@ class _PrintCompletion(argparse.Action):
         except ImportError:
             python = shlex.quote(sys.executable or "python3")
             parser.error(f"shtab cannot be imported; to install it: {python} -m pip install shtab")
-        sys.stdout.write(f"{shtab.complete(parser, shell=values)}\n")
+        whole = self.const() if self.const is not None else parser
+        sys.stdout.write(f"{shtab.complete(whole, shell=values)}\n")
         parser.exit(0)

@@ -3,7 +3,7 @@
 import argparse
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -65,17 +65,23 @@ class Arguments:
 
 VIEW_PORT = 8080
 
-COMMANDS = ("doctor", "init")
+COMMANDS = ("calibrate", "doctor", "init")
 """The first word of other command lines."""
 
 
-def parse_arguments(argv: Sequence[str]) -> Arguments:
+def parse_arguments(
+    argv: Sequence[str], commands: Sequence[Callable[[], CommandParser]] = ()
+) -> Arguments:
     """Read the command line.
+
+    Args:
+        argv: its words.
+        commands: make the parsers of the commands, which the completion of a shell names, too.
 
     Raises:
         SystemExit: with code 2 and one line on stderr; with 0 after --help and --version.
     """
-    parser = _parser()
+    parser = _parser(commands)
     args, rest = parser.parse_known_args(_with_joined_pose(argv))
     if rest:
         parser.error(_unknown(rest))
@@ -147,7 +153,7 @@ def _contradiction(args: argparse.Namespace) -> str | None:
     return f"--as-recorded cannot be combined with {', '.join(found)}" if found else None
 
 
-def _parser() -> CommandParser:
+def _parser(commands: Sequence[Callable[[], CommandParser]] = ()) -> CommandParser:
     parser = CommandParser(
         prog="mapperd",
         description="Map the pings of an Oculus sonar in 3D, live or from recordings.",
@@ -244,7 +250,17 @@ def _parser() -> CommandParser:
         help="also map recorded data that fail their checksum",
     )
     add("--version", action="version", version=f"mapperd {__version__}")
-    parser.add_completion()
+    parser.add_completion(lambda: _with_commands(commands))
+    return parser
+
+
+def _with_commands(commands: Sequence[Callable[[], CommandParser]]) -> CommandParser:
+    """Return the command line with its commands, for completion."""
+    parser = _parser()
+    added = parser.add_subparsers(metavar="COMMAND")
+    for one in (make() for make in commands):
+        name = one.prog.split()[-1]
+        added.add_parser(name, help=one.description, parents=[one], conflict_handler="resolve")
     return parser
 
 

@@ -16,13 +16,14 @@ from mapperd.config.layers import load_settings
 from mapperd.errors import ConfigError, ExportError, MapperdError, missing_extra
 from mapperd.io import atomic_file, make_folder
 from mapperd.session.recordings import files_in, sessions_of
+from oculus_driver.command_line import CommandParser
 from oculus_driver.errors import RecordingError
 
 if TYPE_CHECKING:
     from mapperd.calibration.dive import Dive
     from mapperd.calibration.estimate import Calibration, Parameter
 
-__all__ = ["calibrate_command"]
+__all__ = ["calibrate_command", "calibrate_parser"]
 
 BAD_DATA, NO_INPUT, CANNOT_WRITE, BAD_CONFIG, INTERRUPTED = 65, 66, 73, 78, 130
 _EXITS = (
@@ -41,7 +42,7 @@ COLOUR_LIMIT_M = 0.05
 
 def calibrate_command(argv: Sequence[str]) -> int:
     """Run `mapperd calibrate`; every failure is one line and an exit code."""
-    args = _parser().parse_args(argv)
+    args = calibrate_parser().parse_args(argv)
     if (problem := unreadable([args.recording])) is not None:
         return _fail(NO_INPUT, problem)
     missing = next((name for name in ("scipy", "matplotlib") if find_spec(name) is None), None)
@@ -113,8 +114,9 @@ def _draw(dive: "Dive", found: "Calibration", path: Path) -> None:
         figure.savefig(file, format="png", dpi=100)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def calibrate_parser() -> CommandParser:
+    """Return the parser of `mapperd calibrate`."""
+    parser = CommandParser(
         "mapperd calibrate",
         description="Estimate mounting angles, time offset and scale of the ranges from a "
         "recording over floor and structure (docs/guides/calibrate.md).",

@@ -12,6 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from mapperd import __version__
 from mapperd.cli.mapperctl.connection import ControlConnection, DaemonTarget
 from mapperd.cli.mapperctl.errors import CtlError
 from mapperd.cli.mapperctl.views import status_lines
@@ -27,7 +28,7 @@ from mapperd.odometry.links import OdometryLink
 from oculus_driver.command_line import CommandParser
 from oculus_driver.discovery.probe import Layer, ProbeOptions, evaluate, probe
 
-__all__ = ["doctor"]
+__all__ = ["doctor", "doctor_parser"]
 
 BAD_CONFIG = 78
 FAULT = 1
@@ -41,7 +42,7 @@ BACK_S = 0.2
 
 def doctor(argv: Sequence[str]) -> int:
     """Run `mapperd doctor`; exit code 0 where every link is well, 1 where one is not."""
-    args = _parser().parse_args(argv)
+    args = doctor_parser().parse_args(argv)
     try:
         layered = load_settings([] if args.config is None else [args.config], os.environ)
         check_levelling(layered.config)
@@ -94,7 +95,8 @@ def _judged(path: Path, before: dict[str, Any], status: dict[str, Any], *, as_js
     return FAULT if problems else 0
 
 
-def _parser() -> argparse.ArgumentParser:
+def doctor_parser() -> CommandParser:
+    """Return the parser of `mapperd doctor`."""
     parser = CommandParser(
         "mapperd doctor",
         description="Watch every link for a while; name the first layer that fails and what to do. "
@@ -111,6 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--seconds", metavar="S", type=_seconds, default=5.0, help="time to watch (default: 5)")
     add("--ping", action="store_true", help="ask the sonar for pings: only under water")
     add("--json", action="store_true", help="print one JSON object")
+    add("--version", action="version", version=f"mapperd {__version__}")
     return parser
 
 

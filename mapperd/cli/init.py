@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from mapperd import __version__
 from mapperd.cli.surroundings import listen, sonar_lines
 from mapperd.config.layers import user_folder
 from mapperd.config.loader import config_from_text
@@ -23,7 +24,7 @@ from mapperd.server.listeners import address_of
 from mapperd.wire.auth import is_loopback
 from oculus_driver.command_line import CommandParser
 
-__all__ = ["Setup", "init", "settings_text", "user_settings"]
+__all__ = ["Setup", "init", "init_parser", "settings_text", "user_settings"]
 
 USAGE, CANNOT_WRITE, INTERRUPTED = 2, 73, 130
 
@@ -190,7 +191,7 @@ def _server(setup: Setup) -> str:
 
 def init(argv: Sequence[str]) -> int:
     """Run `mapperd init`; return its exit code."""
-    parser = _parser()
+    parser = init_parser()
     args = parser.parse_args(argv)
     if args.service and args.file:
         parser.error("FILE or --service, not both")
@@ -230,7 +231,8 @@ def user_settings(environ: Mapping[str, str]) -> Path | None:
     return None if folder is None else folder / "mapperd.yaml"
 
 
-def _parser() -> CommandParser:
+def init_parser() -> CommandParser:
+    """Return the parser of `mapperd init`."""
     default = Setup()
     parser = CommandParser(
         "mapperd init",
@@ -286,6 +288,7 @@ def _parser() -> CommandParser:
         help=f"serve map and commands there; {NO_STREAM}: on this computer alone "
         f"(default: {default.stream}, with a token)",
     )
+    parser.add_argument("--version", action="version", version=f"mapperd {__version__}")
     return parser
 
 

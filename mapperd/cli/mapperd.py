@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, TextIO
 import msgspec
 
 from mapperd.cli.arguments import Arguments, parse_arguments
-from mapperd.cli.calibrate import calibrate_command
-from mapperd.cli.doctor import doctor
-from mapperd.cli.init import init
+from mapperd.cli.calibrate import calibrate_command, calibrate_parser
+from mapperd.cli.doctor import doctor, doctor_parser
+from mapperd.cli.init import init, init_parser
 from mapperd.cli.mapperctl.errors import CtlError
 from mapperd.cli.replay import map_recordings, unreadable, unreadable_odometry
 from mapperd.cli.surroundings import listen, odometry_lines, sonar_lines
@@ -102,6 +102,7 @@ _EXITS = {
 
 
 _COMMANDS = {"calibrate": calibrate_command, "doctor": doctor, "init": init}
+_PARSERS = (calibrate_parser, doctor_parser, init_parser)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -110,7 +111,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else argv
     if words and (command := _COMMANDS.get(words[0])) is not None:
         return command(words[1:])
-    arguments = parse_arguments(words)
+    arguments = parse_arguments(words, _PARSERS)
     try:
         return _replay(arguments) if arguments.replay else _live(arguments)
     except ReplayError as error:

@@ -13,6 +13,7 @@ from mapperd.cli.arguments import _parser as mapperd_parser
 from mapperd.cli.arguments import parse_arguments
 from mapperd.cli.mapperctl.arguments import GROUPS
 from mapperd.cli.mapperctl.arguments import parser as mapperctl_parser
+from mapperd.cli.mapperd import main
 from oculus_driver.cli import _parser as oculus_parser
 from oculus_driver.command_line import CommandParser
 
@@ -66,6 +67,7 @@ def test_a_typing_error_names_the_nearest(
     [
         (["dive one.mcap"], "mapperd --replay 'dive one.mcap'"),
         (["docter"], "did you mean doctor?"),
+        (["calibrat"], "did you mean calibrate?"),
         (["--replya", "a"], "did you mean --replay?"),
     ],
 )
@@ -105,6 +107,35 @@ def test_bash_accepts_the_completion(
     assert f" {name}\n" in script.read_text(encoding="utf-8")
     bash = shutil.which("bash") or "bash"
     subprocess.run([bash, "-n", str(script)], check=True)  # noqa: S603 our own script
+
+
+def test_bash_completes_the_commands_of_mapperd(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("shtab")
+    with pytest.raises(SystemExit):
+        main(["--print-completion", "bash"])
+    script = capsys.readouterr().out
+    for words, expected in (("", ["init", "doctor", "calibrate"]), ("init --veh", ["--vehicle"])):
+        *before, last = ["mapperd", *words.split(" ")]
+        line = f"COMP_WORDS=({' '.join(before)} '{last}'); COMP_CWORD={len(before)}"
+        call = f"{line}; _shtab_mapperd mapperd '{last}'; echo ${{COMPREPLY[@]}}"
+        bash = [shutil.which("bash") or "bash", "-c", f"{script}\n{call}"]
+        done = subprocess.run(bash, capture_output=True, text=True, check=True)  # noqa: S603 our own
+        assert sorted(done.stdout.split()) == sorted(expected)
+
+
+@pytest.mark.parametrize("command", ["calibrate", "doctor", "init"])
+def test_commands_of_mapperd_have_a_version_and_errors_of_one_line(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([command, "--version"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.startswith("mapperd ")
+    with pytest.raises(SystemExit) as ended:
+        main([command, "--confg", "a.yaml", "b", "c"])
+    error = capsys.readouterr().err
+    assert (ended.value.code, error.count("\n")) == (2, 1)
+    assert f"mapperd {command} --help" in error
 
 
 def test_without_shtab_one_line_installs_it(
