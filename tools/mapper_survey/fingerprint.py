@@ -10,6 +10,7 @@ import msgspec
 
 from mapperd.config.tree import Config
 from mapperd.localization.map_io import image_of
+from mapperd.odometry.odometry_files import content_files
 from mapperd.session.recordings import files_in
 
 __all__ = ["digest_of", "facts_of", "known_map_facts", "program_digest"]
@@ -31,9 +32,9 @@ def digest_of(*parts: bytes | str | Config) -> str:
     return digest.hexdigest()[:24]
 
 
-def facts_of(recording: Path) -> str:
-    """Names, sizes and times of change of a recording's files."""
-    return "\n".join(_fact(path) for path in files_in([recording]))
+def facts_of(*paths: Path) -> str:
+    """Names, sizes and times of change of recordings, or of files of odometry."""
+    return "\n".join(_fact(path) for path in content_files(files_in(paths)))
 
 
 def known_map_facts(path: Path) -> str:

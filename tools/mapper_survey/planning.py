@@ -20,10 +20,12 @@ from mapper_survey.folder import Folder, mark, marked
 from mapper_survey.request import Dive, Request, Transform
 from mapper_survey.spool import Frame, RowFile, Rows, SpoolMap
 from mapperd.config.tree import Config
+from mapperd.errors import ReplayError
+from mapperd.odometry.odometry_files import OdometryOptions
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import PosedPing
 from mapperd.session.recordings import RecordedSession, files_in, sessions_of
-from mapperd.session.replay import Window, as_asked
+from mapperd.session.replay import Window, as_asked, odometry_of, require_overlap
 from oculus_driver.errors import RecordingError
 
 __all__ = [
@@ -52,6 +54,7 @@ class PlanTask(Struct, frozen=True):
         transform: into the survey's frame; None leaves poses as they are.
         folder: the survey's, as `Folder` takes it.
         fingerprint: of all that the plan depends on.
+        odometry: files that replace the recorded odometry; None uses that.
     """
 
     name: str
@@ -60,6 +63,7 @@ class PlanTask(Struct, frozen=True):
     transform: Transform | None
     folder: str
     fingerprint: str
+    odometry: OdometryOptions | None = None
 
 
 class Lost(Struct, frozen=True):
@@ -146,7 +150,7 @@ def plan_dive(task: PlanTask) -> DivePlan:
             rows = RowFile(index)
             spool = SpoolMap(task.config, out, rows, Frame(task.transform))
             counters = PipelineCounters()
-            sessions, lost = _sessions(Path(task.recording))
+            sessions, lost = _sessions(task)
             for session in sessions:
                 lost += _spool(session, task.config, spool, counters)
             rows.close()
@@ -182,8 +186,9 @@ def _crc_of(path: Path) -> tuple[int, int]:
     return crc, size
 
 
-def _sessions(recording: Path) -> tuple[list[RecordedSession], list[Lost]]:
+def _sessions(task: PlanTask) -> tuple[list[RecordedSession], list[Lost]]:
     """The sessions of a dive; files that are no recordings are lost as a whole."""
+    recording = Path(task.recording)
     if not recording.exists():
         raise SurveyError(f"{recording}: there is no such recording; allowed: a file or a folder")
     lost: list[Lost] = []
@@ -198,10 +203,20 @@ def _sessions(recording: Path) -> tuple[list[RecordedSession], list[Lost]]:
             usable.append(path)
     if not usable and not lost:
         lost.append(Lost(str(recording), "there is no recording in it"))
-    return sessions_of(usable), lost
+    sessions = sessions_of(usable)
+    if not sessions:
+        return sessions, lost
+    try:
+        odometry = odometry_of(sessions, task.odometry, task.config)
+        sessions = sessions_of(usable, odometry=odometry)
+        require_overlap(sessions)
+    except (RecordingError, ReplayError) as error:
+        _raise_if_of_disk(error)
+        raise SurveyError(f"dive {task.name}: {error}") from error
+    return sessions, lost
 
 
-def _raise_if_of_disk(error: RecordingError) -> None:
+def _raise_if_of_disk(error: Exception) -> None:
     """What a disk or a network refuses is no damage: it is tried again, or ends the run.
 
     Raises:
@@ -286,10 +301,19 @@ def _task(request: Request, dive: Dive, folder: Folder) -> PlanTask:
     config, recording = request.config_of(dive), request.path_of(dive)
     at = dive.localization
     known = "" if at is None else known_map_facts(request.folder / at)
+    odometry = request.odometry_of(dive)
+    others = "" if odometry is None else f"{odometry.offset_s}\n{facts_of(*odometry.paths)}"
     fingerprint = digest_of(
-        program_digest(), facts_of(recording), config, msgspec.json.encode(dive.transform), known
+        program_digest(),
+        facts_of(recording),
+        config,
+        msgspec.json.encode(dive.transform),
+        known,
+        others,
     )
-    return PlanTask(dive.name, str(recording), config, dive.transform, folder.url, fingerprint)
+    return PlanTask(
+        dive.name, str(recording), config, dive.transform, folder.url, fingerprint, odometry
+    )
 
 
 def _kept(folder: Folder, task: PlanTask, there: dict[str, int]) -> DivePlan | None:

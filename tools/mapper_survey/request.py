@@ -19,6 +19,7 @@ from mapperd.config.layers import load_files
 from mapperd.config.loader import MAX_FILE_BYTES, YamlProblem, parse_yaml
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
+from mapperd.odometry.odometry_files import OdometryOptions
 
 __all__ = ["Dive", "Request", "Survey", "SurveyOrigin", "Transform", "read_survey"]
 
@@ -54,6 +55,8 @@ class Dive(Struct, frozen=True, forbid_unknown_fields=True):
         name: of its files in the survey's folder.
         recording: a file, or a folder of files.
         transform: into the survey's frame; None where the dive's frame is that already.
+        odometry: files that replace the recorded odometry; empty uses that.
+        odometry_offset: seconds added to their times.
         localization: a known map in the survey's frame, on which the dive is localized; each ping
             is mapped at the localized poses, and only while they are certain.
     """
@@ -62,6 +65,8 @@ class Dive(Struct, frozen=True, forbid_unknown_fields=True):
     recording: Annotated[str, Meta(min_length=1)]
     transform: Transform | None = None
     localization: str | None = None
+    odometry: list[Annotated[str, Meta(min_length=1)]] = []
+    odometry_offset: Annotated[float, Meta(ge=-1e10, le=1e10)] = 0.0
 
 
 class SurveyOrigin(Struct, frozen=True, forbid_unknown_fields=True):
@@ -99,6 +104,11 @@ class Request(Struct, frozen=True):
     def path_of(self, dive: Dive) -> Path:
         """Of a dive's recording."""
         return self.folder / dive.recording
+
+    def odometry_of(self, dive: Dive) -> OdometryOptions | None:
+        """Of a dive, where it is in other files than the recording."""
+        paths = tuple(self.folder / name for name in dive.odometry)
+        return OdometryOptions(paths, dive.odometry_offset) if paths else None
 
     def config_of(self, dive: Dive) -> Config:
         """The settings that a dive is planned by.
@@ -143,6 +153,12 @@ def read_survey(path: Path) -> Request:
                 f"{here}.recording: {dive.recording}: there is no such recording; allowed: a file "
                 "or a folder, from the folder of this file"
             )
+        for name in dive.odometry:
+            if not (folder / name).exists():
+                raise SurveyError(
+                    f"{here}.odometry: {name}: there is no such file; allowed: a list of files, "
+                    "from the folder of this file"
+                )
         if dive.transform is not None and dive.localization is not None:
             raise SurveyError(
                 f"{here}: has a transform and localization; allowed: one of them, for either "

@@ -66,6 +66,11 @@ def test_a_dive_on_a_known_map_is_mapped_where_it_is_localized(tmp_path: Path) -
         ({"dives": [DIVES[0] | {"transform": {"roll": 1}}]}, "there is no roll; allowed: x, y, z"),
         ({"dives": [DIVES[0] | {"localization": "no.db"}]}, "there is no such map"),
         (
+            {"dives": [DIVES[0] | {"odometry": ["no.csv"]}]},
+            r"\$\.dives\[0\]\.odometry: no\.csv: there is no such file; allowed: a list",
+        ),
+        ({"dives": [DIVES[0] | {"odometry": "a.csv"}]}, "Expected `array`, got `str`"),
+        (
             {"dives": [DIVES[0], {"name": "b", "recording": "no.mcap"}]},
             r"\$\.dives\[1\]\.recording: no\.mcap: there is no such recording; allowed: ",
         ),
