@@ -43,13 +43,13 @@ QUICK = ("elevations",)
 """Knobs that every test run turns: what pays off on any scene."""
 ERROR_OF = {"speckle": GRAIN, "range_spread": ROWS}
 HINTS = {
-    "refraction": " Where it is called for, it is the first to turn off: bent paths cost some four "
+    "refraction": "Where it is called for, it is the first to turn off: bent paths cost some four "
     "times a whole ping of straight ones.",
-    "speckle": " It saves time: pictures without it are taken at a finer walk over each patch.",
-    "bearing_table": " It saves time: beams at equal angles follow no column of rays.",
-    "multipath": " Each mirror is one more cast, and where there are mirrors its want shows.",
+    "speckle": "It saves time: pictures without it are taken at a finer walk over each patch.",
+    "bearing_table": "It saves time: beams at equal angles follow no column of rays.",
+    "multipath": "Each mirror is one more cast, and where there are mirrors its want shows.",
 }
-"""What to do about effects whose cost shows."""
+"""What to do about effects whose cost shows; docs/reference/simulator-effects.md has them all."""
 
 
 def _swept(
@@ -85,8 +85,6 @@ def _switched(effect: Effect) -> Knob:
     )
     error = ERROR_OF.get(effect.name)
     spoken = effect.name.replace("_", " ")
-    advice = f"{spoken.capitalize()} {effect.does}; its work grows with {_work(effect)}."
-    advice += HINTS.get(effect.name, "")
     title = f"effect: {spoken}"
     return Knob(
         f"effect-{effect.name.replace('_', '-')}",
@@ -94,13 +92,9 @@ def _switched(effect: Effect) -> Knob:
         settings,
         None,
         _margin(error),
-        advice,
+        HINTS.get(effect.name, ""),
         error,
     )
-
-
-def _work(effect: Effect) -> str:
-    return "nothing" if effect.cost.value == "free" else effect.cost.value
 
 
 SAMPLING = (
