@@ -37,7 +37,7 @@ class Layered:
 
     Attributes:
         config: the settings.
-        origins: file of each setting that a file names, `octree.voxel_resolution`.
+        origins: absolute path of the file that names a setting, `octree.voxel_resolution`.
         notice: settings of an earlier version in the files, in one line; empty where there are
             none.
     """
@@ -103,7 +103,7 @@ def load_files(files: Sequence[Path]) -> Layered:
             outdated.append(f"{path}: {', '.join(phrases)}")
         for name, value in _leaves(tree, ""):
             _put(merged, name, value)
-            origins[name] = str(path)
+            origins[name] = str(path.absolute())  # a client may have another working folder
     try:
         return Layered(config_of(merged, "settings"), origins, "; ".join(outdated))
     except ConfigError as error:

@@ -79,7 +79,7 @@ class Journal:
             logged.repeats += 1
             return
         self._remember(key, logged, now_s)
-        again = f" (and {logged.repeats} times more since)" if logged and logged.repeats else ""
+        again = f" (repeated {logged.repeats} times since)" if logged and logged.repeats else ""
         self._line(event.severity, f"{event.text}{again}")
 
     def _remember(self, key: tuple[str, str], before: "_Logged | None", now_s: float) -> None:

@@ -110,8 +110,7 @@ class OdometryClock:
             stamp: int | None = odometry.stamp_ns
         else:
             stamp = self._carried_over(odometry, arrival_ns)
-        is_fitted = odometry.clock == "unix" and self._distrusted
-        self.offset_ns = odometry.stamp_ns - arrival_ns if is_fitted else None
+        self.offset_ns = self._disagreement(odometry, arrival_ns)
         off = stamp is None or abs(stamp - arrival_ns) > self.max_age_ns
         ahead = stamp is not None and stamp - arrival_ns > AHEAD_NS
         self._off = self._off + 1 if off or ahead else 0
@@ -127,6 +126,13 @@ class OdometryClock:
         if stamp is None or off:
             return Reject("clock_off", "the stamp and the arrival are too far apart")
         return stamp
+
+    def _disagreement(self, odometry: Odometry, arrival_ns: int) -> int | None:
+        """Return by how much a fitted Unix stamp is off; None within the delay of a link."""
+        if odometry.clock != "unix" or not self._distrusted:
+            return None
+        offset_ns = odometry.stamp_ns - arrival_ns
+        return None if -STEP_NS <= offset_ns <= AHEAD_NS else offset_ns
 
     def _stepped_back(self, odometry: Odometry, arrival_ns: int) -> bool:
         """Whether all of the last records came later after their stamps than any before them."""

@@ -184,3 +184,12 @@ def test_sections_of_sockets_are_merged(
 def test_errors_in_merged_sections_are_reported(tmp_path: Path, text: str) -> None:
     with pytest.raises(ConfigError, match=r"control|server"):
         load_files([write(tmp_path / "mapperd.yaml", text)])
+
+
+def test_the_origin_of_a_relative_file_holds_in_every_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("dive.yaml").write_text("filtering: {min_range: 1}\n")
+    layered = load_settings([Path("dive.yaml")], {}, tmp_path / "none")
+    assert layered.origin_of("filtering.min_range") == str(tmp_path / "dive.yaml")

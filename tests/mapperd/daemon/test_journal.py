@@ -70,7 +70,7 @@ def test_repeats_are_counted_and_reported_once() -> None:
     assert stream.getvalue().splitlines() == [
         "<5>disk full",
         "<5>another",
-        "<5>disk full (and 3 times more since)",
+        "<5>disk full (repeated 3 times since)",
         "<5>disk full",
     ]
 

@@ -6,6 +6,7 @@ import pytest
 from mapperd.geometry.frames import rotation_from_rpy
 from mapperd.odometry.clock import OdometryClock
 from mapperd.odometry.reckoning import DeadReckoning
+from mapperd.odometry.records import Odometry
 from mapperd.odometry.states import POSITION, BasePosition, turn_between
 from tests.mapperd.odometry.conftest import T0, S, record
 
@@ -30,6 +31,18 @@ def test_a_quaternion_and_its_negative_are_one_turn() -> None:
 def test_a_known_delay_of_a_link_is_taken_off() -> None:
     clock = OdometryClock(S, S // 5)
     assert clock.t_host_ns(record(), T0) == T0 - S // 5
+
+
+@pytest.mark.parametrize(("ahead_ns", "is_off"), [(0, False), (S // 50, True), (-3600 * S, True)])
+def test_a_stalled_computer_is_no_clock_that_is_off(*, ahead_ns: int, is_off: bool) -> None:
+    """Records that waited are fitted from then on; only a clock that is off is reported."""
+    clock = OdometryClock(S)
+    for k in range(60):
+        t_ns = T0 + k * S // 10
+        delay_ns = S // 10 if 20 <= k < 40 else S // 250
+        clock.t_host_ns(Odometry(stamp_ns=t_ns + ahead_ns, clock="unix"), t_ns + delay_ns)
+    assert clock.state().distrusted
+    assert (clock.offset_ns is not None) is is_off
 
 
 def test_between_a_good_place_and_a_bad_one_places_are_bad() -> None:

@@ -95,10 +95,10 @@ def test_the_sonar_has_its_controls_and_sends_a_value_once_it_rests(
         for value in (9.0, 8.5, 8.0):
             panel._handles["device.range"].value = value
             panel._changed("device.range", None)
-            await asyncio.sleep(0.01)
         panel._handles["device.mode"].value = "2"
         panel._changed("device.mode", None)
-        await asyncio.sleep(1.5)
+        while len(sent) < 2:  # noqa: ASYNC110 the panel notifies nobody
+            await asyncio.sleep(0.05)
         assert sent == [{"device.range": 8.0}, {"device.mode": 2}]
         panel.reset({"device.range": 8.0, "device.mode": 2})
         assert panel._handles["device.range"].value == 10.0
