@@ -2,6 +2,7 @@
 
 import asyncio
 import ctypes
+import re
 import time
 from typing import Any, NoReturn
 
@@ -259,8 +260,9 @@ class Watch:
             self._problems[key] = found[key]
             self._events.add(Severity.WARNING, found[key].code, found[key].text)
         for key in self._problems.keys() - found.keys():
-            code = self._problems.pop(key).code
-            self._events.add(Severity.NOTICE, "problem_solved", f"{code} is solved", problem=code)
+            solved = self._problems.pop(key)
+            text = f"solved: {re.split(r'[:;.] ', solved.text)[0]}"
+            self._events.add(Severity.NOTICE, "problem_solved", text, problem=solved.code)
         self._suspected = set(found)
 
     def _look_at_limits(self) -> None:

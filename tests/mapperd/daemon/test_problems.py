@@ -193,7 +193,7 @@ def test_a_problem_is_one_event_and_so_is_its_end() -> None:
     live: Any = None
     events = EventLog(lambda: 0)
     watch = Watch(events, live)
-    problem = Problem("no_position", "attitude alone")
+    problem = Problem("no_position", "attitude alone arrives: add a DVL")
     watch.look_at_problems([problem])
     assert events.since(0)[0] == []  # the next record may solve it
     for _ in range(3):
@@ -201,8 +201,8 @@ def test_a_problem_is_one_event_and_so_is_its_end() -> None:
     watch.look_at_problems([])
     reported = [(one.code, one.text) for one in events.since(0)[0]]
     assert reported == [
-        ("no_position", "attitude alone"),
-        ("problem_solved", "no_position is solved"),
+        ("no_position", "attitude alone arrives: add a DVL"),
+        ("problem_solved", "solved: attitude alone arrives"),
     ]
 
 
