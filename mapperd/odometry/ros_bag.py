@@ -48,14 +48,18 @@ MAX_CHAIN = 32
 """Maximum number of transforms between two frames."""
 
 NAMED_TOPICS = 8
+HEAD_BYTES = 64
 
 
 def is_ros_bag(path: Path) -> bool:
     """Return whether a path looks like a ROS bag: a folder of one, or a file by its content."""
-    if path.is_dir():
-        return (path / "metadata.yaml").is_file()
-    with path.open("rb") as file:
-        head = file.read(64)
+    try:
+        if path.is_dir():
+            return (path / "metadata.yaml").is_file()
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES)
+    except OSError:  # who reads it reports why not
+        return False
     return path.suffix in SUFFIXES and (
         head.startswith((b"#ROSBAG", b"SQLite format 3\0"))
         or (head.startswith(b"\x89MCAP0\r\n") and b"ros" in head[17:32])
