@@ -1,13 +1,12 @@
 """How well pings from different places agree about the structure around them.
 
-A bright echo of one ping is a point in the map, and all other pings that look at the point should
-show it as bright as their vertical beam pattern lets it be. The disagreement is the
-share of their brightness that no constant brightness of the points explains. Range and bearing of a
-point are measured; its elevation is the one at which the pings agree best.
+A bright echo of one ping is a point in the map, and all other pings that look at the point from
+about the same side should show it as bright. The disagreement is the share of their brightness that
+no constant brightness of the points explains. Range and bearing of a point are measured; its
+elevation is the one at which the pings agree best.
 
 A line array measures the sine of the angle between a direction and its upright plane, so the
-mounting's turn about the array changes ranges and bearings of nothing: only the vertical beam
-pattern shows it.
+mounting's turn about the array changes ranges and bearings of nothing.
 """
 
 import math
@@ -36,9 +35,6 @@ UP_STEP = 0.01
 CORRELATED = 5.0
 """Neighbouring looks err alike: how much wider than of independent ones the spread is."""
 
-HALF_POWER_SINC = 0.44295
-"""Where sinc is 3 dB down: half the width of a pattern, in wavelengths over the aperture."""
-
 ELEVATIONS = 5
 """Number of elevations tried for each echo."""
 
@@ -54,6 +50,9 @@ BRIGHT_SHARE = 0.3
 APART = 4.0
 """A look that sees a point nearly where its own ping saw it shows nothing: neighbouring pings look
 alike whatever the parameters are. In units of the blur."""
+
+REVISIT_S = 5.0
+"""Pings this far apart in time show in pictures whether passes agree."""
 
 EXTRA_ELEVATION_DEG = 3.0
 EDGE_M, EDGE_SINE = 0.1, 0.02
@@ -101,6 +100,8 @@ class Agreement:
         view: of the sonar.
         blur: of the images.
         values: (8,) parameters near which it is used.
+        side_deg: largest angle between two views of a point; another side of a thing is another
+            point.
         echoes: number of echoes to try.
         seed: of their choice.
 
@@ -109,12 +110,19 @@ class Agreement:
     """
 
     def __init__(
-        self, dive: Dive, view: View, blur: Blur, values: Floats, *, echoes: int, seed: int
+        self,
+        dive: Dive,
+        view: View,
+        blur: Blur,
+        values: Floats,
+        *,
+        side_deg: float,
+        echoes: int,
+        seed: int,
     ) -> None:
         self._dive, self._view, self._blur = dive, view, blur
         self._features = features(dive, blur)
-        width = math.sqrt(2.0) * view.aperture_rad
-        self._stretch = HALF_POWER_SINC / math.sin(width / 2)
+        self._alike = math.cos(math.radians(side_deg))
         random = np.random.default_rng(seed)
         self._ping: Numbers = np.zeros(0, dtype=np.intp)
         self._point: Numbers = np.zeros(0, dtype=np.intp)
@@ -136,9 +144,10 @@ class Agreement:
         Returns:
             Numbers whose squares add up to the disagreement, 0 to 1.
         """
-        seen, pattern = self._look(values)
+        seen = self._look(values)
         total = math.sqrt(float(seen @ seen)) or 1.0
-        return (seen - self._brightness(seen, pattern)[self._point] * pattern) / total
+        looks = np.maximum(self._sum(np.ones(len(seen))), 1)
+        return (seen - (self._sum(seen) / looks)[self._point]) / total
 
     def disagreement(self, values: Floats) -> float:
         """Return the sum of the squares of `residuals`."""
@@ -181,6 +190,33 @@ class Agreement:
                 return found, spread
             values, before = found, best
         return values, spread
+
+    def stack(self, values: Floats, offsets_m: Floats) -> Floats:
+        """Return what later and earlier pings show around the points, averaged.
+
+        A sharp spot in the middle shows that they agree.
+
+        Args:
+            values: (8,) parameters.
+            offsets_m: (N,) along range and across it, from the place of a point.
+
+        Returns:
+            (N, N) mean brightness; rows along range, columns to starboard.
+        """
+        t_s = self._dive.t_s
+        apart_s = np.abs(t_s[self._ping] - t_s[self.pings_of_echoes[self._point]])
+        again = np.flatnonzero(apart_s > REVISIT_S)
+        row, column, range_m = (part[again] for part in self._places(values))
+        ping = self._ping[again]
+        mean = np.zeros((len(offsets_m), len(offsets_m)))
+        if not len(again):
+            return mean
+        for i, ahead_m in enumerate(offsets_m):
+            for j, side_m in enumerate(offsets_m):
+                ahead = row + ahead_m / self._dive.row_m
+                side = column + side_m / (range_m * self._dive.sine_step)
+                mean[i, j] = self._sample(ping, ahead, side).mean()
+        return mean
 
     def _bounded(self, up: Floats) -> Floats:
         limit = math.sin(0.75 * self._view.aperture_rad)
@@ -252,10 +288,10 @@ class Agreement:
 
     def _score(self, values: Floats) -> Floats:
         """Return how bright each point is and how well pings agree about it; (P,)."""
-        seen, pattern = self._look(values)
+        seen = self._look(values)
         looks = self._sum(np.ones(len(seen)))
-        explained = self._sum(pattern * seen) ** 2 / (self._sum(pattern**2) + 1e-9)
-        score = (2 * explained - self._sum(seen**2)) / np.maximum(looks, 1)
+        mean = self._sum(seen) / np.maximum(looks, 1)
+        score = 2 * mean**2 - self._sum(seen**2) / np.maximum(looks, 1)
         return np.asarray(np.where(looks >= PINGS_OF_POINT, score, -np.inf))
 
     def _find_looks(self, values: Floats) -> None:
@@ -264,6 +300,9 @@ class Agreement:
         motion = dive.motion(float(values[6]))
         points = self._place(values, motion)
         mounting = view.mounting(values)
+        sonar_m = motion.position_m + motion.rotation @ values[3:6]
+        first = points - sonar_m[self.pings_of_echoes]
+        first /= np.linalg.norm(first, axis=1)[:, None]
         most_up = math.sin(view.aperture_rad + math.radians(EXTRA_ELEVATION_DEG))
         most_side = abs(dive.first_sine) - EDGE_SINE
         far_m = dive.range_m * values[7] - EDGE_M
@@ -276,6 +315,8 @@ class Agreement:
             inside = (range_m > view.min_range_m) & (range_m < far_m) & (sonar[:, 0] > 0)
             inside &= np.abs(sonar[:, 2]) < most_up * range_m
             inside &= np.abs(sonar[:, 1]) < most_side * range_m
+            along = np.einsum("ni,ni->n", points - sonar_m[ping], first)
+            inside &= along > self._alike * range_m
             side = -sonar[:, 1] / np.maximum(range_m, 1e-6)
             far = np.abs(range_m - self._range_m * values[7]) > APART * self._blur.range_m
             far |= np.abs(side - self._sine) > APART * self._blur.sine
@@ -296,8 +337,13 @@ class Agreement:
         turned = np.einsum("nij,nj->ni", motion.rotation[ping], base)
         return np.asarray(turned + motion.position_m[ping])
 
-    def _look(self, values: Floats) -> tuple[Floats, Floats]:
-        """Return what each look sees, and the beam pattern at the point's elevation; (L,)."""
+    def _look(self, values: Floats) -> Floats:
+        """Return what each look sees, (L,)."""
+        row, column, _ = self._places(values)
+        return self._sample(self._ping, row, column)
+
+    def _places(self, values: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return row, column and range, m, at which each look should see its point; (L,)."""
         dive, ping = self._dive, self._ping
         motion = dive.motion(float(values[6]))
         points = self._place(values, motion)
@@ -310,8 +356,7 @@ class Agreement:
         range_m = np.sqrt(np.einsum("ni,ni->n", sonar, sonar))
         row = range_m / (values[7] * dive.row_m) - 0.5
         column = (-sonar[:, 1] / range_m - dive.first_sine) / dive.sine_step
-        pattern = np.abs(np.sinc(self._stretch * sonar[:, 2] / range_m))
-        return self._sample(ping, row, column), pattern
+        return row, column, range_m
 
     def _sample(self, ping: Numbers, row: Floats, column: Floats) -> Floats:
         """Interpolate the features linearly."""
@@ -323,9 +368,6 @@ class Agreement:
         near = flat[at] * (1 - right) + flat[at + 1] * right
         far = flat[at + columns] * (1 - right) + flat[at + columns + 1] * right
         return np.asarray(near * (1 - down) + far * down, dtype=np.float64)
-
-    def _brightness(self, seen: Floats, pattern: Floats) -> Floats:
-        return self._sum(pattern * seen) / (self._sum(pattern**2) + 1e-9)
 
     def _sum(self, looks: Floats) -> Floats:
         """Add up numbers of the looks for each point."""

@@ -10,33 +10,76 @@ from scipy.spatial.transform import Rotation
 
 from mapperd.calibration.agreement import PARAMETERS, Agreement, Blur, View
 from mapperd.calibration.dive import Dive
-from mapperd.calibration.floor import FloorEchoes, fit_floor, floor_echoes
+from mapperd.calibration.floor import fit_floor, floor_echoes
 from mapperd.config.tree import Config
 from mapperd.geometry.frames import quaternion_to_matrix, rotation_from_rpy
 
 __all__ = ["Calibration", "Parameter", "calibrate", "start_of", "yaml_lines"]
 
 Floats = NDArray[np.float64]
+Numbers = NDArray[np.intp]
 
-BLURS = (0.02, 0.008, 0.004, 0.004, 0.004)
-"""Blur of each round, as a share of the range."""
 
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """Rounds with equal blur; each chooses other echoes.
+
+    Attributes:
+        blur: as a share of the range.
+        side_deg: largest angle between two views of a point.
+        rounds: at most.
+    """
+
+    blur: float
+    side_deg: float
+    rounds: int
+
+
+STAGES = (
+    Stage(0.02, 30.0, 2),
+    Stage(0.008, 30.0, 4),
+    Stage(0.004, 30.0, 5),
+    Stage(0.004, 18.0, 6),
+)
+"""The last stage compares views from nearly one side, and gives the result."""
+
+AVERAGED = 3
+"""Number of last rounds whose mean is the result."""
+
+SETTLED = 0.7
+"""A stage ends when no parameter changes by more than this share of its deviation."""
+
+SIDE_SHARE = 0.5
+"""Share of the difference between the last two stages that counts as an error of the result."""
+
+PICTURE_SIDE_DEG = 60.0
 SINE_PER_RANGE = 2.0
-ECHOES = 1200
-ROUNDS = 6
+ECHOES = 3000
+STEPS_OF_ROUND = 10
 FLOOR = np.array([0, 2, 6, 7])
-STRUCTURE = np.array([0, 1, 2, 6])
+STRUCTURE = np.array([0, 2, 6])
+STRUCTURE_AND_SCALE = np.array([0, 2, 6, 7])
 SEED = 5
-LIMITS = {"roll": 0.5, "yaw": 0.5, "time_offset": 0.02, "range_scale": 0.005}
+LIMITS = {"roll": 1.0, "yaw": 0.5, "time_offset": 0.02, "range_scale": 0.01}
 """A parameter whose standard deviation is larger is not observable."""
+
+LEAST_DEVIATION = {"roll": 0.03, "yaw": 0.03, "time_offset": 0.003, "range_scale": 0.001}
+"""Errors of the model: what the chirp and the motion within a ping do, for one."""
+
+WITHOUT_FLOOR = {"roll": 0.4, "range_scale": 0.004}
+"""The same where structure alone gives these: of a wall or a pile the sonar shows
+what its beam cuts out, which moves with the vehicle, as a wrong scale does."""
+
+FLOOR_SCALE_LIMIT = 0.005
+"""The floor is used if the standard deviation of its scale is smaller."""
 
 PLAUSIBLE = {"roll": 15.0, "yaw": 15.0, "time_offset": 0.25, "range_scale": 0.06}
 """A larger change shows that the fit went astray."""
 
 REASONS = {
     "pitch": "a turn about the array changes no range and no bearing",
-    "x": "the map moves with it",
-    "y": "the map moves with it",
+    "x": "a ruler is better",
+    "y": "a ruler is better",
     "z": "the map moves with it",
 }
 DEFAULT_REASON = "the dive does not show it: more turns, heights and overlap are needed"
@@ -72,14 +115,14 @@ class Calibration:
         parameters: all, in the order of `PARAMETERS`.
         start, values: (8,) parameters at the start and at the end.
         view: of the sonar at the start.
-        floor: echoes of the floor.
+        compared: views of the structure, for pictures.
     """
 
     parameters: tuple[Parameter, ...]
     start: Floats
     values: Floats
     view: View
-    floor: FloorEchoes
+    compared: Agreement
 
 
 def start_of(config: Config) -> tuple[View, Floats]:
@@ -98,7 +141,8 @@ def calibrate(
 ) -> Calibration:
     """Estimate mounting, time offset and scale of the ranges.
 
-    The floor gives the scale, for its echoes have no unknown elevation; structure gives the rest.
+    The floor gives the scale where its nearest point is in the beam, for those echoes have no
+    unknown elevation; structure gives the rest.
 
     Args:
         dive: of a recording.
@@ -107,30 +151,65 @@ def calibrate(
     """
     view, start = start_of(config)
     progress("floor")
-    echoes = floor_echoes(dive, view)
-    values, deviation = fit_floor(dive, view, echoes, start, FLOOR)
+    values, deviation = fit_floor(dive, view, floor_echoes(dive, view), start, FLOOR)
     deviations = np.full(len(PARAMETERS), np.inf)
-    deviations[FLOOR] = deviation
-    if not deviations[7] <= LIMITS["range_scale"] or _astray(values - start):
-        values = start.copy()
-        deviations[FLOOR] = np.inf
-    found = start.copy()
-    found[[0, 7]] = values[[0, 7]]
-    for number, share in enumerate(BLURS):
-        progress(f"structure, round {number + 1} of {len(BLURS)}")
-        blur = Blur(share * dive.range_m, share * SINE_PER_RANGE)
-        agreement = Agreement(dive, view, blur, found, echoes=ECHOES, seed=SEED + number)
-        found, deviation = agreement.improve(found, STRUCTURE, ROUNDS)
-        deviations[STRUCTURE] = deviation
-        if astray := _astray(found - start):
-            found, deviations = start.copy(), np.full(len(PARAMETERS), np.inf)
-            progress(f"the fit of {', '.join(astray)} went astray: nothing is changed")
-            break
+    found, free = start.copy(), STRUCTURE_AND_SCALE
+    if deviation[3] <= FLOOR_SCALE_LIMIT and not _astray(values - start):
+        found[[0, 7]] = values[[0, 7]]
+        deviations[7] = deviation[3]
+        free = STRUCTURE
+    found, deviations[free] = _fit_structure(dive, view, found, free, progress)
+    if astray := _astray(found - start):
+        found, deviations = start.copy(), np.full(len(PARAMETERS), np.inf)
+        progress(f"the fit of {', '.join(astray)} went astray: nothing is changed")
     parameters = tuple(
         _parameter(name, found[k] - start[k], deviations[k]) for k, name in enumerate(PARAMETERS)
     )
     used = np.array([one.change for one in parameters]) + start
-    return Calibration(parameters, start, used, view, echoes)
+    last = STAGES[-1].blur
+    blur = Blur(last * dive.range_m, last * SINE_PER_RANGE)
+    compared = Agreement(
+        dive, view, blur, used, side_deg=PICTURE_SIDE_DEG, echoes=ECHOES, seed=SEED
+    )
+    return Calibration(parameters, start, used, view, compared)
+
+
+def _fit_structure(
+    dive: Dive, view: View, values: Floats, free: Numbers, progress: Callable[[str], None]
+) -> tuple[Floats, Floats]:
+    """Fit the free parameters; return all, and the deviations of the free ones.
+
+    A surface that curves shows other points to other sides, and so biases the fit: by the square
+    of the angle between the views. The difference between the last two stages shows how much.
+    """
+    seed, first = SEED, values
+    results: list[Floats] = []
+    before = values
+    for number, stage in enumerate(STAGES):
+        progress(f"structure, stage {number + 1} of {len(STAGES)}")
+        before = np.mean(results[-AVERAGED:], axis=0) if results else values
+        results = []
+        for _ in range(stage.rounds):
+            blur = Blur(stage.blur * dive.range_m, stage.blur * SINE_PER_RANGE)
+            agreement = Agreement(
+                dive, view, blur, values, side_deg=stage.side_deg, echoes=ECHOES, seed=seed
+            )
+            seed += 1
+            last = values
+            values, formal = agreement.improve(values, free, STEPS_OF_ROUND)
+            if _astray(values - first):
+                return values, np.full(len(free), np.inf)
+            results.append(values)
+            settled = np.all(np.abs((values - last)[free]) < SETTLED * formal)
+            enough = AVERAGED if stage is STAGES[-1] else 1
+            if settled and len(results) > enough:
+                break
+    mean = np.mean(results[-AVERAGED:], axis=0)
+    between = np.std(results[-AVERAGED:], axis=0, ddof=1)[free]
+    sides = SIDE_SHARE * (mean - before)[free]
+    model = LEAST_DEVIATION if free is STRUCTURE else LEAST_DEVIATION | WITHOUT_FLOOR
+    least = np.array([model[PARAMETERS[k]] for k in free])
+    return mean, np.sqrt(formal**2 + between**2 + sides**2 + least**2)
 
 
 def _astray(change: Floats) -> list[str]:

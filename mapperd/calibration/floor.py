@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter
 from mapperd.calibration.agreement import STEPS, View
 from mapperd.calibration.dive import Dive
 
-__all__ = ["FloorEchoes", "fit_floor", "floor_echoes", "floor_points", "height_spread"]
+__all__ = ["FloorEchoes", "fit_floor", "floor_echoes", "floor_points"]
 
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -145,16 +145,6 @@ def fit_floor(
             noise_m = math.sqrt(CORRELATED * float(np.average(residuals**2, weights=weight)))
             spread = noise_m * np.sqrt(np.diag(np.linalg.inv(normal))) * steps
     return values, spread
-
-
-def height_spread(
-    dive: Dive, view: View, echoes: FloorEchoes, values: Floats
-) -> tuple[Floats, Floats]:
-    """Return the points, (N, 3), and their distance from the median height of their cell, m."""
-    points, lit = floor_points(dive, view, echoes, values)
-    points = points[lit]
-    _, median_m = _cells(points)
-    return points, points[:, 2] - median_m
 
 
 def _cells(points: Floats) -> tuple[Numbers, Floats]:

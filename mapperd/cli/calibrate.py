@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import os
 import sys
 from collections.abc import Sequence
@@ -20,7 +21,6 @@ from oculus_driver.command_line import CommandParser
 from oculus_driver.errors import RecordingError
 
 if TYPE_CHECKING:
-    from mapperd.calibration.dive import Dive
     from mapperd.calibration.estimate import Calibration, Parameter
 
 __all__ = ["calibrate_command", "calibrate_parser"]
@@ -34,10 +34,8 @@ _EXITS = (
 )
 UNITS = {"time_offset": "s", "range_scale": "", "x": "m", "y": "m", "z": "m"}
 DIGITS = {"time_offset": 4, "range_scale": 4}
-STRUCTURE_M = 0.15
-"""Echoes further from the floor are of structure, and not drawn."""
-
-COLOUR_LIMIT_M = 0.05
+HALF_M, PIXELS = 0.3, 41
+"""Half the side of the pictures, and their pixels along a side."""
 
 
 def calibrate_command(argv: Sequence[str]) -> int:
@@ -68,14 +66,20 @@ def _calibrate(args: argparse.Namespace) -> int:
     dive = read_dive(sessions[0], config)
     found = calibrate(dive, config, _progress)
     lines = yaml_lines(found, config, dive.sound_mps)
-    facts = [asdict(one) | {"observable": one.observable} for one in found.parameters]
+    facts = [_facts(one) for one in found.parameters]
     for name, text in (("calibration.yaml", lines), ("calibration.json", json.dumps(facts))):
         with atomic_file(args.out / name) as file:
             file.write(text.encode())
-    _draw(dive, found, args.out / "calibration.png")
+    _draw(found, args.out / "calibration.png")
     print("\n".join(map(_row, found.parameters)))  # noqa: T201 a command speaks
     print(f"\n{lines}\nwritten to {args.out}/calibration.yaml")  # noqa: T201
     return 0
+
+
+def _facts(one: "Parameter") -> dict[str, object]:
+    """Return a parameter for JSON, which has no infinity."""
+    deviation = one.deviation if math.isfinite(one.deviation) else None
+    return asdict(one) | {"deviation": deviation, "observable": one.observable}
 
 
 def _row(one: "Parameter") -> str:
@@ -85,31 +89,32 @@ def _row(one: "Parameter") -> str:
     return f"{one.name:<12} {one.change:+.{digits}f} ± {one.deviation:.{digits}f} {unit}".rstrip()
 
 
-def _draw(dive: "Dive", found: "Calibration", path: Path) -> None:
-    """Draw how far pings disagree about the height of the floor, before and after."""
+def _draw(found: "Calibration", path: Path) -> None:
+    """Draw the mean of what pings show where pings of other passes saw a spot, before and after."""
+    import numpy as np  # noqa: PLC0415 as the next ones
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 an extra
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    from mapperd.calibration.floor import height_spread  # noqa: PLC0415
-
-    figure = Figure(figsize=(12, 5.5), layout="constrained")
+    offsets_m = np.linspace(-HALF_M, HALF_M, PIXELS)
+    before, after = (found.compared.stack(v, offsets_m) for v in (found.start, found.values))
+    limit = max(float(before.max()), float(after.max()), 1e-9)
+    figure = Figure(figsize=(11, 5.6), layout="constrained")
     FigureCanvasAgg(figure)
-    scatter = None
-    for place, (name, values) in enumerate((("before", found.start), ("after", found.values))):
-        points, spread_m = height_spread(dive, found.view, found.floor, values)
-        axes = figure.add_subplot(1, 2, place + 1, aspect="equal")
-        floor = abs(spread_m) < STRUCTURE_M
-        points, spread_m = points[floor], spread_m[floor]
-        limit = COLOUR_LIMIT_M
-        scatter = axes.scatter(
-            points[:, 0], points[:, 1], c=spread_m, s=2, cmap="coolwarm", vmin=-limit, vmax=limit
+    figure.suptitle("Where one pass saw a bright spot, the other passes show on average:")
+    edge_cm = 100 * HALF_M
+    for place, (name, stack) in enumerate((("Before", before), ("After", after))):
+        axes = figure.add_subplot(1, 2, place + 1)
+        extent = (-edge_cm, edge_cm, -edge_cm, edge_cm)
+        image = axes.imshow(
+            stack, origin="lower", extent=extent, cmap="inferno", vmin=0, vmax=limit
         )
-        typical_cm = 100 * float(abs(spread_m).mean())
-        axes.set_title(f"{name}: heights differ by {typical_cm:.1f} cm")
-        axes.set_xlabel("east, m")
-        axes.set_ylabel("north, m")
-    if scatter is not None:
-        figure.colorbar(scatter, label="height above the others' floor, m")
+        axes.axhline(0, color="white", linewidth=0.5)
+        axes.axvline(0, color="white", linewidth=0.5)
+        share = float(stack[PIXELS // 2, PIXELS // 2]) / limit
+        axes.set_title(f"{name}: {max(share, 0.0):.0%} of the brightness in place")
+        axes.set_xlabel("to starboard, cm")
+        axes.set_ylabel("farther, cm")
+    figure.colorbar(image, label="brightness, over its surroundings")
     with atomic_file(path) as file:
         figure.savefig(file, format="png", dpi=100)
 

@@ -1,118 +1,95 @@
-"""A simulated dive with known errors: the calibration finds those that the dive shows."""
+"""Simulated dives with known errors: the calibration finds those that the dives show."""
 
 import json
 import math
 from pathlib import Path
 
-import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 from sonar_sim.capture import CaptureSettings, write_capture
-from sonar_sim.scene_file import load_scenario
+from sonar_sim.scene_file import SHIPPED, load_scenario
 from sonar_sim.wire import Network
 
 from mapperd.cli.mapperd import main
 
-SCENE = """\
-water: {temperature_c: 10, salinity_ppt: 35, depth_m: 5, volume_strength_db: -95}
-terrain:
-  relief: {kind: procedural, depth_m: 6.5, relief_m: 0.06, longest_m: 6, shortest_m: 1.5, seed: 4}
-  x_m: [-11, 11]
-  y_m: [-9, 9]
-  cell_m: 0.3
-  material: sand
-objects:
-  - name: pile
-    shape: {kind: cylinder, radius_m: 0.15, height_m: 5, open: true, facets: 24}
-    material: overgrown_concrete
-    position_m: [-4, 2.2, -4.2]
-    smooth: true
-    repeat: {count: 4, step_m: [2.6, 0.3, 0]}
-  - name: post
-    shape: {kind: cylinder, radius_m: 0.1, height_m: 3, open: true, facets: 24}
-    material: overgrown_steel
-    position_m: [-3, -2.6, -5.2]
-    smooth: true
-    repeat: {count: 4, step_m: [2.2, -0.2, 0]}
-  - name: block
-    shape: {kind: box, size_m: [0.8, 0.5, 0.6]}
-    material: concrete
-    position_m: [-3.5, -0.6, 0.3]
-    on_floor: true
-    yaw_deg: 25
-    cell_m: 0.3
-    repeat: {count: 4, step_m: [2.3, 0.4, 0]}
-  - name: boulder
-    shape: {kind: sphere, radius_m: [0.35, 0.3, 0.3], subdivisions: 2}
-    material: rock
-    position_m: [-5, -4.5, 0.1]
-    on_floor: true
-    repeat: {count: 6, step_m: [1.7, 1.6, 0]}
-sonar: {model: M750d, mode: 1, range_m: 6, ping_rate_hz: 2, beams: 256, told_speed_mps: 1510}
-mounting: {position_m: [0.15, 0.0, -0.4], pitch_deg: 90.5, roll_deg: 1.5, yaw_deg: -2.0}
-trajectory:
-  sway_deg: 3
-  waypoints:
-"""
-
-WAYPOINTS = (
-    (-5, 0.8, -3.2, 0, 0),
-    (5, 0.8, -3.2, 0, 15),
-    (5, -1.4, -3.2, 180, 0),
-    (-5, -1.4, -3.2, 180, -15),
-    (-5, 0.6, -1.8, 360, 0),
-    (5, 0.4, -1.8, 360, -15),
-    (2.5, -4, -1.8, 450, 0),
-    (2.5, 4, -1.8, 450, 10),
-    (-1.5, 4, -2.8, 630, 0),
-    (-1.5, -4, -2.8, 630, -10),
-    (-1.5, -3.8, -2.8, 270, 0),
+FORWARD = (
+    (-7, 0.3, -3.4, 0),
+    (-1, 0.3, -3.4, 0),
+    (-1, 0.3, -3.4, -60),
+    (-1, 0.3, -3.4, 60),
+    (0, 4.5, -3.0, -60),
+    (1.5, 5.5, -3.0, -120),
+    (1.5, 4.5, -3.0, -45),
+    (6, 3, -2.6, -160),
+    (2.5, 1, -2.6, -190),
+    (4, -2, -4.0, -240),
+    (4.5, -5.5, -4.0, -270),
+    (2, -5.2, -3.5, -240),
+    (0, -5, -3.0, -300),
+    (-3, -6, -3.0, -260),
+    (-6, -4, -3.0, -320),
 )
-"""Lanes over structure: both ways and across, at three heights, rolled, with turns."""
+"""Towards structure from several sides, with turns on the spot, at several heights."""
 
-SETTINGS = """\
-mounting:
-  position: { x: 0.15, y: 0.0, z: -0.4 }
-  orientation: { roll: 0.0, pitch: 90.0, yaw: 0.0 }
-"""
-LATENCY_S = 0.053
 SPEED_MPS = 1490.07
+"""In the scene's water."""
+
+NAMES = ("roll", "pitch", "yaw")
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3000)
+@pytest.mark.parametrize(
+    "dive",
+    [
+        (90.0, (3.0, 1.0, -2.5), 0.070, 1508, 14),
+        (90.0, (0.0, 2.0, -3.5), 0.020, 1478, 12),
+        (30.0, (-1.0, 1.5, 3.0), 0.030, 1480, 32),
+    ],
+    ids=["all errors at once", "another seed", "looking ahead"],
+)
 def test_finds_the_errors_of_a_simulated_dive(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, dive: tuple[float, tuple[float, float, float], float, float, int]
 ) -> None:
-    points = "".join(
-        f"    - {{position_m: [{x}, {y}, {z}], yaw_deg: {yaw}, roll_deg: {roll}}}\n"
-        for x, y, z, yaw, roll in WAYPOINTS
+    pitch_deg, turn_deg, latency_s, told_mps, seed = dive
+    scene = yaml.safe_load((SHIPPED / "calibration.yaml").read_text())
+    turn = Rotation.from_rotvec(turn_deg, degrees=True)
+    mounting = turn * Rotation.from_euler("ZYX", [0.0, pitch_deg, 0.0], degrees=True)
+    angles = zip(
+        ("yaw_deg", "pitch_deg", "roll_deg"), mounting.as_euler("ZYX", degrees=True), strict=True
     )
-    scene, settings = tmp_path / "scene.yaml", tmp_path / "settings.yaml"
-    scene.write_text(SCENE + points)
-    settings.write_text(SETTINGS)
+    scene["mounting"].update({name: float(angle) for name, angle in angles})
+    scene["sonar"]["told_speed_mps"] = told_mps
+    if pitch_deg < 90.0:
+        scene["sonar"]["ping_rate_hz"] = 3
+        scene["trajectory"]["waypoints"] = [
+            {"position_m": list(place), "yaw_deg": yaw} for *place, yaw in FORWARD
+        ]
+    file, settings, out = tmp_path / "scene.yaml", tmp_path / "settings.yaml", tmp_path / "out"
+    file.write_text(yaml.safe_dump(scene))
+    settings.write_text(f"mounting: {{orientation: {{pitch: {pitch_deg}}}}}\n")
     recording = tmp_path / "dive.mcap"
-    network = Network(processing_s=LATENCY_S)
-    write_capture(
-        recording,
-        load_scenario(str(scene)),
-        CaptureSettings(seed=11, processes=1, network=network),
-    )
-    out = tmp_path / "out"
-    code = main(["calibrate", str(recording), "--config", str(settings), "--out", str(out)])
-    printed = capsys.readouterr().out
-    assert code == 0
+    network = Network(processing_s=latency_s)
+    capture = CaptureSettings(seed=seed, processes=1, network=network)
+    write_capture(recording, load_scenario(str(file)), capture)
+    assert main(["calibrate", str(recording), "--config", str(settings), "--out", str(out)]) == 0
     found = {one["name"]: one for one in json.loads((out / "calibration.json").read_text())}
-    true = Rotation.from_euler("ZYX", [-2.0, 90.5, 1.5], degrees=True)
-    start = Rotation.from_euler("ZYX", [0.0, 90.0, 0.0], degrees=True)
-    roll, _, yaw = np.degrees((true * start.inv()).as_rotvec())
-    assert found["roll"]["change"] == pytest.approx(roll, abs=0.3)
-    assert found["yaw"]["change"] == pytest.approx(yaw, abs=0.3)
-    assert found["time_offset"]["change"] == pytest.approx(-LATENCY_S, abs=0.010)
-    assert found["range_scale"]["change"] + 1 == pytest.approx(SPEED_MPS / 1510, abs=0.003)
-    assert not found["pitch"]["observable"]
+    errors = {
+        name: found[name]["change"] - true for name, true in zip(NAMES, turn_deg, strict=True)
+    }
+    errors["time_offset"] = found["time_offset"]["change"] + latency_s
+    errors["range_scale"] = found["range_scale"]["change"] + 1 - SPEED_MPS / told_mps
+    if pitch_deg == 90.0:
+        assert abs(errors["roll"]) < 0.3
+    assert abs(errors["yaw"]) < 0.3
+    assert abs(errors["time_offset"]) < 0.010
+    assert abs(errors["range_scale"]) < 0.003
+    for name in ("roll", "yaw", "time_offset", "range_scale"):
+        assert abs(errors[name]) < 2.5 * found[name]["deviation"], name
+    assert [one for one in found if not found[one]["observable"]] == ["pitch", "x", "y", "z"]
     assert math.isclose(found["pitch"]["change"], 0.0)
-    assert "latency_sec: 0.05" in printed
+    assert found["pitch"]["deviation"] is None
     assert (out / "calibration.png").stat().st_size > 10_000
 
 

@@ -183,8 +183,9 @@ def test_numbers_are_what_they_look_like(load: Load) -> None:
         load("water: {temperature_c: 1:30}")
 
 
-def test_eight_scenes_are_shipped() -> None:
+def test_nine_scenes_are_shipped() -> None:
     assert scene_names() == [
+        "calibration",
         "flat_floor",
         "harbour",
         "open_water",
