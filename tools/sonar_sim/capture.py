@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, RecordingWriter
+from sonar_sim.effects.plan import AUTO, Choice
 from sonar_sim.raycast.visible_surface import VisibleSurface
 from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
 from sonar_sim.scene.vehicle import (
@@ -44,6 +45,8 @@ class CaptureSettings:
         lead_s: odometry before the first ping and after the last.
         quiet_s: of the path's beginning, with odometry alone: the sonar is not sounding yet.
         processes: that simulate; changes nothing in the file.
+        network: the way from the sonar to the host.
+        effects: what the simulator computes.
     """
 
     seed: int = 7
@@ -51,6 +54,7 @@ class CaptureSettings:
     quiet_s: float = 0.0
     processes: int = os.cpu_count() or 1
     network: Network = field(default_factory=Network)
+    effects: Choice = AUTO
 
 
 def ping_times_s(scenario: Scenario, settings: CaptureSettings) -> list[float]:
@@ -108,7 +112,7 @@ def _sonar_link(
     shots = [PingRequest(sonar_pose(scenario, t), t, sonar_motion(scenario, t)) for t in times_s]
     generator = _generator(settings.seed, NETWORK_STREAM)
     listening_s = 2.0 * sonar.range_m / (sonar.told_speed_mps or water.speed_of_sound_mps)
-    recipe = SimulatorSpec(scenario.scene, sonar, settings.seed)
+    recipe = SimulatorSpec(scenario.scene, sonar, settings.seed, settings.effects)
     pings = simulate_pings(recipe, shots, settings.processes)
     for ping_id, (time_s, ping) in enumerate(zip(times_s, pings, strict=True)):
         seen.add(ping.seen_m)

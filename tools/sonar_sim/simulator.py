@@ -176,10 +176,11 @@ class SimulatorSpec:
     scene: Scene
     sonar: SonarSettings
     seed: int
+    effects: Choice = AUTO
 
     def build(self, threads: int) -> Simulator:
         """Make the simulator."""
-        return Simulator(self.scene, self.sonar, self.seed, threads=threads)
+        return Simulator(self.scene, self.sonar, self.seed, effects=self.effects, threads=threads)
 
 
 _worker: list[Simulator] = []
