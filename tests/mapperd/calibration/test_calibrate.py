@@ -90,6 +90,9 @@ def test_finds_the_errors_of_a_simulated_dive(
     assert [one for one in found if not found[one]["observable"]] == ["pitch", "x", "y", "z"]
     assert math.isclose(found["pitch"]["change"], 0.0)
     assert found["pitch"]["deviation"] is None
+    lines = yaml.safe_load((out / "calibration.yaml").read_text())
+    assert lines["device"]["latency_sec"] == pytest.approx(latency_s, abs=0.010)
+    assert lines["water"]["speed_of_sound"] == pytest.approx(SPEED_MPS, abs=9)
     assert (out / "calibration.png").stat().st_size > 10_000
 
 
