@@ -114,8 +114,9 @@ def map_recordings(
         sonar_map = SonarMap(settings())
         if arguments.pose is None:
             odometry = odometry_of(sessions, arguments.odometry, sonar_map.config)
-            sessions = sessions_of(paths, damaged, odometry)
-            require_overlap(sessions)
+            if odometry is not None:
+                require_overlap(sessions, odometry)
+                sessions = sessions_of(paths, damaged, odometry)
         runs = [as_asked(session, arguments.pose, sonar_map.config) for session in sessions]
         if len(runs) > 1 and (arguments.start_s or arguments.duration_s is not None):
             raise ReplayError("--start and --duration choose a part of one session, not of several")

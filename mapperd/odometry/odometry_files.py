@@ -146,6 +146,8 @@ def _opened(path: Path, offset_ns: int, options: OdometryOptions, config: Config
     try:
         if is_ros_bag(path):
             return RosPoses(path, offset_ns, options.topic, options.frames, config)
+        if path.is_dir():
+            raise RecordingError(f"{path}: no ROS bag in this folder; name a file of odometry")
         with path.open("rb") as file:
             probe = file.read(PROBE)
     except OSError as error:

@@ -268,21 +268,22 @@ def poses_of(
     return OdometryPoses(config if odometry is None else odometry.settings(config))
 
 
-def require_overlap(sessions: Sequence[RecordedSession]) -> None:
+def require_overlap(sessions: Sequence[RecordedSession], odometry: OdometryFiles) -> None:
     """Check that odometry of other files overlaps with a session in time.
+
+    Args:
+        sessions: their recordings alone.
+        odometry: of other files.
 
     Raises:
         ReplayError: it overlaps with none, or the recordings have no time stamps.
     """
-    problems = [_no_overlap(session) for session in sessions]
+    problems = [_no_overlap(session, odometry) for session in sessions]
     if problems[0] is not None and all(problems):
         raise ReplayError(problems[0])
 
 
-def _no_overlap(session: RecordedSession) -> str | None:
-    odometry = session.odometry
-    if odometry is None:
-        return None
+def _no_overlap(session: RecordedSession, odometry: OdometryFiles) -> str | None:
     first_ns = _first_sonar_ns(session)
     if first_ns is None:
         return "its sonar data have no time stamps: odometry of other files cannot be used"

@@ -208,8 +208,9 @@ def _sessions(task: PlanTask) -> tuple[list[RecordedSession], list[Lost]]:
         return sessions, lost
     try:
         odometry = odometry_of(sessions, task.odometry, task.config)
-        sessions = sessions_of(usable, odometry=odometry)
-        require_overlap(sessions)
+        if odometry is not None:
+            require_overlap(sessions, odometry)
+            sessions = sessions_of(usable, odometry=odometry)
     except (RecordingError, ReplayError) as error:
         _raise_if_of_disk(error)
         raise SurveyError(f"dive {task.name}: {error}") from error

@@ -324,6 +324,7 @@ def test_bad_files_are_one_line(bench: Bench) -> None:
     text = b"t,x,y,z,qx,qy,qz,qw\n" + b"1,2,3,4,0,0,0,1\n" * 2000
     (bench.folder / "latin").write_bytes(text + b"\xff\n")
     assert "latin: not UTF-8 text (byte " in bench.fails(bench.folder / "latin")
+    assert f"{bench.folder}: no ROS bag in this folder" in bench.fails(bench.folder)
     missing = bench.folder / "missing.csv"
     assert f"{missing}: there is no such file" in bench.fails(missing, code=DaemonExit.NO_INPUT)
 
