@@ -28,7 +28,7 @@ demo: $(STAMP)
 test: test-prerequisites $(STAMP)
 	@echo "Static checks and C++ tests run side by side; each prints its output when it ends."
 	+$(MAKE) -j 2 --output-sync=target cpp-test check
-	CRASH_KILLS=10 POWER_CUTS=20 STORE_KILLS=2 $(BIN)/python -m pytest tests -m "not slow" -n 3
+	CRASH_KILLS=10 POWER_CUTS=8 STORE_KILLS=2 $(BIN)/python -m pytest tests -m "not slow" -n 3
 
 # All tests: also the sanitizers, the demo, the slow tests and the long series of kills. The demo fails
 # if its map is worse than promised. The sanitizers are built first: they need no installation.

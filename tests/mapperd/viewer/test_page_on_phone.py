@@ -14,7 +14,7 @@ from tests.mapperd.viewer.view_fakes import FakeClient, pose_at, some_map
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 WIDTH, HEIGHT = 375, 812
 

@@ -23,7 +23,7 @@ from tests.support.control_server import FakeDaemon
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 
 class InMemory:

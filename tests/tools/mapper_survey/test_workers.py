@@ -119,6 +119,7 @@ def faulty(_: object) -> None:
 
 
 @pytest.mark.crash
+@pytest.mark.slow
 def test_killed_workers_change_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -112,6 +112,7 @@ class Surveyed:
         return ranges
 
 
+@pytest.mark.slow
 def test_the_sonar_is_controlled_while_it_maps_and_the_recording_repeats_it(
     short: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -28,7 +28,7 @@ from tests.mapperd.session.crash.test_crash import (
     wait_for_bytes,
 )
 
-pytestmark = pytest.mark.crash
+pytestmark = [pytest.mark.crash, pytest.mark.slow]
 
 KILLS = int(os.environ.get("CRASH_KILLS", "50")) // 5
 
