@@ -35,13 +35,13 @@ class Stage:
     rounds: int
 
 
-STAGES = (
-    Stage(0.02, 30.0, 2),
-    Stage(0.008, 30.0, 4),
-    Stage(0.004, 30.0, 5),
-    Stage(0.004, 18.0, 6),
-)
-"""The last stage compares views from nearly one side, and gives the result."""
+STAGES = (Stage(0.02, 30.0, 2), Stage(0.008, 30.0, 4), Stage(0.004, 30.0, 5))
+
+LAST_WITH_FLOOR = Stage(0.004, 60.0, 6)
+"""Gives the result where the floor gives the scale."""
+
+LAST_WITHOUT_FLOOR = Stage(0.004, 18.0, 6)
+"""The same where structure gives the scale too: views from one side alone do not shift it."""
 
 AVERAGED = 3
 """Number of last rounds whose mean is the result."""
@@ -63,8 +63,8 @@ SEED = 5
 LIMITS = {"roll": 1.0, "yaw": 0.5, "time_offset": 0.02, "range_scale": 0.01}
 """A parameter whose standard deviation is larger is not observable."""
 
-LEAST_DEVIATION = {"roll": 0.03, "yaw": 0.03, "time_offset": 0.003, "range_scale": 0.001}
-"""Errors of the model: what the chirp and the motion within a ping do, for one."""
+LEAST_DEVIATION = {"roll": 0.03, "yaw": 0.2, "time_offset": 0.003, "range_scale": 0.001}
+"""Errors of the model: another side of a thing is another surface, which turns the yaw."""
 
 WITHOUT_FLOOR = {"roll": 0.4, "range_scale": 0.004}
 """The same where structure alone gives these: of a wall or a pile the sonar shows
@@ -166,7 +166,7 @@ def calibrate(
         _parameter(name, found[k] - start[k], deviations[k]) for k, name in enumerate(PARAMETERS)
     )
     used = np.array([one.change for one in parameters]) + start
-    last = STAGES[-1].blur
+    last = LAST_WITH_FLOOR.blur
     blur = Blur(last * dive.range_m, last * SINE_PER_RANGE)
     compared = Agreement(
         dive, view, blur, used, side_deg=PICTURE_SIDE_DEG, echoes=ECHOES, seed=SEED
@@ -185,8 +185,9 @@ def _fit_structure(
     seed, first = SEED, values
     results: list[Floats] = []
     before = values
-    for number, stage in enumerate(STAGES):
-        progress(f"structure, stage {number + 1} of {len(STAGES)}")
+    stages = (*STAGES, LAST_WITH_FLOOR if free is STRUCTURE else LAST_WITHOUT_FLOOR)
+    for number, stage in enumerate(stages):
+        progress(f"structure, stage {number + 1} of {len(stages)}")
         before = np.mean(results[-AVERAGED:], axis=0) if results else values
         results = []
         for _ in range(stage.rounds):
@@ -201,7 +202,7 @@ def _fit_structure(
                 return values, np.full(len(free), np.inf)
             results.append(values)
             settled = np.all(np.abs((values - last)[free]) < SETTLED * formal)
-            enough = AVERAGED if stage is STAGES[-1] else 1
+            enough = AVERAGED if stage is stages[-1] else 1
             if settled and len(results) > enough:
                 break
     mean = np.mean(results[-AVERAGED:], axis=0)
