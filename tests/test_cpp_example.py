@@ -18,6 +18,7 @@ def run(*command: str | Path) -> str:
     return ended.stdout
 
 
+@pytest.mark.slow
 def test_a_program_links_the_installed_libraries(tmp_path: Path) -> None:
     cmake = Path(sys.executable).parent / "cmake"
     if not (BUILD / "cmake_install.cmake").exists():

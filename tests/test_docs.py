@@ -68,6 +68,7 @@ def test_a_block_that_fails_is_noticed(tmp_path: Path) -> None:
         follow(tmp_path / "page.md", tmp_path)
 
 
+@pytest.mark.slow
 def test_commands_of_the_installation_page_run(tmp_path: Path) -> None:
     follow(DOCS / "getting-started" / "install.md", tmp_path)
 

@@ -55,6 +55,7 @@ def test_changelog_begins_with_this_version() -> None:
 
 
 @pytest.mark.parametrize("command", sorted(COMMANDS))
+@pytest.mark.slow
 def test_command_prints_its_version(command: str) -> None:
     code = f"import sys; from {COMMANDS[command]} import main; sys.exit(main(['--version']))"
     done = subprocess.run(  # noqa: S603 our own line

@@ -45,6 +45,7 @@ def required(words: list[str]) -> set[str]:
     return {IMPORT_NAMES.get(name, name) for name in names}
 
 
+@pytest.mark.slow
 def test_vehicle_gets_what_it_imports_and_nothing_else() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     used = imported(ROOT / "mapperd") | imported(ROOT / "oculus_driver")
@@ -58,6 +59,7 @@ def test_opencv_is_the_headless_contrib_distribution() -> None:
         assert found == {"opencv-contrib-python-headless"}, path
 
 
+@pytest.mark.slow
 def test_wheel_holds_four_import_names_and_their_commands() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     packages = project["tool"]["scikit-build"]["wheel"]["packages"]

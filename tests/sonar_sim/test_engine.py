@@ -264,6 +264,7 @@ def test_a_wrong_speed_of_sound_stretches_ranges() -> None:
 
 
 @pytest.mark.parametrize("speckle", [False, True])
+@pytest.mark.slow
 def test_a_surface_has_the_ghosts_of_a_target(speckle: bool) -> None:  # noqa: FBT001
     """A small plate under a calm surface shows where V10's targets do, and as loud."""
     small = rectangle((10.0, 0.0, -2.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.05), CHALK)

@@ -104,6 +104,7 @@ def test_recording_cut_anywhere_maps_every_ping_before_the_cut(
 
 
 @pytest.mark.usefixtures("no_picture")
+@pytest.mark.slow
 def test_recording_damaged_anywhere_never_ends_in_a_traceback(
     tmp_path: Path, run: Run, write_recording: Write, survey: Survey
 ) -> None:

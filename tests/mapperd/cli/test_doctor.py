@@ -110,6 +110,7 @@ def test_noise_and_single_refusals_are_doubtful_not_failures() -> None:
 
 
 @pytest.mark.parametrize("policy", ["interpolate", "latest"])
+@pytest.mark.slow
 def test_the_command_watches_real_links(
     policy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], odometry_bytes: Any
 ) -> None:

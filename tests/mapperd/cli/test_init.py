@@ -132,6 +132,7 @@ def dialogue(tmp_path: Path, answers: str) -> tuple[int, str]:
     return done.returncode, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_on_a_terminal_it_asks_until_the_answer_is_valid(tmp_path: Path) -> None:
     answers = ["boat", "bluerov2", "none", "yes", "", "0,90,0", "9999", "20", "fresh", "none", ""]
     code, output = dialogue(tmp_path, "\n".join(answers))
@@ -146,6 +147,7 @@ def test_on_a_terminal_it_asks_until_the_answer_is_valid(tmp_path: Path) -> None
     assert config.server.address == ""
 
 
+@pytest.mark.slow
 def test_the_end_of_the_answers_writes_nothing(tmp_path: Path) -> None:
     code, output = dialogue(tmp_path, "bluerov2\n\x04")
     assert code == 130

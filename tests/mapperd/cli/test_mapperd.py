@@ -190,6 +190,7 @@ def test_missing_matplotlib_costs_the_picture_only(
     assert (out / "map.ply").exists()
 
 
+@pytest.mark.slow
 def test_broken_matplotlib_costs_the_picture_only(
     recording: Path, quick_config: Path, tmp_path: Path
 ) -> None:
@@ -235,6 +236,7 @@ def test_interrupt_writes_nothing_and_is_reported(
     assert list(out.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_an_interrupted_replay_into_a_store_names_what_it_holds(
     recording: Path,
     quick_config: Path,
@@ -324,6 +326,7 @@ class TestRealCapture:
             (13, 182016, "oversize"),  # 4 GB
         ],
     )
+    @pytest.mark.slow
     def test_flipped_byte_of_a_header_costs_that_ping_only(
         self, capture: bytes, tmp_path: Path, place: int, rejected: int, reason: str | None
     ) -> None:
@@ -347,6 +350,7 @@ class TestRealCapture:
         assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_the_journal_knows_an_error_from_a_remark(tmp_path: Path) -> None:
     config = tmp_path / "bad.yaml"
     config.write_text("nope: 1", encoding="utf-8")

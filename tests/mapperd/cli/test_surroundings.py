@@ -35,6 +35,7 @@ async def heard(status_port: int, ports: list[int], sent: dict[int, bytes]) -> l
     return [*sonar_lines(found), *odometry_lines(found)]
 
 
+@pytest.mark.slow
 def test_sonars_and_odometry_are_listed() -> None:
     status, autopilot, boat, program = ports = free_ports(4)
     datagram = encode_status(device_id=4711, address="192.168.2.3", client_address="192.168.2.9")
@@ -50,6 +51,7 @@ def test_sonars_and_odometry_are_listed() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_silence_and_a_port_in_use_are_named() -> None:
     status, quiet = free_ports(2)
     lines = asyncio.run(heard(status, [quiet], {}))
@@ -62,6 +64,7 @@ def test_silence_and_a_port_in_use_are_named() -> None:
 
 
 @pytest.mark.parametrize("words", [[], ["--pose", "0,0,0,0,0,0"]])
+@pytest.mark.slow
 def test_without_settings_no_sonar_is_started(
     words: list[str],
     tmp_path: Path,

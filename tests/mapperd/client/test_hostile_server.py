@@ -193,6 +193,7 @@ GOOD = [
     st.binary(max_size=40),
 )
 @settings(max_examples=300, deadline=None)
+@pytest.mark.slow
 def test_spoiled_bytes_are_taken_or_refused(
     output: list[bytes], spoiled: list[tuple[int, int]], more: bytes
 ) -> None:

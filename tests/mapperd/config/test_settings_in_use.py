@@ -4,6 +4,8 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 from mapperd.config.aliases import RESTORE
 from mapperd.config.catalog import inner_parameters, parameters
 
@@ -25,6 +27,7 @@ def names_read(path: Path) -> Iterator[str]:
                 yield f"{ast.literal_eval(name.values[0])}*"
 
 
+@pytest.mark.slow
 def test_every_setting_is_read_somewhere() -> None:
     paths = [path for folder in READERS for path in (ROOT / folder).rglob("*.py")]
     read = {name for path in paths for name in names_read(path)}

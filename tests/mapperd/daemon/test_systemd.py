@@ -94,6 +94,7 @@ def test_watchdog_time(environ: dict[str, str], seconds: float | None) -> None:
     assert watchdog_s(environ, 7) == seconds
 
 
+@pytest.mark.slow
 def test_long_work_gets_time_while_it_makes_progress_only(manager: socket.socket) -> None:
     parts: list[int] = []
     manager.settimeout(0)

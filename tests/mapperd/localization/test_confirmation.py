@@ -71,6 +71,7 @@ def test_searched_pose_is_ambiguous_until_a_search_agrees(script: Any) -> None:
     assert not any(one.ambiguous for one in found[sure:])
 
 
+@pytest.mark.slow
 def test_searches_that_find_other_places_keep_a_pose_ambiguous(script: Any) -> None:
     first = iter([True])
     searched = script(lambda pose: pose if next(first, False) else elsewhere(pose))
@@ -128,6 +129,7 @@ def test_without_rivals_nothing_can_confirm_a_pose(script: Any) -> None:
 
 
 @pytest.mark.parametrize("updates", [3, 20, 40])
+@pytest.mark.slow
 def test_checkpoint_holds_the_confirmation(script: Any, updates: int) -> None:
     script(lambda pose: pose)
     one, other = on_the_map(), on_the_map()

@@ -56,6 +56,7 @@ def share_in_place(folder: Path, out: Path) -> float:
     return float((nearest < 0.15 * math.sqrt(2)).mean())
 
 
+@pytest.mark.slow
 def test_corrected_pings_lie_nearer_the_truth(tmp_path: Path, recording: Path, run: Runs) -> None:
     shares = {}
     for mapping in ("odometry", "corrected"):
@@ -112,6 +113,7 @@ def test_missing_map_is_one_clear_message(tmp_path: Path, recording: Path, run: 
     assert "room.yaml" in line
 
 
+@pytest.mark.slow
 def test_vehicle_is_followed_on_the_3d_map_of_an_earlier_dive(
     tmp_path: Path, recording: Path, run: Runs, write_recording: Recorder
 ) -> None:

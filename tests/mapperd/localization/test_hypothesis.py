@@ -115,6 +115,7 @@ def test_clouds_that_head_along_pi_are_at_the_same_place() -> None:
     assert same_place(*clouds)
 
 
+@pytest.mark.slow
 def test_vehicle_that_is_carried_off_is_reported_and_is_found_again() -> None:
     particles = MapFilter(profile())
     particles.take_map(room())
@@ -158,6 +159,7 @@ def test_model_that_reports_no_hits_keeps_no_verdict_of_one_that_did() -> None:
     assert particles.rival is None
 
 
+@pytest.mark.slow
 def test_vehicle_that_is_followed_is_not_thrown_off() -> None:
     particles = MapFilter(profile())
     particles.take_map(room())
@@ -171,6 +173,7 @@ def test_vehicle_that_is_followed_is_not_thrown_off() -> None:
     assert not any(one.ambiguous for one in found[5:])
 
 
+@pytest.mark.slow
 def test_both_policies_and_two_runs_give_equal_bits() -> None:
     found: list[Any] = []
     for policy in ("seq", "par", "par"):

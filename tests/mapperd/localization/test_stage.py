@@ -236,6 +236,7 @@ def test_restored_one_goes_on_to_the_bit(config: Config, heard: list[Ping]) -> N
     assert dict(localizing.onboard.facts().counts) == dict(again.onboard.facts().counts)
 
 
+@pytest.mark.slow
 def test_restored_one_tries_the_same_rival(config: Config, heard: list[Ping]) -> None:
     ours = msgspec.structs.replace(
         config.localization, rival_interval=1.0, tempering=0.2, search_poses=20_000

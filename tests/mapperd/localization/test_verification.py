@@ -108,6 +108,7 @@ def test_searched_pose_in_a_round_tank_is_certain_only_with_a_landmark() -> None
 
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=pytest.mark.slow) for k in (2, 3))])
+@pytest.mark.slow
 def test_searched_pose_in_a_hall_that_is_alike_from_both_ends_is_never_certain(seed: int) -> None:
     grid, poses = hall(), circle(50)
     particles = on(grid, seed)

@@ -1,5 +1,7 @@
 import re
 
+import pytest
+
 from mapperd.odometry.links import BURST, GARBAGE, RATE, InputLimit, LinkPhase, OdometryLinkState
 
 S = 1_000_000_000
@@ -56,6 +58,7 @@ def test_a_vehicle_is_far_below_the_limit() -> None:
     assert (limit.bytes_dropped, limit.reason) == (0, "")
 
 
+@pytest.mark.slow
 def test_a_flood_is_cut_to_the_limit_in_long_runs() -> None:
     limit, kept, runs = InputLimit(), 0, 0
     was_kept = False
@@ -71,6 +74,7 @@ def test_a_flood_is_cut_to_the_limit_in_long_runs() -> None:
     assert limit.reason == ""
 
 
+@pytest.mark.slow
 def test_garbage_takes_almost_nothing_of_the_recordings() -> None:
     limit, kept = InputLimit(), 0
     for k in range(128 * 60 * 60):  # 8 MiB/s for an hour

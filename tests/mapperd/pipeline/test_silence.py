@@ -135,6 +135,7 @@ def test_silence_costs_the_pings_in_it(
     assert counters.first_drop.keys() == counters.pings_dropped.keys()
 
 
+@pytest.mark.slow
 def test_position_that_falls_silent_is_reckoned_on(
     tmp_path: Path, ping_bytes: MakeBytes, odometry_bytes: MakeBytes
 ) -> None:

@@ -14,6 +14,7 @@ from tests.mapperd.server.watched import as_bytes, bed_of, run
 from tests.support.control_server import TOKEN
 
 
+@pytest.mark.slow
 def test_a_fault_of_the_map_is_reported_and_passes(short: Path) -> None:
     async def work() -> None:
         async with bed_of(short) as bed:

@@ -36,6 +36,7 @@ def most_waiting_s(rate: float, round_trip_s: float, piece: int, *, calm: bool) 
     [(8_000, 1_000), (32_000, 1_000), pytest.param(1e6, 10_000, marks=pytest.mark.slow)],
 )
 @pytest.mark.parametrize("there_s", [0.0, 0.15, 0.3])
+@pytest.mark.slow
 def test_a_steady_link_is_busy_and_little_waits(
     rate: float, piece: int, there_s: float, *, calm: bool
 ) -> None:
@@ -126,6 +127,7 @@ def test_a_first_word_is_silent_of_how_fast_a_link_is() -> None:
     assert link.pacer.rate == pytest.approx(32_000, rel=0.2)
 
 
+@pytest.mark.slow
 def test_the_wire_may_become_longer() -> None:
     link = Link(lambda _: 32_000, there_s=0.02, back_s=0.02)
     link.fill(10.0)

@@ -57,6 +57,7 @@ def test_map_of_a_tiny_cache_equals_the_one_in_memory_to_the_bit(
     assert loaded.lost == frozenset()
 
 
+@pytest.mark.slow
 def test_memory_is_bounded_by_the_cache(tmp_path: Path) -> None:
     pings = 3 * PINGS
     whole = mapped(pings).memory_bytes

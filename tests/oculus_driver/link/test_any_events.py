@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -93,6 +94,7 @@ EVENT = st.sampled_from(
     triggered=st.booleans(),
 )
 @settings(max_examples=300, deadline=None)
+@pytest.mark.slow
 def test_any_events_keep_the_link_sound(
     start: MakeBench, events: list[tuple[str, float]], *, searches: bool, triggered: bool
 ) -> None:

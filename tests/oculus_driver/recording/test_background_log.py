@@ -130,6 +130,7 @@ def holding(folder: Path, disk: FullDisk) -> SonarLog:
     return SonarLog(folder, FLOOR, others={"vehicle": "native"}, free_bytes=disk, hold=True)
 
 
+@pytest.mark.slow
 def test_what_comes_while_the_disk_is_full_is_written_when_there_is_room(
     tmp_path: Path, make_ping: MakePing
 ) -> None:

@@ -77,6 +77,7 @@ def test_a_file_cut_in_its_first_bytes_yields_what_is_there(written: Written) ->
         check_cut(written, size)
 
 
+@pytest.mark.slow
 def test_a_file_cut_in_its_last_bytes_yields_everything(written: Written) -> None:
     end = len(written.data)
     for size in (*range(end - 2000, end - 200, 13), *range(end - 200, end + 1)):
@@ -391,6 +392,7 @@ def test_searching_behind_damage_is_linear() -> None:
 
 @settings(max_examples=150, deadline=None)
 @given(data=st.data())
+@pytest.mark.slow
 def test_any_damage_is_survived(written: Written, data: st.DataObject) -> None:
     damaged = bytearray(written.data[:400_000])
     for _ in range(data.draw(st.integers(1, 4))):

@@ -257,6 +257,7 @@ def undamaged(path: Path, data: bytes) -> tuple[list[bytes], bool]:
 
 
 @pytest.mark.parametrize("killed", [False, True])
+@pytest.mark.slow
 def test_each_byte_of_an_unclosed_recording_has_a_checksum(tmp_path: Path, *, killed: bool) -> None:
     data, pieces = unclosed(tmp_path / "open.mcap", killed=killed)
     assert undamaged(tmp_path / "copy.mcap", data) == (pieces, False)

@@ -14,6 +14,7 @@ def test_page_is_made_from_the_types() -> None:
     assert page == reference(), "write it again: python -m sonar_sim.scene_file.reference"
 
 
+@pytest.mark.slow
 def test_every_setting_has_a_meaning() -> None:
     lines = [line for line in reference().splitlines() if line.startswith("| `")]
     names = {line.split("`")[1] for line in lines}
@@ -23,6 +24,7 @@ def test_every_setting_has_a_meaning() -> None:
     assert [line for line in lines if line.endswith("|  |")] == []
 
 
+@pytest.mark.slow
 def test_limits_of_numbers_are_intervals() -> None:
     page = reference()
     assert "| `temperature_c` | [-2, 40] | °C | 10.0 | Temperature. |" in page

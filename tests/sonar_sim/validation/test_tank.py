@@ -5,6 +5,7 @@ from sonar_sim.validation import tank
 from sonar_sim.validation.tank import band, v20_tank
 
 
+@pytest.mark.slow
 def test_rods_and_plate_are_where_and_as_wide_as_they_are() -> None:
     result = v20_tank()
     assert [check for check in result.checks if not check.holds] == []

@@ -101,6 +101,7 @@ def test_survey_that_was_not_run_is_named(
     assert "--dives" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_the_survey_reports_of_itself_need_not_be_reported_again(folder: Path) -> None:
     record = {
         "origin": {"latitude": 54.36, "longitude": 10.16, "altitude": 0.5},
@@ -137,6 +138,7 @@ def test_damaged_record_is_reported(folder: Path, capsys: pytest.CaptureFixture[
     assert "survey.json: " in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_folder_elsewhere_is_read_from_there(folder: Path, tmp_path: Path) -> None:
     elsewhere = fsspec.filesystem("memory")
     elsewhere.put(f"{folder}/", "memory://commands", recursive=True)

@@ -80,6 +80,7 @@ def test_processes_make_the_same_recordings(tmp_path: Path) -> None:
     assert made[0].read_bytes() != made[1].read_bytes()
 
 
+@pytest.mark.slow
 def test_a_dive_that_cannot_be_made_ends_the_making(tmp_path: Path) -> None:
     wrong = replace(short(), scene={**short().scene, "sonar": {"range_m": 1e9}})
     with pytest.raises(SceneError, match="range"):

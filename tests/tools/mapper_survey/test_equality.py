@@ -112,6 +112,7 @@ def test_dives_one_after_the_other_are_what_the_daemon_makes_of_them(tmp_path: P
     assert rows_in(tmp_path / "out/dives/b.db") == rows_in(tmp_path / "b.db")
 
 
+@pytest.mark.slow
 def test_the_size_of_tiles_changes_nothing(tmp_path: Path) -> None:
     maps = []
     for size_m in (6.4, 25.6, 400.0):
@@ -142,6 +143,7 @@ def test_a_tile_that_is_too_large_is_cut(tmp_path: Path, monkeypatch: pytest.Mon
     assert again["tasks"] == record["tasks"]
 
 
+@pytest.mark.slow
 def test_tiles_asked_for_that_are_too_large_for_a_ping_begin_smaller(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

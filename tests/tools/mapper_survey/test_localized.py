@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from mapperd.config.loader import config_from_text
 from mapperd.session.replay_to_store import map_into_store
 from oculus_driver.recording import RecordingWriter
@@ -20,6 +22,7 @@ def write_recording(path: Path, found: list[Event]) -> None:
             writer.write(links[kind], data, stamp)
 
 
+@pytest.mark.slow
 def test_a_localized_dive_is_what_the_daemon_makes_of_it(tmp_path: Path) -> None:
     write_recording(tmp_path / "dive.mcap", list(events(room(), dive(40))))
     known = write_room(tmp_path)

@@ -25,6 +25,7 @@ def random_rows(seed: int, count: int) -> Rows:
     return rows
 
 
+@pytest.mark.slow
 def test_children_have_the_pings_that_they_would_have_alone() -> None:
     dives = [random_rows(1, 700), random_rows(2, 500)]
     ordinals = ordinals_of(dives)

@@ -51,6 +51,7 @@ def test_few_workers_are_the_bottleneck_and_the_speedup_is_their_number() -> Non
     assert [step.efficiency for step in steps] == pytest.approx([1, 1, 1], rel=0.01)
 
 
+@pytest.mark.slow
 def test_each_other_bottleneck_is_named() -> None:
     assert bottleneck(survey(plan_s=(40.0, *(1.0,) * 9)), 1000) == "recordings"
     assert bottleneck(survey(tile_s=(40.0, *(1.0,) * 199)), 1000) == "tiles"

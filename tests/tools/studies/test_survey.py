@@ -137,6 +137,7 @@ def test_workers_live_long_enough_for_the_longest_task() -> None:
     assert kill_every_s([task(3.0), task(200.0), task(1.0)], 60.0) == 400.0
 
 
+@pytest.mark.slow
 def test_a_run_that_failed_is_no_result(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="ended with 2"):
         watch(tmp_path / "none.yaml", tmp_path / "out", 0, "1GiB")
