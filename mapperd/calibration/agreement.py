@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from mapperd.calibration.dive import Dive, Motion
+from mapperd.calibration.dive import CalibrationDive, VehicleMotion
 
-__all__ = ["PARAMETERS", "STEPS", "Agreement", "Blur", "View"]
+__all__ = ["PARAMETERS", "STEPS", "Agreement", "Blur", "SonarView"]
 
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -73,7 +73,7 @@ class Blur:
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class SonarView:
     """What is known of the sonar.
 
     Attributes:
@@ -111,8 +111,8 @@ class Agreement:
 
     def __init__(
         self,
-        dive: Dive,
-        view: View,
+        dive: CalibrationDive,
+        view: SonarView,
         blur: Blur,
         values: Floats,
         *,
@@ -325,7 +325,7 @@ class Agreement:
             looked.append(found)
         self._ping, self._point = np.concatenate(pings), np.concatenate(looked)
 
-    def _place(self, values: Floats, motion: Motion) -> Floats:
+    def _place(self, values: Floats, motion: VehicleMotion) -> Floats:
         """Return the points in the map, (P, 3), by the pings that they are echoes of."""
         ping = self.pings_of_echoes
         range_m = self._range_m * values[7]
@@ -374,7 +374,7 @@ class Agreement:
         return np.asarray(np.bincount(self._point, looks, self.points), dtype=np.float64)
 
 
-def features(dive: Dive, blur: Blur) -> NDArray[np.float32]:
+def features(dive: CalibrationDive, blur: Blur) -> NDArray[np.float32]:
     """Return the images blurred, less their background: spots and edges.
 
     The square root keeps the brightest echoes from outweighing all others.

@@ -17,7 +17,7 @@ from mapperd.pipeline.decoder import PosedPing, SessionDecoder, Work
 from mapperd.pipeline.pose_lookup import OdometryPoses
 from mapperd.session.recordings import RecordedSession
 
-__all__ = ["Dive", "Motion", "read_dive"]
+__all__ = ["CalibrationDive", "VehicleMotion", "read_dive"]
 
 Floats = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ DIFFERENCE_S = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class VehicleMotion:
     """Pose and motion of the base at the times of the pings.
 
     Attributes:
@@ -61,7 +61,7 @@ class Motion:
 
 
 @dataclass(eq=False)
-class Dive:
+class CalibrationDive:
     """Pings of one recording with equal ranges, and the path of the vehicle.
 
     Attributes:
@@ -94,7 +94,7 @@ class Dive:
         """Far edge of the last row."""
         return float(self.images.shape[1] * self.row_m)
 
-    def motion(self, offset_s: float) -> Motion:
+    def motion(self, offset_s: float) -> VehicleMotion:
         """Return the motion at the times of the pings plus an offset.
 
         Args:
@@ -108,11 +108,11 @@ class Dive:
         span_s = 2 * DIFFERENCE_S
         turns = Rotation.from_matrix(np.einsum("nji,njk->nik", before, after)).as_rotvec()
         velocity = np.einsum("nji,nj->ni", rotation, (after_m - before_m) / span_s)
-        return Motion(rotation, position_m, turns / span_s, velocity)
+        return VehicleMotion(rotation, position_m, turns / span_s, velocity)
 
     def drift(
         self,
-        motion: Motion,
+        motion: VehicleMotion,
         mounting: Floats,
         lever_m: Floats,
         ping: NDArray[np.intp],
@@ -181,7 +181,7 @@ class _Kept:
 
 def read_dive(
     session: RecordedSession, config: Config, progress: Callable[[float], None] = lambda _: None
-) -> Dive:
+) -> CalibrationDive:
     """Read the pings and the path of a recorded session.
 
     Args:
@@ -243,7 +243,7 @@ def _kept(image: PingImage, t_ns: int, sound_mps: float) -> _Kept:
     return _Kept(t_ns, small.astype(np.float32), row_m, float(sines[0]), step, sound_mps)
 
 
-def _dive(kept: list[_Kept], path: _Path) -> Dive:
+def _dive(kept: list[_Kept], path: _Path) -> CalibrationDive:
     zero_ns = path.t_ns[0] if path.t_ns else 0
     path_s = (np.array(path.t_ns) - zero_ns) / 1e9
     t_s = np.array([(one.t_ns - zero_ns) / 1e9 for one in kept])
@@ -260,7 +260,7 @@ def _dive(kept: list[_Kept], path: _Path) -> Dive:
         places = places[np.linspace(0, len(places) - 1, MAX_PINGS).round().astype(np.intp)]
     first = kept[places[0]]
     position_m, attitudes = _smoothed(np.array(path.position_m), np.array(path.quaternion))
-    return Dive(
+    return CalibrationDive(
         np.stack([kept[place].image for place in places]),
         t_s[places],
         first.row_m,

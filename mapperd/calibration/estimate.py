@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mapperd.calibration.agreement import PARAMETERS, Agreement, Blur, View
-from mapperd.calibration.dive import Dive
+from mapperd.calibration.agreement import PARAMETERS, Agreement, Blur, SonarView
+from mapperd.calibration.dive import CalibrationDive
 from mapperd.calibration.floor import fit_floor, floor_echoes
 from mapperd.config.tree import Config
 from mapperd.geometry.frames import quaternion_to_matrix, rotation_from_rpy
 
-__all__ = ["Calibration", "Parameter", "calibrate", "start_of", "yaml_lines"]
+__all__ = ["Calibration", "ParameterEstimate", "calibrate", "start_of", "yaml_lines"]
 
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -86,7 +86,7 @@ DEFAULT_REASON = "the dive does not show it: more turns, heights and overlap are
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class ParameterEstimate:
     """One parameter of the calibration.
 
     Attributes:
@@ -118,17 +118,17 @@ class Calibration:
         compared: views of the structure, for pictures.
     """
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[ParameterEstimate, ...]
     start: Floats
     values: Floats
-    view: View
+    view: SonarView
     compared: Agreement
 
 
-def start_of(config: Config) -> tuple[View, Floats]:
+def start_of(config: Config) -> tuple[SonarView, Floats]:
     """Return the sonar and the parameters of the settings."""
     angles, position = config.mounting.orientation, config.mounting.position
-    view = View(
+    view = SonarView(
         quaternion_to_matrix(rotation_from_rpy(angles.roll, angles.pitch, angles.yaw)),
         math.radians(config.sonar.vertical_aperture),
         config.filtering.min_range,
@@ -137,7 +137,7 @@ def start_of(config: Config) -> tuple[View, Floats]:
 
 
 def calibrate(
-    dive: Dive, config: Config, progress: Callable[[str], None] = lambda _: None
+    dive: CalibrationDive, config: Config, progress: Callable[[str], None] = lambda _: None
 ) -> Calibration:
     """Estimate mounting, time offset and scale of the ranges.
 
@@ -175,7 +175,11 @@ def calibrate(
 
 
 def _fit_structure(
-    dive: Dive, view: View, values: Floats, free: Numbers, progress: Callable[[str], None]
+    dive: CalibrationDive,
+    view: SonarView,
+    values: Floats,
+    free: Numbers,
+    progress: Callable[[str], None],
 ) -> tuple[Floats, Floats]:
     """Fit the free parameters; return all, and the deviations of the free ones.
 
@@ -219,11 +223,11 @@ def _astray(change: Floats) -> list[str]:
     return [name for name, largest in PLAUSIBLE.items() if not sizes[name] <= largest]
 
 
-def _parameter(name: str, change: float, deviation: float) -> Parameter:
+def _parameter(name: str, change: float, deviation: float) -> ParameterEstimate:
     limit = LIMITS.get(name)
     if limit is None or not deviation <= limit:
-        return Parameter(name, 0.0, deviation, REASONS.get(name, DEFAULT_REASON))
-    return Parameter(name, float(change), float(deviation))
+        return ParameterEstimate(name, 0.0, deviation, REASONS.get(name, DEFAULT_REASON))
+    return ParameterEstimate(name, float(change), float(deviation))
 
 
 def yaml_lines(found: Calibration, config: Config, sound_mps: float) -> str:

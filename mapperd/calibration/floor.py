@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from mapperd.calibration.agreement import STEPS, View
-from mapperd.calibration.dive import Dive
+from mapperd.calibration.agreement import STEPS, SonarView
+from mapperd.calibration.dive import CalibrationDive
 
 __all__ = ["FloorEchoes", "fit_floor", "floor_echoes", "floor_points"]
 
@@ -53,7 +53,7 @@ class FloorEchoes:
     range_m: Floats
 
 
-def floor_echoes(dive: Dive, view: View) -> FloorEchoes:
+def floor_echoes(dive: CalibrationDive, view: SonarView) -> FloorEchoes:
     """Find the first echo of every fourth beam of each ping."""
     images = gaussian_filter(np.sqrt(np.clip(dive.images - 4.0, 0.0, None)), (0, 1, 1))
     rows = images.shape[1]
@@ -82,7 +82,7 @@ def floor_echoes(dive: Dive, view: View) -> FloorEchoes:
 
 
 def floor_points(
-    dive: Dive, view: View, echoes: FloorEchoes, values: Floats
+    dive: CalibrationDive, view: SonarView, echoes: FloorEchoes, values: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the echoes in the map, (N, 3) m, and which of them lie inside the vertical beam."""
     motion = dive.motion(float(values[6]))
@@ -101,7 +101,7 @@ def floor_points(
 
 
 def fit_floor(
-    dive: Dive, view: View, echoes: FloorEchoes, values: Floats, free: Numbers
+    dive: CalibrationDive, view: SonarView, echoes: FloorEchoes, values: Floats, free: Numbers
 ) -> tuple[Floats, Floats]:
     """Fit parameters so that the heights in each cell agree.
 
@@ -159,7 +159,7 @@ def _cells(points: Floats) -> tuple[Numbers, Floats]:
 
 
 def _residuals(
-    dive: Dive, view: View, echoes: FloorEchoes, values: Floats, cell: Numbers
+    dive: CalibrationDive, view: SonarView, echoes: FloorEchoes, values: Floats, cell: Numbers
 ) -> Floats:
     height_m = floor_points(dive, view, echoes, values)[0][:, 2]
     count = np.maximum(np.bincount(cell), 1)

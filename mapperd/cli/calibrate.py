@@ -21,7 +21,7 @@ from oculus_driver.command_line import CommandParser
 from oculus_driver.errors import RecordingError
 
 if TYPE_CHECKING:
-    from mapperd.calibration.estimate import Calibration, Parameter
+    from mapperd.calibration.estimate import Calibration, ParameterEstimate
 
 __all__ = ["calibrate_command", "calibrate_parser"]
 
@@ -76,13 +76,13 @@ def _calibrate(args: argparse.Namespace) -> int:
     return 0
 
 
-def _facts(one: "Parameter") -> dict[str, object]:
+def _facts(one: "ParameterEstimate") -> dict[str, object]:
     """Return a parameter for JSON, which has no infinity."""
     deviation = one.deviation if math.isfinite(one.deviation) else None
     return asdict(one) | {"deviation": deviation, "observable": one.observable}
 
 
-def _row(one: "Parameter") -> str:
+def _row(one: "ParameterEstimate") -> str:
     if not one.observable:
         return f"{one.name:<12} not observable, left: {one.reason}"
     digits, unit = DIGITS.get(one.name, 2), UNITS.get(one.name, "deg")

@@ -40,14 +40,14 @@ DVLS = {
 }
 
 
-class Water(NamedTuple):
+class WaterProperties(NamedTuple):
     """Salinity in ppt and density in kg/m3."""
 
     salinity: float
     density: float
 
 
-WATERS = {"sea": Water(35.0, 1025.0), "fresh": Water(0.0, 998.0)}
+WATERS = {"sea": WaterProperties(35.0, 1025.0), "fresh": WaterProperties(0.0, 998.0)}
 
 NO_STREAM = "none"
 SERVICE_SETTINGS = Path("/etc/mapperd/mapperd.yaml")

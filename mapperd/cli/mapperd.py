@@ -40,7 +40,7 @@ from mapperd.errors import (
     missing_extra,
 )
 from mapperd.export.picture import can_draw
-from mapperd.export.trajectory import Trajectory
+from mapperd.export.trajectory import TrajectoryWriter
 from mapperd.imaging.filter_chain import check_filters
 from mapperd.io import make_folder
 from mapperd.odometry.formats import check_levelling, check_libraries
@@ -173,7 +173,7 @@ def _live(arguments: Arguments) -> DaemonExit:
     notifier = Notifier(os.environ)
     with (
         contextlib.closing(notifier),
-        contextlib.closing(Trajectory(arguments.out)) as trajectory,
+        contextlib.closing(TrajectoryWriter(arguments.out)) as trajectory,
         graceful_stop(),
     ):
         poses = partial(_poses, arguments)
@@ -215,7 +215,7 @@ def _replay(arguments: Arguments) -> DaemonExit:
         return page
 
     with contextlib.ExitStack() as stack:
-        trajectory = stack.enter_context(contextlib.closing(Trajectory(arguments.out)))
+        trajectory = stack.enter_context(contextlib.closing(TrajectoryWriter(arguments.out)))
         try:
             sonar_map, summary = map_recordings(arguments, settings, ready, trajectory, show)
         except KeyboardInterrupt:

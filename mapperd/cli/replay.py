@@ -15,7 +15,7 @@ from mapperd.cli.progress import ProgressBar
 from mapperd.config.tree import Config
 from mapperd.daemon.map_folder import localization_summary, recording_facts, summary_of
 from mapperd.errors import ReplayError, os_reason
-from mapperd.export.trajectory import Trajectory
+from mapperd.export.trajectory import TrajectoryWriter
 from mapperd.geometry.frames import Pose
 from mapperd.mapping.content import MapContent
 from mapperd.mapping.sonar_map import SonarMap
@@ -85,7 +85,7 @@ def map_recordings(
     arguments: Arguments,
     settings: Callable[[], Config],
     ready: Callable[[], None],
-    trajectory: Trajectory,
+    trajectory: TrajectoryWriter,
     show: "Callable[[SonarMap], ReplayView | None]" = lambda _: None,
 ) -> tuple[MapContent, dict[str, Any]]:
     """Check everything that can be checked, then map; return the map, open, and the summary.
@@ -138,7 +138,11 @@ def map_recordings(
 
 
 def _mapped_on_disk(
-    runs: Sequence[Run], sonar_map: SonarMap, window: Window, folder: Path, trajectory: Trajectory
+    runs: Sequence[Run],
+    sonar_map: SonarMap,
+    window: Window,
+    folder: Path,
+    trajectory: TrajectoryWriter,
 ) -> tuple[MapContent, dict[str, Any]]:
     """Map into a temporary file, of which at most `outofcore.cache_size` tiles are in memory."""
     settings = sonar_map.config.outofcore
@@ -157,7 +161,7 @@ def _mapped(
     runs: Sequence[Run],
     sonar_map: SonarMap,
     window: Window,
-    trajectory: Trajectory,
+    trajectory: TrajectoryWriter,
     page: "ReplayView | None" = None,
 ) -> dict[str, Any]:
     """Map in memory; return the summary."""
@@ -168,7 +172,7 @@ def _replayed(
     runs: Sequence[Run],
     sonar_map: SonarMap,
     window: Window,
-    trajectory: Trajectory,
+    trajectory: TrajectoryWriter,
     *,
     persistence: MapPersistence | None = None,
     page: "ReplayView | None" = None,
@@ -204,7 +208,7 @@ def _stored(
     config: Config,
     pose: Pose | None,
     path: Path,
-    trajectory: Trajectory,
+    trajectory: TrajectoryWriter,
 ) -> tuple[MapContent, dict[str, Any]]:
     """Map a recording into a file; the counts are of this time, the map is the whole one."""
     if len(sessions) > 1:

@@ -16,8 +16,8 @@ from oculus_driver.wire import STATUS_PORT
 
 __all__ = [
     "ODOMETRY_PORTS",
+    "DevicesHeard",
     "HeardOdometry",
-    "Surroundings",
     "listen",
     "odometry_lines",
     "sonar_lines",
@@ -51,7 +51,7 @@ class HeardOdometry:
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class DevicesHeard:
     """What was heard.
 
     Attributes:
@@ -69,7 +69,7 @@ async def listen(
     seconds: float = LISTEN_S,
     status_port: int = STATUS_PORT,
     odometry_ports: Sequence[int] = ODOMETRY_PORTS,
-) -> Surroundings:
+) -> DevicesHeard:
     """Listen for status broadcasts of sonars and for datagrams of vehicles."""
     heard = [HeardOdometry(port) for port in odometry_ports]
     loop = asyncio.get_running_loop()
@@ -82,10 +82,10 @@ async def listen(
         async with Discovery(status_port) as discovery:
             await asyncio.sleep(seconds)
             silence = silence_finding(discovery.port).text
-            return Surroundings(discovery.present(), heard, silence)
+            return DevicesHeard(discovery.present(), heard, silence)
     except DiscoveryError as error:
         await asyncio.sleep(seconds)
-        return Surroundings([], heard, str(error))
+        return DevicesHeard([], heard, str(error))
     finally:
         for opened in sockets:
             loop.remove_reader(opened)
@@ -120,7 +120,7 @@ def _reader(one: HeardOdometry, opened: socket.socket) -> Callable[[], None]:
     return read
 
 
-def sonar_lines(heard: Surroundings) -> Iterator[str]:
+def sonar_lines(heard: DevicesHeard) -> Iterator[str]:
     """Describe each sonar, or why there is none."""
     for sonar in heard.sonars:
         status = sonar.status
@@ -131,7 +131,7 @@ def sonar_lines(heard: Surroundings) -> Iterator[str]:
         yield f"no sonar: {heard.problem}"
 
 
-def odometry_lines(heard: Surroundings) -> Iterator[str]:
+def odometry_lines(heard: DevicesHeard) -> Iterator[str]:
     """Describe what arrives on each port, or that nothing does."""
     for one in heard.odometry:
         if one.datagrams:

@@ -18,14 +18,14 @@ from mapperd.config.loader import check_value
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 
-__all__ = ["Applied", "Change", "ConfigStore", "Refused", "Reloaded"]
+__all__ = ["Applied", "ConfigStore", "Refused", "Reloaded", "SettingChange"]
 
 RESTART = "cannot change while running; needs a restart"
 UNFOLLOWED = "nothing that runs follows this setting; needs a restart"
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class SettingChange:
     """One setting that changed, with plain values."""
 
     name: str
@@ -43,7 +43,7 @@ class Applied:
     """
 
     origin: str
-    changes: tuple[Change, ...]
+    changes: tuple[SettingChange, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,7 @@ class ConfigStore:
             ConfigError: the value is not allowed.
         """
         before = value_of(self._current, name)
-        self._current = self._merged([Change(name, before, value)])
+        self._current = self._merged([SettingChange(name, before, value)])
         self._origins[name] = origin
         self._settled.add(name)
         return self._current
@@ -209,15 +209,15 @@ class ConfigStore:
         followed = any(follower.follows(name) for follower in self._followers)
         return None if followed else UNFOLLOWED
 
-    def _differences(self, changes: Mapping[str, object]) -> list[Change]:
+    def _differences(self, changes: Mapping[str, object]) -> list[SettingChange]:
         before = {name: value_of(self._current, name) for name in changes}
         return [
-            Change(name, before[name], value)
+            SettingChange(name, before[name], value)
             for name, value in changes.items()
             if value != before[name]
         ]
 
-    def _merged(self, changed: list[Change]) -> Config:
+    def _merged(self, changed: list[SettingChange]) -> Config:
         return with_values(self._current, {change.name: change.after for change in changed})
 
     def _commit(self, config: Config, names: list[str]) -> None:

@@ -36,7 +36,7 @@ class YamlProblem(ValueError):  # noqa: N818 it is always wrapped by the caller'
     """The text is not YAML as we take it; the message is one line with the place."""
 
 
-class _Loader(yaml.SafeLoader):
+class _SettingsLoader(yaml.SafeLoader):
     """Safe loading that refuses what a settings file never needs."""
 
     depth = 0
@@ -73,7 +73,7 @@ class _Loader(yaml.SafeLoader):
 
 # What an unquoted word may be, else it is text. YAML 1.1 also reads 1:30 as 90, 1_0 as 10, 010 as
 # 8, no as false and 2001-01-01 as a date, but 1e-3 as text.
-_Loader.yaml_implicit_resolvers = {}
+_SettingsLoader.yaml_implicit_resolvers = {}
 for _kind, _pattern, _first in (
     ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
     ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
@@ -83,7 +83,7 @@ for _kind, _pattern, _first in (
     ("float", r"[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)", "-+."),
     ("merge", r"<<", "<"),  # to be refused by name
 ):
-    _Loader.add_implicit_resolver(
+    _SettingsLoader.add_implicit_resolver(
         f"tag:yaml.org,2002:{_kind}", re.compile(f"^(?:{_pattern})$"), list(_first)
     )
 
@@ -95,7 +95,7 @@ def parse_yaml(text: str) -> object:
         YamlProblem: one line with place and reason.
     """
     try:
-        return yaml.load(text, _Loader)  # noqa: S506 a subclass of the safe loader
+        return yaml.load(text, _SettingsLoader)  # noqa: S506 a subclass of the safe loader
     except YamlProblem:
         raise
     except yaml.MarkedYAMLError as error:

@@ -21,7 +21,7 @@ from mapperd.export.cells import Heights
 from mapperd.export.clouds import write_ply
 from mapperd.export.formats import FORMATS, crs_of, write_map
 from mapperd.export.picture import can_draw, write_picture
-from mapperd.export.trajectory import Trajectory
+from mapperd.export.trajectory import TrajectoryWriter
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.geometry.geodesy import Origin
 from mapperd.io import atomic_file, make_folder, remove
@@ -132,7 +132,7 @@ class MapFolder:
 
 
 def write_results(
-    folder: Path, sonar_map: MapContent, summary: dict[str, Any], trajectory: Trajectory
+    folder: Path, sonar_map: MapContent, summary: dict[str, Any], trajectory: TrajectoryWriter
 ) -> None:
     """Write the summary, then the map in every form; each file is whole or as it was.
 

@@ -28,7 +28,7 @@ from mapperd.daemon.supervisor import is_main_thread, supervised
 from mapperd.daemon.systemd import Notifier, inherited_sockets, watchdog_s
 from mapperd.errors import ConfigError, MapError, StoreError
 from mapperd.events import EventLog, Severity
-from mapperd.export.trajectory import Trajectory
+from mapperd.export.trajectory import TrajectoryWriter
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.report import state_of
 from mapperd.localization.saved_pose import load_pose
@@ -75,7 +75,7 @@ class LiveRun:
     print_line: Printer
     read: Callable[[], Layered]
     notifier: Notifier
-    trajectory: Trajectory
+    trajectory: TrajectoryWriter
 
 
 def map_live(run: LiveRun) -> tuple[MapContent, dict[str, Any]]:
@@ -310,7 +310,7 @@ def _same(one: Path, other: Path) -> bool:
     )
 
 
-async def _keep_trajectory(trajectory: Trajectory) -> NoReturn:
+async def _keep_trajectory(trajectory: TrajectoryWriter) -> NoReturn:
     """Move the poses out of memory now and then."""
     while True:
         await asyncio.sleep(STATUS_PERIOD_S)

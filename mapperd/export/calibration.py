@@ -21,7 +21,7 @@ from mapperd.mapping.content import VoxelCloud
 from mapperd.mapping.probability import probabilities_of
 from mapperd.mapping.sonar_map import Voxels
 
-__all__ = ["Calibration", "load_calibration"]
+__all__ = ["ProbabilityCalibration", "load_calibration"]
 
 MAX_FILE_BYTES = 64 * 1024
 MAX_LOG_ODDS = 30.0
@@ -35,7 +35,7 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
+class ProbabilityCalibration:
     """A curve that never falls, straight between its points and level beyond them.
 
     Attributes:
@@ -84,7 +84,7 @@ class _CalibratedVoxels:
     """Voxels whose probabilities are calibrated as they are read."""
 
     voxels: VoxelCloud
-    calibration: Calibration
+    calibration: ProbabilityCalibration
 
     def __len__(self) -> int:
         return len(self.voxels)
@@ -101,7 +101,7 @@ class _CalibratedVoxels:
             yield replace(some, probability=calibrated.astype(np.float32))
 
 
-def load_calibration(path: Path) -> Calibration:
+def load_calibration(path: Path) -> ProbabilityCalibration:
     """Read a calibration: YAML with the lists `log_odds` and `calibrated`.
 
     Raises:
@@ -114,7 +114,7 @@ def load_calibration(path: Path) -> Calibration:
             raise ConfigError(f"{path}: larger than {MAX_FILE_BYTES // 1024} KiB, no calibration")
         tree: Any = parse_yaml(data.decode())
         curve = msgspec.convert(tree, _File)
-        return Calibration(np.array(curve.log_odds), np.array(curve.calibrated))
+        return ProbabilityCalibration(np.array(curve.log_odds), np.array(curve.calibrated))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {os_reason(error)}") from error
     except (YamlProblem, msgspec.ValidationError, ValueError) as error:

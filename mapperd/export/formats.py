@@ -6,7 +6,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from mapperd.errors import ExportError
-from mapperd.export.calibration import Calibration
+from mapperd.export.calibration import ProbabilityCalibration
 from mapperd.export.cells import Heights, known_cells, top_cells, top_voxels
 from mapperd.export.clouds import write_pcd, write_ply, write_xyz
 from mapperd.export.geotiff import write_geotiff
@@ -26,7 +26,7 @@ ALL = Heights()
 class _Asked:
     heights: Heights
     origin: Origin | None
-    calibration: Calibration | None
+    calibration: ProbabilityCalibration | None
 
     def occupied(self, sonar_map: MapContent) -> VoxelCloud:
         """The occupied voxels, with the probabilities that are asked for."""
@@ -39,7 +39,7 @@ def write_map(
     path: Path,
     heights: Heights = ALL,
     origin: Origin | None = None,
-    calibration: Calibration | None = None,
+    calibration: ProbabilityCalibration | None = None,
 ) -> list[Path]:
     """Write one state of a map, whole or not at all, while pings may go on changing it.
 
@@ -67,7 +67,7 @@ def write_map(
     return write(sonar_map, path, _Asked(heights, origin, calibration))
 
 
-def check_calibration(path: Path, calibration: Calibration | None) -> None:
+def check_calibration(path: Path, calibration: ProbabilityCalibration | None) -> None:
     """Refuse a calibration where there is no probability to change.
 
     Files that are a map again when they are read, OctoMap's and our own, keep the map's log-odds.

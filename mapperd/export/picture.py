@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mapperd.mapping.content import VoxelCloud
 from mapperd.mapping.sonar_map import Voxels
 
-__all__ = ["MAX_PIXELS", "View", "can_draw", "project", "write_picture"]
+__all__ = ["MAX_PIXELS", "MapProjection", "can_draw", "project", "write_picture"]
 
 Floats = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ MAX_PIXELS = 1500
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class MapProjection:
     """A map seen along one axis.
 
     Attributes:
@@ -37,7 +37,7 @@ class View:
 
 def project(
     voxels: VoxelCloud, resolution_m: float, planes: Sequence[tuple[int, int]]
-) -> list[View]:
+) -> list[MapProjection]:
     """Project voxels so that each is drawn as a square of its true size.
 
     Args:
@@ -45,14 +45,14 @@ def project(
         resolution_m: voxel edge.
         planes: for each view the axes (0, 1, 2) that run to the right and upwards.
     """
-    pixels = [_Pixels(voxels.box_m[:, plane], resolution_m, plane) for plane in planes]
+    pixels = [_HeightPixels(voxels.box_m[:, plane], resolution_m, plane) for plane in planes]
     for some in voxels.batches():
         for one in pixels:
             one.add(some)
     return [one.view() for one in pixels]
 
 
-class _Pixels:
+class _HeightPixels:
     """Pixels of one view.
 
     Args:
@@ -76,14 +76,14 @@ class _Pixels:
         columns, rows = (cells // self._scale).T
         np.maximum.at(self._grid, (rows, columns), voxels.centres_m[:, 2])
 
-    def view(self) -> View:
+    def view(self) -> MapProjection:
         """Return the view of all voxels."""
         height, width = self._grid.shape
         left, bottom = (float(edge) for edge in self._low_m)
         pixel_m = self._scale * self._resolution_m
         right, top = left + width * float(pixel_m[0]), bottom + height * float(pixel_m[1])
         grid = np.where(np.isneginf(self._grid), np.nan, self._grid)
-        return View(grid, (left, right, bottom, top))
+        return MapProjection(grid, (left, right, bottom, top))
 
     def _cells(self, places_m: Floats) -> NDArray[np.int64]:
         cells = np.floor((places_m - self._low_m) / self._resolution_m)
@@ -167,7 +167,7 @@ def _draw_views(figure: Any, voxels: VoxelCloud, resolution_m: float) -> None:  
 
 def _draw_view(
     axes: Any,  # noqa: ANN401 matplotlib has no types
-    view: View,
+    view: MapProjection,
     plane: tuple[int, int],
     heights_m: tuple[float, float],
 ) -> Any:  # noqa: ANN401

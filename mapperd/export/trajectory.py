@@ -14,7 +14,7 @@ from mapperd.errors import ExportError
 from mapperd.geometry.frames import Pose
 from mapperd.io import atomic_file, remove
 
-__all__ = ["TRAJECTORY_CSV", "TRAJECTORY_TUM", "Trajectory"]
+__all__ = ["TRAJECTORY_CSV", "TRAJECTORY_TUM", "TrajectoryWriter"]
 
 TRAJECTORY_TUM, TRAJECTORY_CSV = "trajectory.tum", "trajectory.csv"
 
@@ -24,7 +24,7 @@ ROW = np.dtype([("t_ns", "<i8"), ("xyz_m", "<f8", 3), ("wxyz", "<f8", 4)])
 ROWS_AT_ONCE = 4096
 
 
-class Trajectory:
+class TrajectoryWriter:
     """Collects poses in an unnamed file, because a session may last for weeks.
 
     `add` only appends to memory and never waits for the disk; `flush` moves what was added to the

@@ -42,11 +42,13 @@ class PingImage:
         intensity: (rows, beams) float32, 0..255, row 0 nearest, most negative bearing first.
         bearings_rad: (beams,) float64, strictly increasing, positive to starboard.
         range_resolution_m: thickness of a row.
+        gamma_byte: the sonar applied the exponent gamma/255 to the image; 0 and 255 mean none.
     """
 
     intensity: NDArray[np.float32]
     bearings_rad: NDArray[np.float64]
     range_resolution_m: float
+    gamma_byte: int = 255
 
     @property
     def max_range_m(self) -> float:
@@ -68,7 +70,7 @@ def ping_image_of(ping: Ping, sonar: SonarConfig) -> PingImage:
     kept = np.ascontiguousarray(bearings[view])
     intensity.setflags(write=False)
     kept.setflags(write=False)
-    return PingImage(intensity, kept, ping.range_resolution_m)
+    return PingImage(intensity, kept, ping.range_resolution_m, ping.gamma)
 
 
 def beams_in_view(bearings_rad: NDArray[np.float64], sonar: SonarConfig) -> slice:

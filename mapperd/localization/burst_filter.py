@@ -29,7 +29,7 @@ class BurstState(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class _SeenScan:
     stamp_ns: int
     bearing_rad: Floats
     range_m: Floats
@@ -78,7 +78,7 @@ class BurstWatch:
     def __init__(self, max_speed_mps: float, max_turn_radps: float) -> None:
         self._max_speed_mps = max_speed_mps
         self._max_turn_radps = max_turn_radps
-        self._last: tuple[_Seen, ...] = ()
+        self._last: tuple[_SeenScan, ...] = ()
 
     def state(self) -> BurstState:
         """Everything that `restored` needs to continue exactly."""
@@ -89,7 +89,7 @@ class BurstWatch:
     def restored(cls, state: BurstState) -> "BurstWatch":
         """The watch of which `state` was taken."""
         watch = cls(state.max_speed_mps, state.max_turn_radps)
-        watch._last = tuple(_Seen(*seen) for seen in state.last)
+        watch._last = tuple(_SeenScan(*seen) for seen in state.last)
         return watch
 
     def share(self, stamp_ns: int, bearing_rad: Floats, range_m: Floats, cell_m: float) -> float:
@@ -101,13 +101,13 @@ class BurstWatch:
             range_m: (beams,), NaN where there is no return.
             cell_m: by which ranges differ anyway.
         """
-        seen = _Seen(stamp_ns, bearing_rad, range_m)
+        seen = _SeenScan(stamp_ns, bearing_rad, range_m)
         shares = [self._share(seen, other, cell_m) for other in self._last]
         self._last = (*self._last, seen)[-2:]
         enough = np.isfinite(range_m).sum() >= MIN_RETURNS
         return min((one for one in shares if one is not None), default=0.0) if enough else 0.0
 
-    def _share(self, seen: _Seen, other: _Seen, cell_m: float) -> float | None:
+    def _share(self, seen: _SeenScan, other: _SeenScan, cell_m: float) -> float | None:
         """None for a ping of other beams: it cannot be compared."""
         if not np.array_equal(seen.bearing_rad, other.bearing_rad):
             return None

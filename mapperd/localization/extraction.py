@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.config.tree import Config
-from mapperd.errors import MapError, Reject
-from mapperd.imaging.filter_chain import filter_ping_image
-from mapperd.imaging.ping_image import PingImage, ping_image_of
+from mapperd.errors import Reject
+from mapperd.imaging.ping_image import PingImage
 from mapperd.localization.burst_filter import BurstWatch
 from mapperd.localization.detector import (
     FirstReturns,
@@ -30,9 +29,8 @@ from mapperd.localization.levelling import fan_points, level_T_base
 from mapperd.localization.scan import Scan, heard_aperture_rad
 from mapperd.mapping.sonar_map import mounting
 from mapperd.odometry.fusion import FusedPose
-from oculus_driver.ping import Ping
 
-__all__ = ["Surroundings", "burst_watch", "floor_gate_m", "scan_of", "scan_of_ping"]
+__all__ = ["ScanContext", "burst_watch", "floor_gate_m", "scan_at", "scan_of"]
 
 Floats = NDArray[np.float64]
 
@@ -88,7 +86,7 @@ EDGE_CELLS = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surroundings:
+class ScanContext:
     """What else is known when a ping comes.
 
     Attributes:
@@ -96,18 +94,16 @@ class Surroundings:
         level_T_sonar: (4, 4) rigid transform: attitude and mounting, without the heading.
         height_m: of the sonar above the floor; None is unknown.
         depth_m: of the sonar below the surface; None is unknown.
-        gamma_byte: exponent gamma/255 was applied to the image; 0 and 255 mean none.
     """
 
     stamp_ns: int
     level_T_sonar: Floats  # noqa: N815 frames are named
     height_m: float | None = None
     depth_m: float | None = None
-    gamma_byte: int = 255
 
 
 def scan_of(
-    echo: PingImage, around: Surroundings, config: Config, watch: BurstWatch | None = None
+    echo: PingImage, around: ScanContext, config: Config, watch: BurstWatch | None = None
 ) -> Scan | Reject:
     """Take the first surface of each beam out of a ping.
 
@@ -126,7 +122,7 @@ def scan_of(
         min(echo.max_range_m, config.amcl.laser_max_range),
         cell_m,
     )
-    levels = levels_db(echo.intensity, around.gamma_byte)
+    levels = levels_db(echo.intensity, echo.gamma_byte)
     levels = equalised(levels, cell_m) if settings.equalise else levels
     found = first_returns(levels, echo, limits, settings)
     if watch is not None:
@@ -137,7 +133,7 @@ def scan_of(
 
 
 def _placed(
-    found: FirstReturns, echo: PingImage, around: Surroundings, config: Config, max_range_m: float
+    found: FirstReturns, echo: PingImage, around: ScanContext, config: Config, max_range_m: float
 ) -> Scan:
     settings = config.localization.scan
     # A surface that rises slowly may have its edge outside the limits that its samples keep to.
@@ -180,32 +176,28 @@ def burst_watch(config: Config) -> BurstWatch:
     return BurstWatch(limits.max_speed, math.radians(limits.max_turn_rate))
 
 
-def scan_of_ping(
-    ping: Ping, pose: FusedPose, t_ns: int, config: Config, watch: BurstWatch
+def scan_at(
+    image: PingImage, pose: FusedPose, t_ns: int, config: Config, watch: BurstWatch
 ) -> Scan | Reject:
-    """Take the first surface of each beam out of a ping.
+    """Take the first surface of each beam out of a ping whose pose is known.
 
     Args:
-        ping: what the sonar heard.
+        image: the filtered image.
         pose: of the base at its time; of it only attitude and depth count.
         t_ns: that time.
         config: the settings.
         watch: has seen the pings before.
 
     Returns:
-        The scan, or a reject: `burst`, or the reason for which the map would refuse the ping.
+        The scan, or a reject: `burst`.
     """
-    try:
-        echo, _ = filter_ping_image(ping_image_of(ping, config.sonar), config)
-    except MapError as error:
-        return Reject(error.reason, str(error))
-    return scan_of(echo, _around(ping, pose, t_ns, config), config, watch)
+    return scan_of(image, _around(pose, t_ns, config), config, watch)
 
 
-def _around(ping: Ping, pose: FusedPose, t_ns: int, config: Config) -> Surroundings:
+def _around(pose: FusedPose, t_ns: int, config: Config) -> ScanContext:
     """The surface is at height 0 where a source of depth has been named; the floor is unknown."""
     level_T_sonar = level_T_base(pose.pose.map_q_base) @ mounting(config)  # noqa: N806 frames
     depth_m = None
     if config.odometry.owners.depth not in UNNAMED:
         depth_m = -float(pose.pose.position_m[2]) - float(level_T_sonar[2, 3])
-    return Surroundings(t_ns, level_T_sonar, depth_m=depth_m, gamma_byte=ping.gamma)
+    return ScanContext(t_ns, level_T_sonar, depth_m=depth_m)

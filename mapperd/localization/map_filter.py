@@ -32,7 +32,7 @@ from mapperd.localization.verification import (
     MIN_SCANS,
     Keyframe,
     ScanWindow,
-    Verdict,
+    VerificationResult,
     verify,
 )
 from mapperd.localization.weighting import MapWeighing, threads_of
@@ -116,7 +116,7 @@ class MapFilter:
         self.rival: AlternativeHypothesis | None = None
         self.rivals = 0
         self.confirmed = True
-        self.verdict: Verdict | None = None
+        self.verdict: VerificationResult | None = None
         self._config = config
         self._particles = self._cloud()
         self._map: MapWeighing | None = None

@@ -83,7 +83,7 @@ def pgm_bytes(pixels: NDArray[np.uint8]) -> bytes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Pixels:
+class _ImagePixels:
     """An image.
 
     Attributes:
@@ -102,7 +102,7 @@ PNG_SIZE, BMP_SIZE = struct.Struct(">16x2I"), struct.Struct("<18x2i")
 ALPHA_CHANNELS = 4
 
 
-def _pixels_of(data: bytes, name: str) -> _Pixels:
+def _pixels_of(data: bytes, name: str) -> _ImagePixels:
     """The pixels of a whole file, by what it is and not by its suffix.
 
     Raises:
@@ -112,7 +112,7 @@ def _pixels_of(data: bytes, name: str) -> _Pixels:
         (at for magic, at in ((PNG, PNG_SIZE), (BMP, BMP_SIZE)) if data[:8].startswith(magic)), None
     )
     if layout is None:
-        return _Pixels(pgm_pixels(data, name))
+        return _ImagePixels(pgm_pixels(data, name))
     if len(data) < layout.size:
         raise MapError(f"{name}: not a whole image", "bad_map_file")
     width, height = layout.unpack_from(data)
@@ -135,7 +135,7 @@ def _pixels_of(data: bytes, name: str) -> _Pixels:
     colours = np.atleast_3d(image)
     count = colours.shape[2]
     alpha = colours[..., -1].astype(np.uint8) if count == ALPHA_CHANNELS else None
-    return _Pixels(colours.sum(axis=2, dtype=np.uint16), count, alpha)
+    return _ImagePixels(colours.sum(axis=2, dtype=np.uint16), count, alpha)
 
 
 Mode = Literal["trinary", "scale", "raw"]
@@ -248,7 +248,7 @@ def _described(data: bytes, name: str) -> _Description:
         raise MapError(f"{name}: {error}", "bad_map_file") from error
 
 
-def _cells(pixels: _Pixels, about: _Description) -> NDArray[np.int8]:
+def _cells(pixels: _ImagePixels, about: _Description) -> NDArray[np.int8]:
     """Cells of all sums of channels there can be, looked up."""
     total, channels = pixels.total, pixels.channels
     if pixels.alpha is not None and about.mode != "trinary":

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from mapperd.config.tree import Config
 from mapperd.errors import MapError, Reject
 from mapperd.geometry.gaussian import Belief, BeliefState, PlanarGaussian
+from mapperd.imaging.ping_image import PingImage
 from mapperd.localization.burst_filter import BurstState, BurstWatch
-from mapperd.localization.extraction import burst_watch, scan_of_ping
+from mapperd.localization.extraction import burst_watch, scan_at
 from mapperd.localization.known_map import KnownMap
 from mapperd.localization.localizer import Localized, Localizer, LocalizerState
 from mapperd.localization.map_filter import FilterState, MapFilter
@@ -35,7 +36,6 @@ from mapperd.session_log import (
     Request,
     SetMap,
 )
-from oculus_driver.ping import Ping
 
 __all__ = ["LocalizationStage", "LocalizationStageState", "gaussian_of"]
 
@@ -129,17 +129,17 @@ class LocalizationStage:
             return
         self._config = config
 
-    def correct(self, ping: Ping, pose: FusedPose | Reject, t_ns: int | None) -> FusedPose | Reject:
+    def correct(
+        self, image: PingImage | Reject, pose: FusedPose, t_ns: int | None
+    ) -> FusedPose | Reject:
         """Localize by a ping; return the pose to map it at, or why it has no pose.
 
         Args:
-            ping: the decoded ping.
-            pose: of the odometry at the ping's time, or why it has no pose.
+            image: the filtered image, or why the ping has none.
+            pose: of the odometry at the ping's time.
             t_ns: time of the ping.
         """
-        if isinstance(pose, Reject):
-            return pose
-        self._localized = self._look(ping, pose, t_ns or 0)
+        self._localized = self._look(image, pose, t_ns or 0)
         self._odom = pose
         where = self._config.localization.mapping
         if where == "odometry":
@@ -220,10 +220,12 @@ class LocalizationStage:
     def _is_in_3d(self) -> bool:
         return self._known is not None and isinstance(self._known.map, VolumeMap)
 
-    def _look(self, ping: Ping, pose: FusedPose, t_ns: int) -> Localized:
+    def _look(self, image: PingImage | Reject, pose: FusedPose, t_ns: int) -> Localized:
         if not self._localizer.life.running:
             return self._localizer.passed("no_filter")
-        scan = scan_of_ping(ping, pose, t_ns, self._config, self._watch)
+        if isinstance(image, Reject):
+            return self._localizer.passed(image.reason)
+        scan = scan_at(image, pose, t_ns, self._config, self._watch)
         if isinstance(scan, Reject):
             return self._localizer.passed(scan.reason)
         localized = self._localizer.take_scan(scan, pose.pose)

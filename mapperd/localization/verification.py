@@ -27,7 +27,7 @@ from mapperd.localization.scan import Scan
 from mapperd.localization.update_gate import PlanarPose
 from mapperd.localization.weighting import MapWeighing
 
-__all__ = ["MIN_RETURNS", "MIN_SCANS", "Keyframe", "ScanWindow", "Verdict", "verify"]
+__all__ = ["MIN_RETURNS", "MIN_SCANS", "Keyframe", "ScanWindow", "VerificationResult", "verify"]
 
 Floats = NDArray[np.float64]
 
@@ -111,7 +111,7 @@ class ScanWindow(NamedTuple):
         return ScanWindow((*self.keyframes, keyframe), keyframe.odom)
 
 
-class Verdict(NamedTuple):
+class VerificationResult(NamedTuple):
     """Result of a verification: log-likelihood ratios of tempered scans.
 
     Attributes:
@@ -210,7 +210,7 @@ def verify(
     place: Floats,
     clouds: list[ParticleFilter],
     seed: tuple[int, int],
-) -> Verdict | None:
+) -> VerificationResult | None:
     """Search the map for poses that explain a window, and compare them with one.
 
     Args:
@@ -240,7 +240,7 @@ def verify(
     near = about = _are_near(poses, place)
     if near.any():  # an estimate beside the best pose is as far from that as distant poses are
         near = _are_near(poses, poses[np.argmax(np.where(about, total, -math.inf))])
-    return Verdict(
+    return VerificationResult(
         _margin(total[near], total[~near]),
         _margin(scores[-RECENT:, near].sum(axis=0), scores[-RECENT:, ~near].sum(axis=0)),
         _margin(last[searched : searched + CLOUD_POSES], last[~near]),

@@ -12,7 +12,7 @@ from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import NewSettings, PosedPing, Work
 from mapperd.pipeline.persistence import MapPersistence
 from mapperd.pipeline.pose_lookup import ODOMETRY_FOLLOWS
-from mapperd.pipeline.step import PingResult, Stages, process_ping
+from mapperd.pipeline.step import PingResult, Stages, process_ping, skip_ping
 from mapperd.session_log import Remarks, Request, Reset
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ class PingExecutor:
             case PosedPing(number=number):
                 self.counters.pings_total -= 1  # the run before counted it
                 if number not in self._remarks.drops:
-                    self.stages.correct(work)
+                    skip_ping(work, self.stages, self._config)
             case NewSettings(config):
                 self.reconfigure(config)
             case Reset():

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from mapperd.config.tree import Config
 from mapperd.errors import MapError, Reject
 from mapperd.geometry.motion import BaseMotion
 from mapperd.imaging.filter_chain import filter_ping_image
@@ -11,8 +12,11 @@ from mapperd.localization.stage import LocalizationStage
 from mapperd.mapping.sonar_map import PingStats, SonarMap
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.decoder import PosedPing
+from oculus_driver.ping import Ping
 
-__all__ = ["PingResult", "Stages", "process_ping"]
+__all__ = ["PingResult", "Stages", "process_ping", "skip_ping"]
+
+Robots = tuple[Robot, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,11 +31,11 @@ class Stages:
     map: SonarMap
     localization: LocalizationStage | None = None
 
-    def correct(self, posed: PosedPing) -> FusedPose | Reject:
-        """Localize by a ping; return the pose to map it at, or a reject."""
-        if self.localization is None:
+    def correct(self, image: PingImage | Reject, posed: PosedPing) -> FusedPose | Reject:
+        """Localize by a filtered image; return the pose to map it at, or a reject."""
+        if self.localization is None or isinstance(posed.pose, Reject):
             return posed.pose
-        return self.localization.correct(posed.ping, posed.pose, posed.t_ns)
+        return self.localization.correct(image, posed.pose, posed.t_ns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,19 +70,37 @@ def process_ping(posed: PosedPing, stages: Stages) -> PingResult:
         stages: the map and localization.
     """
     ping, sonar_map = posed.ping, stages.map
-    pose = stages.correct(posed)
+    if isinstance(posed.pose, Reject):
+        return PingResult(posed, posed.pose, posed.pose)
+    image, robots = filtered_image(ping, sonar_map.config)
+    pose = stages.correct(image, posed)
     if isinstance(pose, Reject):
         return PingResult(posed, pose, pose)
+    if isinstance(image, Reject):
+        return PingResult(posed, pose, image)
+    map_T_sonar = pose.pose.map_T_base @ sonar_map.base_T_sonar  # noqa: N806 frames are named
+    sound_mps = ping.credible_speed_of_sound_mps
+    base_motion = BaseMotion(pose.velocity_mps, pose.rate_radps)
+    middle_s = ping.max_range_m / 2 / sound_mps
+    motion = base_motion.of_sonar(pose.pose, sonar_map.base_T_sonar, middle_s, sound_mps)
     try:
-        image = ping_image_of(ping, sonar_map.config.sonar)
-        image, robots = filter_ping_image(image, sonar_map.config)
-        map_T_sonar = pose.pose.map_T_base @ sonar_map.base_T_sonar  # noqa: N806 frames are named
-        sound_mps = ping.credible_speed_of_sound_mps
-        base_motion = BaseMotion(pose.velocity_mps, pose.rate_radps)
-        middle_s = ping.max_range_m / 2 / sound_mps
-        motion = base_motion.of_sonar(pose.pose, sonar_map.base_T_sonar, middle_s, sound_mps)
         stats = sonar_map.integrate(image, map_T_sonar, motion)
     except MapError as error:
         return PingResult(posed, pose, Reject(error.reason, str(error)))
     located = tuple((robot, robot.position_m(map_T_sonar)) for robot in robots)
     return PingResult(posed, pose, stats, located, image)
+
+
+def skip_ping(posed: PosedPing, stages: Stages, config: Config) -> None:
+    """Repeat only localization for a ping that is in the map already."""
+    if stages.localization is not None and not isinstance(posed.pose, Reject):
+        image, _ = filtered_image(posed.ping, config)
+        stages.correct(image, posed)
+
+
+def filtered_image(ping: Ping, config: Config) -> tuple[PingImage | Reject, Robots]:
+    """The image that localization and the map use, or why there is none; the robots in it."""
+    try:
+        return filter_ping_image(ping_image_of(ping, config.sonar), config)
+    except MapError as error:
+        return Reject(error.reason, str(error)), ()

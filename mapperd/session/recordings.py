@@ -131,7 +131,7 @@ def missing_before(number: int, before: int) -> str:
 
 
 @dataclass(slots=True)
-class _Seen:
+class _ReadingState:
     """What reading has shown so far."""
 
     bytes_read: int = 0
@@ -171,7 +171,7 @@ class RecordedSession:
         self.session = session
         self.damaged = damaged or DamagedData()
         self.odometry = odometry
-        self._seen = _Seen()
+        self._seen = _ReadingState()
         self.size_bytes = 0
         if session is not None:
             self.damaged.add_holes(
@@ -217,7 +217,7 @@ class RecordedSession:
 
     def __iter__(self) -> Iterator[Chunk]:
         """Read from the front; raises `RecordingError` where a file cannot be opened any more."""
-        self._seen = seen = _Seen()
+        self._seen = seen = _ReadingState()
         merge = None if self.odometry is None else self.odometry.merge()
         for path in self.paths:
             before, is_last = seen.bytes_read, path is self.paths[-1]

@@ -114,7 +114,7 @@ class SqlitePersistence:
         self._damage_reported = store.counters.bricks_damaged
         self._done = 0
         self._next: _Point | None = None
-        self._wanted: _Request | None = None
+        self._wanted: _SnapshotRequest | None = None
         self._saving = threading.Lock()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._save_on, name="saving", daemon=True)
@@ -374,7 +374,7 @@ class SqlitePersistence:
 
     def _request_snapshot(self) -> Snapshot:
         """Request a snapshot from the mapping thread and wait for it."""
-        request = _Request()
+        request = _SnapshotRequest()
         self._wanted = request
         self._wake()
         until_s = time.monotonic() + TIMEOUT_S
@@ -469,7 +469,7 @@ class SqlitePersistence:
                 self._on_trouble(None)
 
 
-class _Request:
+class _SnapshotRequest:
     """A pending request for a snapshot."""
 
     def __init__(self) -> None:

@@ -37,7 +37,7 @@ class _BadRequestError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class _Request:
+class _PendingAnswer:
     asked: Asked
     id: Id
     body: Any
@@ -63,7 +63,7 @@ class TelemetryRequests:
         self._operations = operations
         self._topics = topics
         self._put = put
-        self._waiting: asyncio.Queue[_Request] = asyncio.Queue(MAX_WAITING)
+        self._waiting: asyncio.Queue[_PendingAnswer] = asyncio.Queue(MAX_WAITING)
         self._answers: OrderedDict[tuple[Asked, Id], bytes] = OrderedDict()
         self.counts: Counter[str] = Counter()
 
@@ -95,7 +95,7 @@ class TelemetryRequests:
                 continue
             self._answer(request.asked, request.id, await self._obeyed(request))
 
-    async def _obeyed(self, request: _Request) -> Answer:
+    async def _obeyed(self, request: _PendingAnswer) -> Answer:
         try:
             if request.asked.kind == "config":
                 return await asyncio.to_thread(self._set, request.asked.name, request.body)
@@ -157,7 +157,7 @@ class TelemetryRequests:
         self._put(QueuedMessage(self._topics.result(asked), payload, Kind.ANSWER, qos=1))
 
 
-def _request(asked: Asked, payload: bytes) -> _Request:
+def _request(asked: Asked, payload: bytes) -> _PendingAnswer:
     """Read a payload: of a command an object with an id, of a setting a value or such an object."""
     if len(payload) > MAX_BYTES:
         raise _BadRequestError(f"{len(payload)} bytes; at most {MAX_BYTES}")
@@ -168,12 +168,12 @@ def _request(asked: Asked, payload: bytes) -> _Request:
     if asked.kind == "config":
         if isinstance(body, dict) and "value" in body:
             _allow(body, "id", "value")
-            return _Request(asked, _id_of(body), body["value"])
-        return _Request(asked, None, body)
+            return _PendingAnswer(asked, _id_of(body), body["value"])
+        return _PendingAnswer(asked, None, body)
     if not isinstance(body, dict) or body.get("id") is None:
         raise _BadRequestError('an object with an "id" of your choice is wanted')
     request_id = _id_of(body)
-    return _Request(asked, request_id, {key: one for key, one in body.items() if key != "id"})
+    return _PendingAnswer(asked, request_id, {key: one for key, one in body.items() if key != "id"})
 
 
 def _id_of(body: Mapping[str, Any]) -> Id:

@@ -38,79 +38,79 @@ def _tag(name: str) -> str:
     return name.removesuffix("Request").lower()
 
 
-class _Request(
+class _WireRequest(
     Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="do", tag=_tag
 ):
     id: Id
 
 
-class StatusRequest(_Request, frozen=True, kw_only=True):
+class StatusRequest(_WireRequest, frozen=True, kw_only=True):
     """Return the daemon's status."""
 
 
-class ParamsRequest(_Request, frozen=True, kw_only=True):
+class ParamsRequest(_WireRequest, frozen=True, kw_only=True):
     """Return facts of settings or sections; no names request all."""
 
     names: Names = field(default_factory=list)
 
 
-class GetRequest(_Request, frozen=True, kw_only=True):
+class GetRequest(_WireRequest, frozen=True, kw_only=True):
     """Return values of settings or sections."""
 
     names: Annotated[list[str], Meta(min_length=1, max_length=1000)]
 
 
-class SetRequest(_Request, frozen=True, kw_only=True):
+class SetRequest(_WireRequest, frozen=True, kw_only=True):
     """Change settings, all or none."""
 
     changes: Annotated[dict[str, Any], Meta(min_length=1, max_length=1000)]
 
 
-class SaveRequest(_Request, frozen=True, kw_only=True):
+class SaveRequest(_WireRequest, frozen=True, kw_only=True):
     """Write the map to a file in the folder for maps."""
 
     name: Annotated[str, Meta(max_length=1000)]
 
 
-class ResetRequest(_Request, frozen=True, kw_only=True):
+class ResetRequest(_WireRequest, frozen=True, kw_only=True):
     """Empty the map."""
 
 
-class ReloadRequest(_Request, frozen=True, kw_only=True):
+class ReloadRequest(_WireRequest, frozen=True, kw_only=True):
     """Read the settings' files again."""
 
 
-class SnapshotRequest(_Request, frozen=True, kw_only=True):
+class SnapshotRequest(_WireRequest, frozen=True, kw_only=True):
     """Write the map and the recording to disk."""
 
 
-class EventsRequest(_Request, frozen=True, kw_only=True):
+class EventsRequest(_WireRequest, frozen=True, kw_only=True):
     """Return the events after a number."""
 
     since: Id = 0
 
 
-class LocalizationRequest(_Request, frozen=True, kw_only=True):
+class LocalizationRequest(_WireRequest, frozen=True, kw_only=True):
     """Return the pose on the known map, and some of the particles."""
 
     particles: Annotated[int, Meta(ge=0, le=500)] = 0
 
 
-class InitialPoseRequest(_Request, frozen=True, kw_only=True, tag="initial_pose"):
+class InitialPoseRequest(_WireRequest, frozen=True, kw_only=True, tag="initial_pose"):
     """Begin localization at a pose."""
 
     pose: PoseRequest
 
 
-class GlobalLocalizationRequest(_Request, frozen=True, kw_only=True, tag="global_localization"):
+class GlobalLocalizationRequest(_WireRequest, frozen=True, kw_only=True, tag="global_localization"):
     """Begin localization anywhere on the map."""
 
 
-class NoMotionUpdateRequest(_Request, frozen=True, kw_only=True, tag="request_nomotion_update"):
+class NoMotionUpdateRequest(_WireRequest, frozen=True, kw_only=True, tag="request_nomotion_update"):
     """Use the next scan as an update even without motion."""
 
 
-class SetMapRequest(_Request, frozen=True, kw_only=True, tag="set_map"):
+class SetMapRequest(_WireRequest, frozen=True, kw_only=True, tag="set_map"):
     """Localize on another map, from a pose if it is given."""
 
     name: Annotated[str, Meta(max_length=1000)]

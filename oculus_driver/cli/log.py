@@ -100,7 +100,7 @@ def run(args: argparse.Namespace, output: Output) -> Exit:
         prefix=args.prefix,
         monotonic_to_unix_ns=lambda: time.time_ns() - time.monotonic_ns(),
     )
-    watch = _Watch(args, output, settings, log)
+    watch = _LogMonitor(args, output, settings, log)
     watch.check_space()
     run_until_stopped(_log(args, output, settings, watch))
     problem = watch.problem()
@@ -108,7 +108,7 @@ def run(args: argparse.Namespace, output: Output) -> Exit:
 
 
 async def _log(
-    args: argparse.Namespace, output: Output, settings: FireSettings, watch: _Watch
+    args: argparse.Namespace, output: Output, settings: FireSettings, watch: _LogMonitor
 ) -> None:
     from oculus_driver.recording import BackgroundLog  # noqa: PLC0415 - slow to import
 
@@ -141,7 +141,7 @@ async def _log(
             _report(output, watch.sonar, log, "end", end)
 
 
-class _Watch:
+class _LogMonitor:
     """Reports at once that nothing is recorded, and at the end what is missing.
 
     Attributes:

@@ -30,7 +30,7 @@ class _Entry(NamedTuple):
     number: int = 0
 
 
-class _Run(NamedTuple):
+class _PieceRun(NamedTuple):
     """Consecutive pieces in one file, one message each."""
 
     first: int
@@ -76,7 +76,7 @@ class BackgroundLog:
         self.written = 0
         self.synced = 0
         self._sync_wanted = 0
-        self._runs: deque[_Run] = deque(maxlen=_MAX_RUNS)
+        self._runs: deque[_PieceRun] = deque(maxlen=_MAX_RUNS)
         self._log = log
         self._limit = max_waiting_bytes
         self._clock = clock
@@ -243,6 +243,6 @@ class BackgroundLog:
             ):
                 self._runs[-1] = last._replace(last=number, position=position)
             else:
-                self._runs.append(_Run(number, number, position))
+                self._runs.append(_PieceRun(number, number, position))
             self.written = number
             self._changed.notify_all()

@@ -52,7 +52,7 @@ _LIKELY_LENGTH: Final = 1 << 40
 _OPCODES: Final = frozenset(int(opcode) for opcode in Opcode if opcode < _PRIVATE)
 
 
-class _DamagedError(Exception):
+class _DamagedRecordError(Exception):
     """The bytes here are not valid records; the message describes the damage."""
 
 
@@ -142,7 +142,7 @@ class _Reader:
                     f"damaged at byte {start}: a record is longer than the file",
                     "the recording was not closed" if start == self.size else end,
                 )
-            except _DamagedError as damage:
+            except _DamagedRecordError as damage:
                 text = f"damaged at byte {start}: {damage}"
                 self._lose(start + 1, text, text)
         self.progress.bytes_read = self.size
@@ -161,10 +161,10 @@ class _Reader:
 
     def _footer(self, length: int) -> None:
         if length != mcap.FOOTER.size:
-            raise _DamagedError(f"a footer of {length} bytes")
+            raise _DamagedRecordError(f"a footer of {length} bytes")
         _exactly(self, length)
         if _exactly(self, len(mcap.MAGIC)) != mcap.MAGIC:
-            raise _DamagedError("no end mark")
+            raise _DamagedRecordError("no end mark")
         self.finished = True
 
     def _head(self, source: ByteSource) -> tuple[int, int]:
@@ -173,18 +173,18 @@ class _Reader:
             raise _CutError
         opcode, length = mcap.HEAD.unpack(head)
         if opcode not in _OPCODES and opcode < _PRIVATE:
-            raise _DamagedError(f"invalid record type {opcode:#04x}")
+            raise _DamagedRecordError(f"invalid record type {opcode:#04x}")
         return opcode, length
 
     def _message(self, source: ByteSource, length: int) -> Generator[Chunk]:
         if not mcap.MESSAGE_HEAD.size <= length <= MAX_RECORD:
-            raise _DamagedError(f"a message of {length} bytes")
+            raise _DamagedRecordError(f"a message of {length} bytes")
         head = source.read(mcap.MESSAGE_HEAD.size)
         if len(head) < mcap.MESSAGE_HEAD.size:
             raise _CutError
         number, sequence, log_time_ns, _ = mcap.MESSAGE_HEAD.unpack(head)
         if not self._declared(number):
-            raise _DamagedError(f"a message of undeclared link {number}")
+            raise _DamagedRecordError(f"a message of undeclared link {number}")
         self.stamp_ns = self.stamp_ns or log_time_ns or None
         start = self.position
         data, fault = self._content(source, length - mcap.MESSAGE_HEAD.size)
@@ -249,7 +249,7 @@ class _Reader:
 
     def _content(
         self, source: ByteSource, size: int
-    ) -> tuple[bytes, _CutError | _DamagedError | None]:
+    ) -> tuple[bytes, _CutError | _DamagedRecordError | None]:
         """Return the data of a message and, if they are incomplete, why.
 
         If no record follows a message, its length may be damaged. If a record starts inside the
@@ -261,7 +261,7 @@ class _Reader:
         if source is self and (cut or not self._record_follows()):
             found = self._next_record(start, self.position)
             if found is not None:
-                return data[: found - start], _DamagedError(f"a message of {size} bytes")
+                return data[: found - start], _DamagedRecordError(f"a message of {size} bytes")
         return data, _CutError() if cut else None
 
     def _header_follows(self) -> bool:
@@ -287,11 +287,11 @@ class _Reader:
         head = _exactly(self, mcap.CHUNK_HEAD.size)
         _, _, inflated_size, crc, name_size = mcap.CHUNK_HEAD.unpack(head)
         if name_size > _MAX_NAME:
-            raise _DamagedError("an invalid chunk head")
+            raise _DamagedRecordError("an invalid chunk head")
         compression = _exactly(self, name_size).decode(errors="replace")
         (size,) = mcap.U64.unpack(_exactly(self, mcap.U64.size))
         if self.position - start + size != length:
-            raise _DamagedError("a chunk with contradicting sizes")
+            raise _DamagedRecordError("a chunk with contradicting sizes")
         self._check(compression, size, inflated_size, crc)
         if compression != "":
             yield from self._inflated(compression, size, inflated_size)
@@ -341,7 +341,7 @@ class _Reader:
         except _CutError:
             if source.fault is None and start + size <= self.size:
                 source.fault = "premature end"
-        except _DamagedError as damage:
+        except _DamagedRecordError as damage:
             source.fault = str(damage)
         if source.fault is not None and start + size <= self.size:
             self.losses += 1
@@ -368,7 +368,7 @@ class _Reader:
     def _declare(self, content: bytes) -> None:
         channel = channel_of(content)
         if channel is None:
-            raise _DamagedError("a link without a name")
+            raise _DamagedRecordError("a link without a name")
         self.channels[channel[0]] = channel[1:]
 
     def _note(self, content: bytes) -> None:
@@ -379,7 +379,7 @@ class _Reader:
         found = dict(zip(texts, texts, strict=False))
         crc = found.pop(mcap.CRC_KEY, None)
         if crc is not None and crc != mcap.crc_of_texts(found):
-            raise _DamagedError("metadata with a wrong checksum")
+            raise _DamagedRecordError("metadata with a wrong checksum")
         self.progress.metadata = found
         version = found.get(_NUMBERED, "")
         self.is_checked = version.isdecimal() and int(version) >= _CHECKED
@@ -393,7 +393,7 @@ class _Reader:
         if opcode != Opcode.ATTACHMENT and end <= self.size:
             found = self._next_record(self.position, end)
             if found is not None:
-                raise _DamagedError(f"a record of type {opcode:#04x} with messages in it")
+                raise _DamagedRecordError(f"a record of type {opcode:#04x} with messages in it")
         self._skip(length)
 
     def _skip(self, length: int) -> None:

@@ -178,7 +178,7 @@ def read_pcapng_packets(file: BinaryIO, size: int, progress: Progress) -> Iterat
     return _Blocks(file, size, progress).read()
 
 
-class _DamagedError(Exception):
+class _DamagedBlockError(Exception):
     """No valid block starts here; the message describes the damage."""
 
 
@@ -205,7 +205,7 @@ class _Blocks:
             self.file.seek(at)
             try:
                 kind, body, length = self._block(at)
-            except _DamagedError as damage:
+            except _DamagedBlockError as damage:
                 found = self._search(at + 1) if self.interfaces else None
                 if found is None:
                     self.progress.report_truncation(str(damage))
@@ -225,20 +225,20 @@ class _Blocks:
         """Return type, body and total length of the block here."""
         head = self.file.read(_FRAME)
         if len(head) < _FRAME:
-            raise _DamagedError(f"ends inside a block, at byte {self.size}")
+            raise _DamagedBlockError(f"ends inside a block, at byte {self.size}")
         if head[:4] == PCAPNG_MAGIC:
             self.order = _ORDERS.get(head[8:], self.order)
             self.interfaces.clear()
         kind, length = struct.unpack_from(self.order + "II", head)
         if length < _FRAME or length % 4:
-            raise _DamagedError(f"damaged at byte {at}: a block of {length} bytes")
+            raise _DamagedBlockError(f"damaged at byte {at}: a block of {length} bytes")
         if at + length > self.size:
-            raise _DamagedError(f"ends inside a block, at byte {self.size}")
+            raise _DamagedBlockError(f"ends inside a block, at byte {self.size}")
         if length > _MAX_BLOCK:
             return _OF_NO_INTEREST, b"", length
         rest = head[8:] + self.file.read(length - _FRAME)
         if rest[-4:] != struct.pack(self.order + "I", length):
-            raise _DamagedError(f"damaged at byte {at}: a block's two lengths differ")
+            raise _DamagedBlockError(f"damaged at byte {at}: a block's two lengths differ")
         return kind, rest[:-4], length
 
     def _search(self, start: int) -> int | None:

@@ -24,7 +24,7 @@ EVERY = 5
 
 
 @dataclass(slots=True)
-class MapDifference:
+class ClassDifference:
     """Sums up differences in log-odds and in class between pairs of maps.
 
     Attributes:
@@ -82,7 +82,7 @@ def compare(pings_file: Path, resolution_m: float, budget_s: float) -> DetailDif
     configs = [config_of("grid", resolution_m, detail=detail) for detail in (1.0, CONVERGED)]
     mapping = configs[0].mapping
     limits = np.array([mapping.free_threshold, mapping.occupied_threshold])
-    difference = MapDifference(*np.log(limits / (1.0 - limits)).tolist())
+    difference = ClassDifference(*np.log(limits / (1.0 - limits)).tolist())
     began_s = time.perf_counter()
     for i in range(0, len(pings), EVERY):
         if time.perf_counter() - began_s > budget_s:

@@ -23,7 +23,7 @@ from mapperd.config.daemon import OutOfCoreConfig
 from mapperd.config.tree import Config, OctreeConfig
 from mapperd.daemon.map_folder import write_results
 from mapperd.export.formats import FORMATS, write_map
-from mapperd.export.trajectory import Trajectory
+from mapperd.export.trajectory import TrajectoryWriter
 from mapperd.mapping.sonar_map import BRICK_VOXELS, SonarMap
 from mapperd.store.maintenance import packed, write_whole
 from mapperd.store.stored_map import StoredMap
@@ -76,7 +76,9 @@ def _beds() -> tuple[list[bytes], float]:
 
 def _results(stored: StoredMap, folder: Path) -> None:
     summary: dict[str, Any] = {"pings_mapped": 0, "pings_total": 0}
-    write_results(folder, stored, summary | {"map_sha256": stored.sha256()}, Trajectory(folder))
+    write_results(
+        folder, stored, summary | {"map_sha256": stored.sha256()}, TrajectoryWriter(folder)
+    )
 
 
 def _way(name: str, path: Path, folder: Path) -> None:

@@ -114,7 +114,7 @@ def dive(
         first, *others = [source.subscribe(Interest()) for _ in range(clients)]
         watched.append(ViewedDive(source, first, others))
         changes.append(Changes(step))
-    clock = _Clock()
+    clock = _RecordingClock()
     next_ns = 0
 
     def tick() -> None:
@@ -145,7 +145,7 @@ def dive(
         )
 
 
-class _Clock:
+class _RecordingClock:
     """The time of the recording."""
 
     def __init__(self) -> None:

@@ -36,7 +36,7 @@ END = b"end_header\n"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class VoxelCloud:
+class OccupiedVoxels:
     """Occupied voxels.
 
     Attributes:
@@ -48,7 +48,7 @@ class VoxelCloud:
     edge_m: float
 
 
-def read_voxels(path: Path) -> VoxelCloud:
+def read_voxels(path: Path) -> OccupiedVoxels:
     """Read a binary PLY of voxel centres, whose comment states the voxels' edge.
 
     Raises:
@@ -67,7 +67,7 @@ def read_voxels(path: Path) -> VoxelCloud:
     dtype = np.dtype([(name, _DTYPES[kind]) for kind, name in fields])
     vertices = np.frombuffer(body, dtype, int(count[1]))
     centres = np.stack([vertices[axis] for axis in "xyz"], axis=1).astype(np.float64)
-    return VoxelCloud(centres, float(edge[1]))
+    return OccupiedVoxels(centres, float(edge[1]))
 
 
 LARGEST_EDGE_M = 0.12

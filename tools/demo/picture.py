@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from demo.map_truth import VoxelCloud
+from demo.map_truth import OccupiedVoxels
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.recording import OCULUS, open_recording
 from oculus_driver.stream import StreamParser
@@ -142,7 +142,7 @@ FAN_PIXELS = 720
 
 
 def draw_demo(
-    path: Path, scene_m: NDArray[np.float64], voxels: VoxelCloud, ping: Ping, caption: str
+    path: Path, scene_m: NDArray[np.float64], voxels: OccupiedVoxels, ping: Ping, caption: str
 ) -> None:
     """Write the picture.
 

@@ -63,7 +63,7 @@ def simulate(tasks: Sequence[TaskTime], cluster: ComputeCluster) -> Schedule:
     Raises:
         ValueError: see `mapper_survey.run_record.in_order`.
     """
-    return _Run(in_order(tasks), cluster).schedule()
+    return _SurveyRun(in_order(tasks), cluster).schedule()
 
 
 class _SharedStorage:
@@ -105,7 +105,7 @@ class _SharedStorage:
         return min(share, self._cluster.link_bytes_per_s)
 
 
-class _Run:
+class _SurveyRun:
     """The events of one survey."""
 
     def __init__(self, tasks: list[TaskTime], cluster: ComputeCluster) -> None:

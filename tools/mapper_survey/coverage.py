@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mapper_survey.surface import NO_TOP, tops_of
 from mapper_survey.tally import Tally
-from mapper_survey.windows import ColumnWindow, StoredMap, Tiling
+from mapper_survey.windows import ColumnWindow, Tiling, WindowedMap
 from mapperd.export.cells import UNKNOWN, Heights, known_cells
 from mapperd.export.geotiff import NO_DATA, Band
 from mapperd.mapping.sonar_map import SonarMap
@@ -160,8 +160,8 @@ class Pictures:
 
 
 def cover(
-    stores: Mapping[str, StoredMap],
-    merged: StoredMap,
+    stores: Mapping[str, WindowedMap],
+    merged: WindowedMap,
     tiling: Tiling,
     coverage: Coverage,
     pictures: Pictures,

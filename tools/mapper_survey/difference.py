@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mapper_survey.errors import SurveyError
 from mapper_survey.tally import Tally
-from mapper_survey.windows import Key, StoredMap
+from mapper_survey.windows import Key, WindowedMap
 from mapperd.export.cells import indices_of
 from mapperd.mapping.difference import (
     MAX_REACH_VOXELS,
@@ -26,7 +26,7 @@ from mapperd.mapping.probability import log_odds_of
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import BRICK_VOXELS
 
-__all__ = ["Comparison", "Disagreement", "OneWayDifference", "cubes_of", "differences"]
+__all__ = ["Comparison", "DifferenceCounts", "Disagreement", "cubes_of", "differences"]
 
 CUBE_BRICKS = 2
 """Along an edge of what is compared at a time; what lies around it within the reach is read too."""
@@ -35,7 +35,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(slots=True)
-class OneWayDifference:
+class DifferenceCounts:
     """From the occupied voxels of one dive to the other's.
 
     Attributes:
@@ -102,15 +102,15 @@ class Comparison:
         return squares_to_nearest(other.core, index, self.reach, occupied_log_odds)
 
 
-def cubes_of(stores: Mapping[str, StoredMap]) -> list[Key]:
+def cubes_of(stores: Mapping[str, WindowedMap]) -> list[Key]:
     """Places of all cubes of `CUBE_BRICKS` bricks an edge with a brick of one of some maps."""
     keys = np.concatenate([stored.keys for stored in stores.values()])
     return [(x, y, z) for x, y, z in np.unique(keys // CUBE_BRICKS, axis=0).tolist()]
 
 
 def differences(
-    stores: Mapping[str, StoredMap],
-    ways: Mapping[tuple[str, str], OneWayDifference],
+    stores: Mapping[str, WindowedMap],
+    ways: Mapping[tuple[str, str], DifferenceCounts],
     comparison: Comparison,
     progress: Callable[[], None],
 ) -> Iterator[Disagreement]:
@@ -133,7 +133,7 @@ def differences(
         progress()
 
 
-def _occupied(stored: StoredMap, cube: Key) -> Ints:
+def _occupied(stored: WindowedMap, cube: Key) -> Ints:
     """Indices (N, 3) of a dive's occupied voxels in a cube."""
     low = np.array(cube) * CUBE_BRICKS
     high = low + CUBE_BRICKS - 1
@@ -144,9 +144,9 @@ def _occupied(stored: StoredMap, cube: Key) -> Ints:
 
 
 def _compared(
-    stored: StoredMap,
+    stored: WindowedMap,
     others: Mapping[str, Ints],
-    ways: Mapping[str, OneWayDifference],
+    ways: Mapping[str, DifferenceCounts],
     comparison: Comparison,
 ) -> Iterator[Disagreement]:
     """From the voxels of others in a cube to one dive."""

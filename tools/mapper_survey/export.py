@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mapper_survey.errors import SurveyError
 from mapper_survey.surface import CELL_VOXELS, RULES, Rule, SurfaceCells, surface_of
-from mapper_survey.windows import WINDOW_BRICKS, ColumnWindow, StoredMap, Tiling, tiling_of
+from mapper_survey.windows import WINDOW_BRICKS, ColumnWindow, Tiling, WindowedMap, tiling_of
 from mapperd.config.tree import Config
 from mapperd.export.cells import Heights
 from mapperd.export.clouds import write_points
@@ -161,7 +161,7 @@ def export_survey(
     """
     check_products(products, known=origin is not None)
     files = {product: out_dir / PRODUCTS[product] for product in products}
-    with StoredMap(store_path, (options or ExportOptions()).config) as stored:
+    with WindowedMap(store_path, (options or ExportOptions()).config) as stored:
         if not len(stored.keys):
             raise SurveyError(f"{store_path}: the map is empty: there is nothing to export")
         make_folder(out_dir)
@@ -186,7 +186,7 @@ class _Export:
 
     def __init__(
         self,
-        stored: StoredMap,
+        stored: WindowedMap,
         files: dict[str, BinaryIO],
         origin: Origin | None,
         progress: Progress,
@@ -294,7 +294,7 @@ def _plane(origin: Origin | None, places_m: Floats) -> tuple[Floats, Floats]:
     return utm_zone(origin).project(*origin.places(places_m))
 
 
-def _box_of(stored: StoredMap) -> Floats:
+def _box_of(stored: WindowedMap) -> Floats:
     """(2, 3) corners of all bricks."""
     edge_m = stored.resolution_m * BRICK_VOXELS
     return np.stack([stored.keys.min(axis=0), stored.keys.max(axis=0) + 1]) * edge_m

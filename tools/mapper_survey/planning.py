@@ -17,7 +17,7 @@ from mapper_survey.engine import Engine
 from mapper_survey.errors import SurveyError
 from mapper_survey.fingerprint import digest_of, facts_of, known_map_facts, program_digest
 from mapper_survey.folder import Folder, mark, marked
-from mapper_survey.request import Dive, Request, Transform
+from mapper_survey.request import Request, SurveyDive, Transform
 from mapper_survey.spool import Frame, RowFile, Rows, SpoolMap
 from mapperd.config.tree import Config
 from mapperd.errors import ReplayError
@@ -298,7 +298,7 @@ def rows_of(folder: Folder, plan: DivePlan) -> Rows:
     return rows
 
 
-def _task(request: Request, dive: Dive, folder: Folder) -> PlanTask:
+def _task(request: Request, dive: SurveyDive, folder: Folder) -> PlanTask:
     config, recording = request.config_of(dive), request.path_of(dive)
     at = dive.localization
     known = "" if at is None else known_map_facts(request.folder / at)

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapper_survey.coverage import BANDS, Coverage, Pictures, Raster, cover
-from mapper_survey.difference import Comparison, OneWayDifference, cubes_of, differences
+from mapper_survey.difference import Comparison, DifferenceCounts, cubes_of, differences
 from mapper_survey.errors import SurveyError
 from mapper_survey.export import Progress, grid_place
 from mapper_survey.tally import Tally
-from mapper_survey.windows import WINDOW_BRICKS, StoredMap, Tiling, tiling_of
+from mapper_survey.windows import WINDOW_BRICKS, Tiling, WindowedMap, tiling_of
 from mapperd.config.tree import Config
 from mapperd.errors import ExportError, missing_extra
 from mapperd.export.geotiff import write_tiles
@@ -128,7 +128,7 @@ class Report(msgspec.Struct, frozen=True):
 def report_of(
     comparison: Comparison,
     coverage: Coverage,
-    ways: Mapping[tuple[str, str], OneWayDifference],
+    ways: Mapping[tuple[str, str], DifferenceCounts],
     *,
     tolerance_m: float,
     thresholds: tuple[float, float],
@@ -165,7 +165,7 @@ def report_of(
 def _pair(
     a: str,
     b: str,
-    ways: Mapping[tuple[str, str], OneWayDifference],
+    ways: Mapping[tuple[str, str], DifferenceCounts],
     dz: Tally,
     comparison: Comparison,
 ) -> PairRecord:
@@ -186,7 +186,7 @@ def _overlap_of(way: WayRecord) -> float:
     return way.compared / way.voxels if way.voxels else 0.0
 
 
-def _way(way: OneWayDifference, comparison: Comparison) -> WayRecord:
+def _way(way: DifferenceCounts, comparison: Comparison) -> WayRecord:
     missing, only = way.compared - way.common, way.voxels - way.common
     return WayRecord(
         way.voxels,
@@ -248,7 +248,7 @@ def draw_pictures(
     report: Report,
     pictures: Pictures,
     raster: Raster,
-    ways: Mapping[tuple[str, str], OneWayDifference],
+    ways: Mapping[tuple[str, str], DifferenceCounts],
 ) -> None:
     """Write all four PNGs.
 
@@ -351,7 +351,7 @@ def _broad(
     return left - more_x, right + more_x, bottom - more_y, top + more_y
 
 
-def _distances(report: Report, ways: Mapping[tuple[str, str], OneWayDifference]) -> Any:  # noqa: ANN401
+def _distances(report: Report, ways: Mapping[tuple[str, str], DifferenceCounts]) -> Any:  # noqa: ANN401
     figure = _figure(10.0, 5.0)
     figure.suptitle("from each dive's voxels to the nearest of the other", color=INK, fontsize=12)
     axes = figure.subplots()
@@ -468,9 +468,9 @@ def report_survey(
         ExportError: a file cannot be written, or a library is not there.
     """
     with ExitStack() as opening:
-        whole = opening.enter_context(StoredMap(merged, config))
+        whole = opening.enter_context(WindowedMap(merged, config))
         stores = {
-            name: opening.enter_context(StoredMap(path, config))
+            name: opening.enter_context(WindowedMap(path, config))
             for name, path in stores_by_dive.items()
         }
         _check(stores, whole)
@@ -483,8 +483,8 @@ class _Comparing:
 
     def __init__(
         self,
-        stores: Mapping[str, StoredMap],
-        merged: StoredMap,
+        stores: Mapping[str, WindowedMap],
+        merged: WindowedMap,
         tolerance_m: float,
         progress: Progress,
     ) -> None:
@@ -499,7 +499,7 @@ class _Comparing:
             dict.fromkeys(stores, 0), dict.fromkeys(stores, 0), dict.fromkeys(stores, 0)
         )
         self._coverage.dz = {pair: Tally() for pair in itertools.combinations(stores, 2)}
-        self._ways = {pair: OneWayDifference() for pair in itertools.permutations(stores, 2)}
+        self._ways = {pair: DifferenceCounts() for pair in itertools.permutations(stores, 2)}
 
     def write(self, out_dir: Path, origin: Origin | None) -> Report:
         """Count everything, then write it."""
@@ -546,7 +546,7 @@ class _Comparing:
         return lambda: self._progress(next(done), total)
 
 
-def _check(stores: Mapping[str, StoredMap], merged: StoredMap) -> None:
+def _check(stores: Mapping[str, WindowedMap], merged: WindowedMap) -> None:
     if not stores:
         raise SurveyError("no dives: there is nothing to report")
     for name, stored in stores.items():

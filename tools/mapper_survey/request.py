@@ -21,7 +21,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 from mapperd.odometry.odometry_files import OdometryOptions
 
-__all__ = ["Dive", "Request", "Survey", "SurveyOrigin", "Transform", "read_survey"]
+__all__ = ["Request", "Survey", "SurveyDive", "SurveyOrigin", "Transform", "read_survey"]
 
 Metres = Annotated[float, Meta(ge=-1e7, le=1e7)]
 
@@ -48,7 +48,7 @@ class Transform(Struct, frozen=True, forbid_unknown_fields=True):
         )
 
 
-class Dive(Struct, frozen=True, forbid_unknown_fields=True):
+class SurveyDive(Struct, frozen=True, forbid_unknown_fields=True):
     """One recording session, or the folder of one.
 
     Attributes:
@@ -80,7 +80,7 @@ class SurveyOrigin(Struct, frozen=True, forbid_unknown_fields=True):
 class Survey(Struct, frozen=True, forbid_unknown_fields=True):
     """The file as it is written; `outputs` are the products of exporting, where not all."""
 
-    dives: Annotated[list[Dive], Meta(min_length=1)]
+    dives: Annotated[list[SurveyDive], Meta(min_length=1)]
     configuration: str = ""
     settings: dict[str, Any] = {}
     origin: SurveyOrigin | None = None
@@ -101,16 +101,16 @@ class Request(Struct, frozen=True):
     config: Config
     folder: Path
 
-    def path_of(self, dive: Dive) -> Path:
+    def path_of(self, dive: SurveyDive) -> Path:
         """Of a dive's recording."""
         return self.folder / dive.recording
 
-    def odometry_of(self, dive: Dive) -> OdometryOptions | None:
+    def odometry_of(self, dive: SurveyDive) -> OdometryOptions | None:
         """Of a dive, where it is in other files than the recording."""
         paths = tuple(self.folder / name for name in dive.odometry)
         return OdometryOptions(paths, dive.odometry_offset) if paths else None
 
-    def config_of(self, dive: Dive) -> Config:
+    def config_of(self, dive: SurveyDive) -> Config:
         """The settings that a dive is planned by.
 
         Raises:
@@ -199,7 +199,7 @@ def _survey_of(tree: object, path: Path) -> Survey:
 def _unknown(field: str, place: str) -> str:
     kinds = {"transform": Transform, "origin": SurveyOrigin, "$": Survey}
     last = place.rpartition(".")[2]
-    known = kinds.get(last, Dive).__struct_fields__
+    known = kinds.get(last, SurveyDive).__struct_fields__
     near = difflib.get_close_matches(field, known, n=1)
     hint = f"did you mean {near[0]}?" if near else f"allowed: {', '.join(known)}"
     return f"there is no {field[:60]}; {hint}"

@@ -16,7 +16,7 @@ from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import BRICK_VOXELS, StoreReader
 
-__all__ = ["WINDOW_BRICKS", "ColumnWindow", "Key", "StoredMap", "Tiling", "tiling_of"]
+__all__ = ["WINDOW_BRICKS", "ColumnWindow", "Key", "Tiling", "WindowedMap", "tiling_of"]
 
 WINDOW_BRICKS = 2
 """Along an edge of a window: 12.8 m of a map of 10 cm."""
@@ -74,7 +74,7 @@ class Tiling:
                 )
 
 
-class StoredMap:
+class WindowedMap:
     """The file of a map, opened to be read, `with`.
 
     Args:

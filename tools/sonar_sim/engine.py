@@ -150,7 +150,7 @@ class PingEngine:
             motion: of the sonar while it listens, used where `physics.pose_blocks` > 1.
             truth: whether to work out the truth of rays and pixels.
         """
-        clock = _Clock()
+        clock = _StageTimer()
         here = self._situation(map_T_sonar, physics, time_s, motion)
         rays, ways = self._ways(here)
         clock.lap("casting")
@@ -313,7 +313,7 @@ class PingEngine:
 
 
 @dataclass(slots=True)
-class _Clock:
+class _StageTimer:
     """Wall time of a ping's stages."""
 
     laps_ms: dict[str, float] = field(default_factory=dict)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mapperd.config.tree import Config
 from mapperd.errors import MapError
 from mapperd.imaging.ping_image import PingImage, ping_image_of
-from mapperd.localization.extraction import Surroundings, scan_of
+from mapperd.localization.extraction import ScanContext, scan_of
 from mapperd.localization.scan import Scan
 from oculus_driver import Ping, StreamParser, decode_ping
 from oculus_driver.render import fit_fan, warp_to_fan
@@ -76,7 +76,7 @@ def main() -> None:
         except MapError as error:
             print(f"ping {ping.ping_id}: {error}")
             continue
-        scan = scan_of(echo, Surroundings(0, np.eye(4), gamma_byte=ping.gamma), config)
+        scan = scan_of(echo, ScanContext(0, np.eye(4)), config)
         if isinstance(scan, Scan):
             print(f"ping {ping.ping_id}: {len(scan)} returns of {len(echo.bearings_rad)} beams")
             write_picture(asked.out / f"scan-{ping.ping_id}.png", draw_scan(echo, scan))

@@ -22,7 +22,7 @@ from sonar_sim.propagation.ground_truth import Truth
 from mapperd.config.tree import Config
 from mapperd.errors import Reject
 from mapperd.imaging.ping_image import PingImage, ping_image_of_array
-from mapperd.localization.extraction import Surroundings, floor_gate_m, scan_of
+from mapperd.localization.extraction import ScanContext, floor_gate_m, scan_of
 from mapperd.localization.levelling import level_T_base
 from mapperd.localization.scan import Scan
 from studies.scan_picture import draw_scan, write_picture
@@ -135,7 +135,7 @@ def _look(
 ) -> JudgedScan:
     sines = np.linspace(-1.0, 1.0, sonar.beams) * math.sin(sonar.half_aperture_rad)
     echo = ping_image_of_array(ping.image, sonar.range_m, np.arcsin(sines), config.sonar)
-    around = Surroundings(
+    around = ScanContext(
         0,
         level_T_base(quaternion_of(pose.rotation)),
         height_m=float(pose.position_m[2]) - place.floor_m,

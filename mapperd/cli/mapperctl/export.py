@@ -31,7 +31,7 @@ from mapperd.client import (
 from mapperd.config.changes import with_values
 from mapperd.config.tree import Config
 from mapperd.errors import ExportError, MapError, os_reason
-from mapperd.export.calibration import Calibration, load_calibration
+from mapperd.export.calibration import ProbabilityCalibration, load_calibration
 from mapperd.export.formats import check_calibration
 from mapperd.foxglove.recording import FoxgloveRecording
 from mapperd.geometry.geodesy import Origin
@@ -96,7 +96,7 @@ def run_export(
     yield from [json.dumps(made.plain())] if args.json else map(plain, made.lines())
 
 
-def _checked(args: argparse.Namespace) -> Calibration | None:
+def _checked(args: argparse.Namespace) -> ProbabilityCalibration | None:
     """Check the arguments and read the calibration before waiting for the map."""
     check_suffix(args.file, (MCAP,))
     if args.file.suffix == MCAP and (args.origin or args.min_probability):
@@ -114,7 +114,10 @@ def _box(corners: tuple[float, ...] | None) -> Box | None:
 
 
 def _made(
-    client: MapClient, args: argparse.Namespace, config: Config, calibration: Calibration | None
+    client: MapClient,
+    args: argparse.Namespace,
+    config: Config,
+    calibration: ProbabilityCalibration | None,
 ) -> MapOutput:
     mirror = client.mirror
     if mirror is None:

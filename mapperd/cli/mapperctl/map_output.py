@@ -7,7 +7,7 @@ from typing import Any
 
 from mapperd.config.tree import Config
 from mapperd.errors import ExportError
-from mapperd.export.calibration import Calibration
+from mapperd.export.calibration import ProbabilityCalibration
 from mapperd.export.cells import Heights
 from mapperd.export.formats import FORMATS, crs_of, write_map
 from mapperd.geometry.geodesy import Origin
@@ -68,7 +68,7 @@ def make_files(
     sonar_map: MapContent,
     path: Path,
     origin: Origin | None,
-    calibration: Calibration | None = None,
+    calibration: ProbabilityCalibration | None = None,
     *,
     bricks_lost: int = 0,
 ) -> MapOutput:

@@ -21,7 +21,7 @@ from mapperd.cli.mapperctl.map_output import (
 )
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, ExportError, MapperdError
-from mapperd.export.calibration import Calibration, load_calibration
+from mapperd.export.calibration import ProbabilityCalibration, load_calibration
 from mapperd.export.clouds import write_difference
 from mapperd.export.formats import check_calibration
 from mapperd.geometry.frames import pose_from_rpy
@@ -41,7 +41,7 @@ def convert(
     values: Mapping[str, Any],
     origin: Origin | None,
     *,
-    calibration: Calibration | None = None,
+    calibration: ProbabilityCalibration | None = None,
     allow_damaged: bool = False,
 ) -> Iterator[str]:
     """Convert a map file; yield the lines to print.

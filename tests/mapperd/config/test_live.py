@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mapperd.config.aliases import RESTORE
 from mapperd.config.catalog import parameters, value_of
 from mapperd.config.layers import DEFAULT, Layered, load_files
-from mapperd.config.live import Applied, Change, ConfigStore, Refused
+from mapperd.config.live import Applied, ConfigStore, Refused, SettingChange
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 
@@ -33,7 +33,7 @@ def test_change_holds_is_reported_and_has_its_origin() -> None:
     reported: list[Config] = []
     store = store_with(take=reported.append)
     result = store.apply({THRESHOLD: 50, "processing.frame_skip": 2}, "command")
-    changes = (Change(THRESHOLD, 35.0, 50), Change("processing.frame_skip", 1, 2))
+    changes = (SettingChange(THRESHOLD, 35.0, 50), SettingChange("processing.frame_skip", 1, 2))
     assert result == Applied("command", changes)
     assert store.current.filtering.intensity_threshold == 50
     assert reported == [store.current]

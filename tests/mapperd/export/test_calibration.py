@@ -7,14 +7,14 @@ import pytest
 from plyfile import PlyData
 
 from mapperd.errors import ConfigError, ExportError
-from mapperd.export.calibration import Calibration, load_calibration
+from mapperd.export.calibration import ProbabilityCalibration, load_calibration
 from mapperd.export.formats import FORMATS, PROBABILITY_FORMATS, write_map
 from tests.support.mapperctl import Call, call
 from tests.support.maps import FREE, OCCUPIED, map_of
 
 __all__ = ["call"]
 
-HALVED = Calibration(np.array([-4.0, 0.0, 4.0]), np.array([-2.0, 0.0, 2.0]))
+HALVED = ProbabilityCalibration(np.array([-4.0, 0.0, 4.0]), np.array([-2.0, 0.0, 2.0]))
 TEXT = "log_odds: [-4.0, 0.0, 4.0]\ncalibrated: [-2.0, 0.0, 2.0]\n"
 
 
@@ -36,7 +36,7 @@ def test_probabilities_go_through_log_odds_and_certainty_is_no_trouble() -> None
 
 
 def test_more_stays_more() -> None:
-    level = Calibration(np.array([-1.0, 0.0, 1.0]), np.array([-1.0, 0.5, 0.5]))
+    level = ProbabilityCalibration(np.array([-1.0, 0.0, 1.0]), np.array([-1.0, 0.5, 0.5]))
     reported = level.probability_of(np.linspace(0.0, 1.0, 201))
     assert (np.diff(reported) >= 0).all()
 

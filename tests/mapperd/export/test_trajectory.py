@@ -10,7 +10,7 @@ import pytest
 
 from mapperd.config.daemon import FramesConfig
 from mapperd.errors import ExportError
-from mapperd.export.trajectory import Trajectory
+from mapperd.export.trajectory import TrajectoryWriter
 from mapperd.geometry.frames import pose_from_rpy
 
 Run = Callable[..., Any]
@@ -51,7 +51,7 @@ def test_a_replay_into_a_map_file_writes_it_too(
 
 
 def test_times_keep_their_nanoseconds_and_quaternions_their_order(tmp_path: Path) -> None:
-    trajectory = Trajectory(tmp_path)
+    trajectory = TrajectoryWriter(tmp_path)
     trajectory.add(1_700_000_000_000_000_001, pose_from_rpy((1, -2, -3.5), (180.0, 0, 0)))
     trajectory.add(None, pose_from_rpy((9, 9, 9), (0, 0, 0)))
     trajectory.write(FRAMES)
@@ -69,7 +69,7 @@ def test_times_keep_their_nanoseconds_and_quaternions_their_order(tmp_path: Path
 def test_without_a_pose_the_files_of_an_earlier_run_go(tmp_path: Path) -> None:
     for name in ("trajectory.tum", "trajectory.csv"):
         (tmp_path / name).touch()
-    Trajectory(tmp_path).write(FRAMES)
+    TrajectoryWriter(tmp_path).write(FRAMES)
     assert not list(tmp_path.iterdir())
 
 
@@ -80,7 +80,7 @@ def test_a_full_disk_costs_the_trajectory_and_is_reported(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("tempfile.TemporaryFile", full)
-    trajectory = Trajectory(tmp_path)
+    trajectory = TrajectoryWriter(tmp_path)
     for _ in range(2):
         trajectory.add(1, pose_from_rpy((0, 0, 0), (0, 0, 0)))
         trajectory.flush()

@@ -11,7 +11,7 @@ from mapperd.errors import Reject
 from mapperd.geometry.frames import rigid_transform, rotation_from_rpy
 from mapperd.imaging.ping_image import PingImage, ping_image_of
 from mapperd.localization.burst_filter import BurstWatch
-from mapperd.localization.extraction import Surroundings, scan_of
+from mapperd.localization.extraction import ScanContext, scan_of
 from mapperd.localization.scan import Scan
 from oculus_driver import Ping, StreamParser, decode_ping
 
@@ -22,7 +22,7 @@ WALL = (6.01, 120, 0, 127)
 
 
 def scan(echo: Any, text: str = "{}", **around: Any) -> Scan:
-    known = Surroundings(7, around.pop("level_T_sonar", np.eye(4)), **around)
+    known = ScanContext(7, around.pop("level_T_sonar", np.eye(4)), **around)
     found = scan_of(echo, known, config_from_text(text))
     assert isinstance(found, Scan)
     return found
@@ -87,7 +87,7 @@ def test_burst_is_no_scan(make_echo: Any) -> None:
     watch, config = BurstWatch(1.0, 0.1), Config()
     wall, burst = make_echo(WALL), make_echo((3.0, 120, 0, 127))
     results = [
-        scan_of(echo, Surroundings(k * 10**8, np.eye(4)), config, watch)
+        scan_of(echo, ScanContext(k * 10**8, np.eye(4)), config, watch)
         for k, echo in enumerate((wall, wall, burst, wall))
     ]
     assert [isinstance(one, Scan) for one in results] == [True, True, False, True]
@@ -112,7 +112,7 @@ def test_real_pings_of_a_still_sonar_give_nearly_one_scan(shared_data: Path) -> 
     for message in StreamParser().feed(data, arrival_ns=0):
         ping = decode_ping(message)
         assert isinstance(ping, Ping)
-        around = Surroundings(len(ranges) * 10**8, np.eye(4), gamma_byte=ping.gamma)
+        around = ScanContext(len(ranges) * 10**8, np.eye(4))
         found = scan_of(ping_image_of(ping, Config().sonar), around, Config(), watch)
         assert isinstance(found, Scan)
         assert len(found) > 0.95 * ping.beams

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from mapperd.config.loader import config_from_text
-from mapperd.config.tree import Config
+from mapperd.config.tree import Config, SonarConfig
 from mapperd.errors import ConfigError, MapError, Reject
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.geometry.gaussian import PlanarGaussian
+from mapperd.imaging.ping_image import PingImage, ping_image_of
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.known_map import MAX_SIDE, KnownMap
 from mapperd.localization.map_filter import MapFilter
@@ -39,14 +40,14 @@ def fused(at: Floats, velocity: Floats | None = None) -> FusedPose:
 
 
 @pytest.fixture(scope="module")
-def heard() -> list[Ping]:
+def heard() -> list[PingImage]:
     found = []
     parser = StreamParser()
     for data in pings(room(), dive(30).truth):
         (message,) = parser.feed(data, 0)
         ping = decode_ping(message)
         assert isinstance(ping, Ping)
-        found.append(ping)
+        found.append(ping_image_of(ping, SonarConfig()))
     return found
 
 
@@ -62,7 +63,7 @@ def onboard_of(config: Config) -> LocalizationStage:
 
 
 def driven(
-    onboard: LocalizationStage, heard: list[Ping], first: int, last: int
+    onboard: LocalizationStage, heard: list[PingImage], first: int, last: int
 ) -> list[FusedPose | Reject]:
     track = dive(30).odometry
     return [onboard.correct(heard[k], fused(track[k]), k * 200_000_000) for k in range(first, last)]
@@ -72,7 +73,7 @@ def with_amcl(config: Config, **values: object) -> Config:
     return msgspec.structs.replace(config, amcl=msgspec.structs.replace(config.amcl, **values))
 
 
-def test_pings_are_mapped_where_the_vehicle_is(config: Config, heard: list[Ping]) -> None:
+def test_pings_are_mapped_where_the_vehicle_is(config: Config, heard: list[PingImage]) -> None:
     where = driven(onboard_of(config), heard, 0, 30)[-1]
     assert isinstance(where, FusedPose)
     truth, odometry = dive(30).truth[-1], dive(30).odometry[-1]
@@ -82,7 +83,7 @@ def test_pings_are_mapped_where_the_vehicle_is(config: Config, heard: list[Ping]
 
 
 def test_scan_without_an_update_is_mapped_by_the_last_correction(
-    config: Config, heard: list[Ping]
+    config: Config, heard: list[PingImage]
 ) -> None:
     onboard = onboard_of(config)
     driven(onboard, heard, 0, 10)
@@ -99,13 +100,20 @@ def test_scan_without_an_update_is_mapped_by_the_last_correction(
     assert np.hypot(*moved[:2]) == pytest.approx(0.05)
 
 
-def test_ping_without_a_pose_stays_without(config: Config, heard: list[Ping]) -> None:
-    onboard, why = onboard_of(config), Reject("odometry_gap", "none came")
-    assert onboard.correct(heard[0], why, 0) is why
-    assert onboard.facts().counts == {}
+def test_ping_without_an_image_is_counted_by_its_reason(
+    config: Config, heard: list[PingImage]
+) -> None:
+    onboard, why = onboard_of(config), Reject("bad_bearings", "not a fan")
+    driven(onboard, heard, 0, 10)
+    before = onboard.facts()
+    where = onboard.correct(why, fused(dive(30).odometry[9]), 2_000_000_000)
+    assert isinstance(where, FusedPose)  # at the last correction
+    after = onboard.facts()
+    assert after.counts["bad_bearings"] == 1
+    assert after.updates == before.updates
 
 
-def test_a_jump_of_the_odometry_is_nothing_to_map_by(config: Config, heard: list[Ping]) -> None:
+def test_a_jump_of_the_odometry_is_nothing_to_map_by(config: Config, heard: list[PingImage]) -> None:
     onboard = onboard_of(config)
     driven(onboard, heard, 0, 10)
     far = fused(dive(30).odometry[10] + (50.0, 0.0, 0.0))
@@ -114,7 +122,7 @@ def test_a_jump_of_the_odometry_is_nothing_to_map_by(config: Config, heard: list
     assert where.reason == "odometry_jump"
 
 
-def test_ambiguous_belief_is_nothing_to_map_by(config: Config, heard: list[Ping]) -> None:
+def test_ambiguous_belief_is_nothing_to_map_by(config: Config, heard: list[PingImage]) -> None:
     anywhere = with_amcl(config, set_initial_pose=False)
     ours = msgspec.structs.replace(anywhere.localization, mode="global")
     onboard = onboard_of(msgspec.structs.replace(anywhere, localization=ours))
@@ -127,7 +135,7 @@ def test_ambiguous_belief_is_nothing_to_map_by(config: Config, heard: list[Ping]
     assert facts.belief.ambiguous
 
 
-def test_other_settings_keep_the_particles(config: Config, heard: list[Ping]) -> None:
+def test_other_settings_keep_the_particles(config: Config, heard: list[PingImage]) -> None:
     onboard = onboard_of(config)
     driven(onboard, heard, 0, 10)
     cloud = onboard.facts().particles.copy()
@@ -137,7 +145,7 @@ def test_other_settings_keep_the_particles(config: Config, heard: list[Ping]) ->
     assert isinstance(where, FusedPose)
 
 
-def test_settings_that_the_filter_refuses_change_nothing(config: Config, heard: list[Ping]) -> None:
+def test_settings_that_the_filter_refuses_change_nothing(config: Config, heard: list[PingImage]) -> None:
     onboard = onboard_of(config)
     bad = with_amcl(config, laser_z_hit=1e-300, laser_z_rand=0.0)
     with pytest.raises(ConfigError, match=r"\$\.amcl"):
@@ -147,7 +155,7 @@ def test_settings_that_the_filter_refuses_change_nothing(config: Config, heard: 
     assert isinstance(driven(onboard, heard, 0, 3)[-1], FusedPose)
 
 
-def test_facts_of_a_vehicle_that_waits(config: Config, heard: list[Ping]) -> None:
+def test_facts_of_a_vehicle_that_waits(config: Config, heard: list[PingImage]) -> None:
     onboard = onboard_of(with_amcl(config, set_initial_pose=False))
     assert onboard.request(NoMotionUpdate(1)) is not None
     driven(onboard, heard, 0, 2)
@@ -159,7 +167,7 @@ def test_facts_of_a_vehicle_that_waits(config: Config, heard: list[Ping]) -> Non
     assert facts.diagnosis.level == "OK"
 
 
-def test_scan_stands_on_the_walls(config: Config, heard: list[Ping]) -> None:
+def test_scan_stands_on_the_walls(config: Config, heard: list[PingImage]) -> None:
     onboard = onboard_of(config)
     driven(onboard, heard, 0, 20)
     points = onboard.facts().scan_points_m
@@ -179,7 +187,7 @@ def test_maps_are_refused_where_one_was_asked_for(config: Config, tmp_path: Path
 
 @pytest.mark.parametrize("number", [math.nan, math.inf])
 def test_request_that_is_no_pose_is_refused_and_changes_nothing(
-    config: Config, heard: list[Ping], number: float
+    config: Config, heard: list[PingImage], number: float
 ) -> None:
     onboard = onboard_of(config)
     driven(onboard, heard, 0, 10)
@@ -212,7 +220,7 @@ def test_map_that_cannot_be_had_or_taken_is_refused(config: Config) -> None:
         assert known.path == "room"
 
 
-def test_new_start_forgets_the_belief(config: Config, heard: list[Ping]) -> None:
+def test_new_start_forgets_the_belief(config: Config, heard: list[PingImage]) -> None:
     onboard = onboard_of(config)
     driven(onboard, heard, 0, 5)
     covariance = tuple(np.diag([0.1, 0.1, 0.1]).ravel().tolist())
@@ -222,7 +230,7 @@ def test_new_start_forgets_the_belief(config: Config, heard: list[Ping]) -> None
     assert abs(facts.particles[:, 0].mean()) < 0.1
 
 
-def test_restored_one_goes_on_to_the_bit(config: Config, heard: list[Ping]) -> None:
+def test_restored_one_goes_on_to_the_bit(config: Config, heard: list[PingImage]) -> None:
     localizing = begun(config)
     assert localizing is not None
     driven(localizing.onboard, heard, 0, 15)
@@ -237,7 +245,7 @@ def test_restored_one_goes_on_to_the_bit(config: Config, heard: list[Ping]) -> N
 
 
 @pytest.mark.slow
-def test_restored_one_tries_the_same_rival(config: Config, heard: list[Ping]) -> None:
+def test_restored_one_tries_the_same_rival(config: Config, heard: list[PingImage]) -> None:
     ours = msgspec.structs.replace(
         config.localization, rival_interval=1.0, tempering=0.2, search_poses=20_000
     )

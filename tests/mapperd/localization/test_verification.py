@@ -23,7 +23,7 @@ from mapperd.localization.verification import (
     REFUTING,
     Keyframe,
     ScanWindow,
-    Verdict,
+    VerificationResult,
     verify,
 )
 from mapperd.localization.weighting import MapWeighing
@@ -125,7 +125,7 @@ def test_given_pose_stays_certain_where_the_map_is_alike() -> None:
 
 
 def test_verdicts_need_a_decisive_ratio() -> None:
-    sound = Verdict(DECISIVE + 0.1, 1.0, 0.0, found=True, scans=MIN_SCANS)
+    sound = VerificationResult(DECISIVE + 0.1, 1.0, 0.0, found=True, scans=MIN_SCANS)
     assert sound.verified
     assert not sound.refuted
     for weak in (
@@ -168,7 +168,7 @@ def test_pose_is_compared_with_poses_far_from_the_best_one_of_its_place() -> Non
 def test_better_distant_pose_counts_more_where_scans_suddenly_fit_worse(
     monkeypatch: pytest.MonkeyPatch, *, dropped: bool
 ) -> None:
-    doubtful = Verdict(9.0, 9.0, -DOUBTING - 0.1, found=True, scans=1)
+    doubtful = VerificationResult(9.0, 9.0, -DOUBTING - 0.1, found=True, scans=1)
     monkeypatch.setattr("mapperd.localization.map_filter.verify", lambda *_: doubtful)
     monkeypatch.setattr(FitWatch, "dropped", lambda *_: dropped)
     grid, poses = tank(), circle(20)
@@ -209,9 +209,9 @@ def test_checkpoint_holds_the_window(monkeypatch: pytest.MonkeyPatch) -> None:
     one.start_anywhere()
     drive(one, grid, poses[:12])
     other.restore(decode_state(encode_state(one.state()), FilterState))
-    verdicts: list[Verdict | None] = []
+    verdicts: list[VerificationResult | None] = []
 
-    def noted(*args: object) -> Verdict | None:
+    def noted(*args: object) -> VerificationResult | None:
         verdicts.append(verify(*args))  # type: ignore[arg-type]
         return verdicts[-1]
 

@@ -12,12 +12,17 @@ from mapperd.config.tree import (
     OrientationConfig,
     PositionConfig,
 )
+from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose, pose_from_rpy
+from mapperd.imaging.filter_chain import filter_ping_image
+from mapperd.imaging.ping_image import PingImage
+from mapperd.imaging.robots import Robot
 from mapperd.mapping.sonar_map import PingStats, SonarMap
+from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline import step
 from mapperd.pipeline.decoder import PosedPing
 from mapperd.pipeline.pose_lookup import fixed_pose
-from mapperd.pipeline.step import PingResult, Stages, process_ping
+from mapperd.pipeline.step import PingResult, Stages, process_ping, skip_ping
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]
@@ -99,3 +104,42 @@ def test_lever_arm_and_turned_mounting_are_of_the_base(ping: MakePing) -> None:
     # The 120 degrees of the fan lie across the base, east to west; along it is the aperture.
     assert np.abs(centres[:, 0] - 99).max() == pytest.approx(3.1 * np.sin(np.pi / 3), abs=0.3)
     assert np.abs(centres[:, 1] - 52).max() < 3.2 * np.sin(np.radians(10)) + 0.2
+
+
+class _Localization:
+    """Keeps the images that it is given, and corrects nothing."""
+
+    def __init__(self) -> None:
+        self.images: list[PingImage | Reject] = []
+
+    def correct(
+        self, image: PingImage | Reject, pose: FusedPose, _: int | None
+    ) -> FusedPose | Reject:
+        self.images.append(image)
+        return pose
+
+
+def test_localization_and_the_map_share_one_filtered_image(
+    ping: MakePing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[PingImage] = []
+
+    def counted(echo: PingImage, config: Config) -> tuple[PingImage, tuple[Robot, ...]]:
+        made.append(echo)
+        return filter_ping_image(echo, config)
+
+    monkeypatch.setattr(step, "filter_ping_image", counted)
+    localization = _Localization()
+    stages = Stages(SonarMap(COARSE), localization)  # type: ignore[arg-type]
+    result = process_ping(PosedPing(0, ping(), fixed_pose(HERE), None), stages)
+    assert len(made) == 1
+    assert localization.images == [result.image]
+    no_pose = PosedPing(1, ping(), Reject("odometry_gap", "none"), None)
+    assert process_ping(no_pose, stages).reject is no_pose.pose
+    skip_ping(no_pose, stages, COARSE)
+    assert len(made) == 1
+    skip_ping(PosedPing(2, ping(), fixed_pose(HERE), None), stages, COARSE)
+    assert len(localization.images) == 2
+    unlike = ping(bearings_cdeg=np.zeros(65, dtype=np.int16))
+    refused = process_ping(PosedPing(3, unlike, fixed_pose(HERE), None), stages)
+    assert localization.images[2] is refused.reject is not None

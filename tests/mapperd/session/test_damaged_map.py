@@ -19,7 +19,7 @@ from mapperd.config.tree import Config
 from mapperd.daemon.map_folder import write_results
 from mapperd.errors import MapError, StoreError
 from mapperd.events import EventLog
-from mapperd.export.trajectory import Trajectory
+from mapperd.export.trajectory import TrajectoryWriter
 from mapperd.localization.known_map import load_known_map
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.session.replay_to_store import map_into_store
@@ -106,7 +106,7 @@ def test_without_recordings_every_start_and_every_result_names_what_is_missing(
     for name in ("map.bt", "map.ply"):
         (tmp_path / name).write_bytes(b"of an earlier run")
     with closing(whole):
-        write_results(tmp_path, whole, summary, Trajectory(tmp_path))
+        write_results(tmp_path, whole, summary, TrajectoryWriter(tmp_path))
     assert (tmp_path / "summary.json").exists()
     assert not (tmp_path / "map.bt").exists()
     assert not (tmp_path / "map.ply").exists()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench.detail import MapDifference
+from bench.detail import ClassDifference
 from bench.inputs import Pings
 from bench.our_contender import ContenderRun, config_of
 
@@ -29,8 +29,8 @@ def map_of(points_m: list[list[float]], log_odds: list[float]) -> SonarMap:
     return sonar_map
 
 
-def difference_of(one: SonarMap, other: SonarMap) -> MapDifference:
-    difference = MapDifference(free_below=0.0, occupied_above=UNCERTAIN_UP_TO)
+def difference_of(one: SonarMap, other: SonarMap) -> ClassDifference:
+    difference = ClassDifference(free_below=0.0, occupied_above=UNCERTAIN_UP_TO)
     difference.add(one, other)
     return difference
 

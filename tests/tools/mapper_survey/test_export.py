@@ -11,7 +11,7 @@ import pytest
 import rasterio
 from mapper_survey.errors import SurveyError
 from mapper_survey.export import Exported, ExportOptions, export_survey
-from mapper_survey.windows import StoredMap
+from mapper_survey.windows import WindowedMap
 from numpy.typing import NDArray
 
 from mapperd.errors import StoreError
@@ -168,14 +168,14 @@ def test_products_lie_where_the_place_is(tmp_path: Path) -> None:
 def test_memory_holds_one_window(
     bottom: SonarMap, stored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sizes, part = [], StoredMap.part
+    sizes, part = [], WindowedMap.part
 
-    def watched(self: StoredMap, *box: Any) -> SonarMap:
+    def watched(self: WindowedMap, *box: Any) -> SonarMap:
         found = part(self, *box)
         sizes.append(found.core.block_count)
         return found
 
-    monkeypatch.setattr(StoredMap, "part", watched)
+    monkeypatch.setattr(WindowedMap, "part", watched)
     reported: list[tuple[int, int]] = []
     export_survey(
         stored,

@@ -11,7 +11,7 @@ import pytest
 import rasterio
 from mapper_survey.errors import SurveyError
 from mapper_survey.report import Report, report_survey
-from mapper_survey.windows import StoredMap
+from mapper_survey.windows import WindowedMap
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial import cKDTree
@@ -220,17 +220,17 @@ def test_pieces_of_any_size_give_the_same(
 ) -> None:
     undrawn.setattr("mapper_survey.difference.CUBE_BRICKS", 1)
     undrawn.setattr("mapper_survey.report.WINDOW_BRICKS", 1)
-    sizes, part = [], StoredMap.part
+    sizes, part = [], WindowedMap.part
 
-    def watched(self: StoredMap, *box: Any) -> SonarMap:
+    def watched(self: WindowedMap, *box: Any) -> SonarMap:
         found = part(self, *box)
         sizes.append(found.core.block_count)
         return found
 
-    undrawn.setattr(StoredMap, "part", watched)
+    undrawn.setattr(WindowedMap, "part", watched)
     progress: list[tuple[int, int]] = []
     assert reported(files, tmp_path, progress=lambda *at: progress.append(at)) == made[0]
-    with StoredMap(files["merged"]) as merged:
+    with WindowedMap(files["merged"]) as merged:
         assert max(sizes) < part(merged, (-9,) * 3, (9,) * 3).core.block_count / 2
     assert progress == [(number, len(progress)) for number in range(1, len(progress) + 1)]
 
@@ -255,7 +255,7 @@ def test_thresholds_are_those_of_the_settings(files: dict[str, Path], tmp_path: 
     strict = Config(mapping=MappingConfig(occupied_threshold=0.97))
     report = reported(files, tmp_path, config=strict)
     assert report.occupied_threshold == 0.97
-    with StoredMap(files["a"], strict) as stored:
+    with WindowedMap(files["a"], strict) as stored:
         expected = len(stored.part((-9,) * 3, (9,) * 3).voxels("occupied"))
     assert report.pairs[0].a_to_b.voxels == expected
 

@@ -11,13 +11,13 @@ from typing import Protocol
 
 from sonar_sim.errors import SonarSimError
 
-__all__ = ["OdometryLink", "link_named"]
+__all__ = ["OdometryOutlet", "link_named"]
 
 MAX_UNREAD_BYTES = 1 << 20
 """A TCP client that reads slower than this is let go."""
 
 
-class OdometryLink(Protocol):
+class OdometryOutlet(Protocol):
     """One way out."""
 
     @property
@@ -149,7 +149,7 @@ class SerialLink:
         self._handles = []
 
 
-def link_named(text: str) -> OdometryLink:
+def link_named(text: str) -> OdometryOutlet:
     """A link from `udp:HOST:PORT`, `tcp:HOST:PORT`, `serial:PATH` or `pty`.
 
     Raises:

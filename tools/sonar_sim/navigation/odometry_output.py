@@ -14,7 +14,7 @@ from sonar_sim.geometry.pose import FramePose
 from sonar_sim.geometry.trajectory import Trajectory
 from sonar_sim.navigation.fix import Fix
 from sonar_sim.navigation.formats import Format, format_named
-from sonar_sim.navigation.links import OdometryLink, link_named
+from sonar_sim.navigation.links import OdometryOutlet, link_named
 from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.vehicle import OdometrySample, SimulatedOdometry
@@ -54,7 +54,7 @@ class OdometryOutput:
 
     name: str
     form: Format
-    link: OdometryLink
+    link: OdometryOutlet
     sent: int = 0
 
 

@@ -55,7 +55,7 @@ class VelocityReport:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DeadReckoningReport:
+class ReckonedPosition:
     """A dead-reckoning report; angles in degrees."""
 
     unix_s: float
@@ -101,7 +101,7 @@ class JsonWords:
         }
         return [_line(fields)]
 
-    def dead_reckoning(self, report: DeadReckoningReport) -> bytes:
+    def dead_reckoning(self, report: ReckonedPosition) -> bytes:
         """A dead-reckoning report."""
         x, y, z = (float(part) for part in report.position_m)
         roll, pitch, yaw = report.roll_pitch_yaw_deg
@@ -148,7 +148,7 @@ class SentenceWords:
             sentence("wrz", *parts),
         ]
 
-    def dead_reckoning(self, report: DeadReckoningReport) -> bytes:
+    def dead_reckoning(self, report: ReckonedPosition) -> bytes:
         """A dead-reckoning report."""
         return sentence(
             "wrp",
@@ -197,7 +197,7 @@ class _Words(Protocol):
     def velocity(self, report: VelocityReport) -> list[bytes]:
         """A velocity report."""
 
-    def dead_reckoning(self, report: DeadReckoningReport) -> bytes:
+    def dead_reckoning(self, report: ReckonedPosition) -> bytes:
         """A dead-reckoning report."""
 
 
@@ -247,7 +247,7 @@ class _Dvl:
             transmission_us=transmission_us,
         )
 
-    def _reckoned(self, fix: Fix) -> DeadReckoningReport:
+    def _reckoned(self, fix: Fix) -> ReckonedPosition:
         if self._origin is None:
             yaw = fix.roll_pitch_yaw_rad[2]
             start_R_ned = np.array(  # noqa: N806 frames are named
@@ -260,7 +260,7 @@ class _Dvl:
             self._origin = fix.position_ned_m, start_R_ned
         start_m, start_R_ned = self._origin  # noqa: N806 as above
         roll, pitch, yaw = angles_rad(start_R_ned @ fix.ned_R_frd)
-        return DeadReckoningReport(
+        return ReckonedPosition(
             fix.valid_ns / 1e9,
             start_R_ned @ (fix.position_ned_m - start_m),
             fix.errors.position_noise_m,

@@ -17,7 +17,7 @@ MAX_BYTES = 1 << 20
 MAX_DEPTH = 20
 
 
-class _Loader(yaml.SafeLoader):
+class _SceneLoader(yaml.SafeLoader):
     depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
@@ -36,7 +36,7 @@ class _Loader(yaml.SafeLoader):
         return node
 
 
-def _finite(loader: _Loader, node: yaml.ScalarNode) -> float:
+def _finite(loader: _SceneLoader, node: yaml.ScalarNode) -> float:
     """Read a number; nothing in a scene is infinite, and NaN passes through every limit."""
     number = float(loader.construct_yaml_float(node))
     if not math.isfinite(number):
@@ -45,7 +45,7 @@ def _finite(loader: _Loader, node: yaml.ScalarNode) -> float:
     return number
 
 
-_Loader.add_constructor("tag:yaml.org,2002:float", _finite)
+_SceneLoader.add_constructor("tag:yaml.org,2002:float", _finite)
 
 
 def _refuse_twice(node: yaml.MappingNode) -> None:
@@ -60,7 +60,7 @@ def _refuse_twice(node: yaml.MappingNode) -> None:
 
 # All that an unquoted word may be besides text: YAML 1.1 has more (no, 1:30, 010, 2001-01-01),
 # and lacks 1e-3.
-_Loader.yaml_implicit_resolvers = {}
+_SceneLoader.yaml_implicit_resolvers = {}
 for _kind, _pattern, _first in (
     ("bool", r"true|false", "tf"),
     ("null", r"~|null|", ["~", "n", ""]),
@@ -69,7 +69,7 @@ for _kind, _pattern, _first in (
     ("float", r"[-+]?[0-9]+[eE][-+]?[0-9]+", "-+0123456789"),
     ("float", r"[-+]?\.inf|\.nan", "-+."),
 ):
-    _Loader.add_implicit_resolver(
+    _SceneLoader.add_implicit_resolver(
         f"tag:yaml.org,2002:{_kind}", re.compile(f"^(?:{_pattern})$"), list(_first)
     )
 
@@ -88,7 +88,7 @@ def read_tree(path: Path) -> object:
     if len(data) > MAX_BYTES:
         raise SceneError(f"{path}: larger than {MAX_BYTES >> 20} MiB, not a scene")
     try:
-        return yaml.load(data.decode("utf-8-sig"), _Loader)  # noqa: S506 a subclass of the safe one
+        return yaml.load(data.decode("utf-8-sig"), _SceneLoader)  # noqa: S506 a subclass of the safe one
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from error
     except yaml.MarkedYAMLError as error:

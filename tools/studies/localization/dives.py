@@ -26,7 +26,7 @@ from sonar_sim.geometry.pose import quaternion_of, rotation_of
 from mapperd.config.tree import Config
 from mapperd.errors import Reject
 from mapperd.imaging.ping_image import ping_image_of_array
-from mapperd.localization.extraction import Surroundings, scan_of
+from mapperd.localization.extraction import ScanContext, scan_of
 from mapperd.localization.levelling import level_T_base
 from mapperd.localization.maps import VolumeMap
 from mapperd.localization.scan import Scan
@@ -100,7 +100,7 @@ def ping_scans(world: DiveWorld, config: Config, seed: int) -> Callable[[int, Fl
         pose = FramePose(place[:3], rotation_of(*place[3:]))
         ping = simulator.ping(pose, number)
         echo = ping_image_of_array(ping.image, sonar.range_m, bearing, config.sonar)
-        around = Surroundings(
+        around = ScanContext(
             stamp_ns,
             level_T_base(quaternion_of(pose.rotation)),
             height_m=float(place[2]) - world.place.floor_m,

@@ -43,8 +43,8 @@ from studies.localization.pass_maps import (
 from studies.localization.world import HARBOUR, DiveArea, DiveWorld
 
 __all__ = [
-    "Agreement",
     "Fans",
+    "MapAgreement",
     "MapPanel",
     "SecondPass",
     "agreement",
@@ -59,7 +59,7 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-class Agreement(msgspec.Struct, frozen=True):
+class MapAgreement(msgspec.Struct, frozen=True):
     """Of one direction: from the voxels of one map to the nearest of the other; metres."""
 
     voxels: int
@@ -107,7 +107,7 @@ def to_nearest(from_m: Floats, to_m: Floats) -> Floats:
     return distance
 
 
-def agreement(distance_m: Floats, voxel_m: float) -> Agreement:
+def agreement(distance_m: Floats, voxel_m: float) -> MapAgreement:
     """The figures of distances.
 
     Raises:
@@ -118,7 +118,7 @@ def agreement(distance_m: Floats, voxel_m: float) -> Agreement:
     median, p95 = np.quantile(distance_m, (0.5, 0.95))
     # Centres stand on a grid: a hair more than an edge is an edge.
     within = np.mean(distance_m <= voxel_m * (1 + 1e-6))
-    return Agreement(len(distance_m), *(round(float(part), 3) for part in (median, p95, within)))
+    return MapAgreement(len(distance_m), *(round(float(part), 3) for part in (median, p95, within)))
 
 
 mpl.use("Agg")
@@ -214,8 +214,8 @@ MAPS = ("first", "corrected", "uncorrected")
 class Compared(msgspec.Struct, frozen=True):
     """A map of the second pass with the first pass's, and with the scene."""
 
-    to_first: Agreement
-    from_first: Agreement
+    to_first: MapAgreement
+    from_first: MapAgreement
     truth_median_m: float
     truth_p95_m: float
 

@@ -20,7 +20,7 @@ from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.errors import StoreError
 from mapperd.events import EventLog
-from mapperd.export.trajectory import Trajectory
+from mapperd.export.trajectory import TrajectoryWriter
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.session.recordings import files_in, sessions_of
 from mapperd.session.replay import Run, Window
@@ -74,7 +74,7 @@ def as_recorded(folder: Path) -> tuple[str, int]:
     begun = [session for session in sessions_of(files_in([folder])) if any(True for _ in session)]
     runs = [run_as_recorded(session) for session in begun]
     sonar_map = SonarMap(runs[0].config)
-    with contextlib.closing(Trajectory(folder)) as trajectory:
+    with contextlib.closing(TrajectoryWriter(folder)) as trajectory:
         summary = _mapped(runs, sonar_map, Window(), trajectory)
     return sonar_map.sha256(), summary["pings_mapped"]
 
@@ -271,7 +271,7 @@ def kill_replays(folder: Path, daemons: Daemons, least: int) -> None:
     config = config_from_text((folder / "dive.yaml").read_text(encoding="utf-8"))
     (session,) = sessions_of([dive])
     truth = SonarMap(config)
-    with contextlib.closing(Trajectory(folder)) as trajectory:
+    with contextlib.closing(TrajectoryWriter(folder)) as trajectory:
         whole = _mapped([Run(session, config, None, None)], truth, Window(), trajectory)
     assert whole["pings_mapped"] > 40
     words = ("--replay", dive, "--config", folder / "dive.yaml", "--store", store)

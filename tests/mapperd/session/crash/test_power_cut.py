@@ -19,7 +19,7 @@ from mapperd.cli.replay import _mapped
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.errors import ReplayError
-from mapperd.export.trajectory import Trajectory
+from mapperd.export.trajectory import TrajectoryWriter
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.session.recordings import files_in, sessions_of
 from mapperd.session.replay import Window, as_recorded
@@ -93,7 +93,7 @@ def recorded(folder: Path, config: Config) -> tuple[str, int] | None:
     except (RecordingError, ReplayError):
         return None
     if runs:
-        with closing(Trajectory(folder)) as trajectory:
+        with closing(TrajectoryWriter(folder)) as trajectory:
             pings = _mapped(runs, sonar_map, Window(), trajectory)["pings_total"]
     return sonar_map.sha256(), pings
 

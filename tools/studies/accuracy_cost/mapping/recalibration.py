@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.export.calibration import Calibration, load_calibration
+from mapperd.export.calibration import ProbabilityCalibration, load_calibration
 from studies.accuracy_cost.mapping.dives import DIVES, FIT, capture_of, made_by, make_dive
 from studies.accuracy_cost.mapping.knobs import PROFILE_FOLDER, profile
 from studies.accuracy_cost.mapping.measuring import drive
@@ -40,7 +40,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
-def fit(log_odds: Floats, solid: Bools) -> Calibration:
+def fit(log_odds: Floats, solid: Bools) -> ProbabilityCalibration:
     """The curve that never falls and is nearest to the shares (pool adjacent violators).
 
     Args:
@@ -57,7 +57,7 @@ def fit(log_odds: Floats, solid: Bools) -> Calibration:
             pools.append((before[0] + last[0], before[1] + last[1], before[2] + last[2]))
     share = np.concatenate([np.full(n, (solids + 1) / (all_ + 2)) for solids, all_, n in pools])
     share = np.maximum.accumulate(share)  # adding one solid and one free voxel may bend it
-    return Calibration(middles, np.log(share / (1 - share)))
+    return ProbabilityCalibration(middles, np.log(share / (1 - share)))
 
 
 def _groups(log_odds: Floats) -> list[NDArray[np.int64]]:
@@ -84,7 +84,7 @@ def estimates_and_truth(dive: StudyDive, folder: Path) -> tuple[Floats, Bools]:
     return log_odds[chosen].astype(np.float64), solid
 
 
-def table(log_odds: Floats, solid: Bools, curve: Calibration) -> str:
+def table(log_odds: Floats, solid: Bools, curve: ProbabilityCalibration) -> str:
     """Predicted and true shares before and after, Markdown."""
     raw = reliability(log_odds, solid)
     mended = reliability(curve.log_odds_of(log_odds), solid)
@@ -104,7 +104,7 @@ def table(log_odds: Floats, solid: Bools, curve: Calibration) -> str:
     return "\n".join(lines)
 
 
-def written(curve: Calibration) -> str:
+def written(curve: ProbabilityCalibration) -> str:
     """The curve as a file, without points that its neighbours in the file stand for."""
     chosen = [0]
     for i in range(1, len(curve.log_odds) - 1):

@@ -148,7 +148,7 @@ LOOK_S = 0.07
 
 
 @dataclass
-class _Watch:
+class _WatchedClient:
     """One client, its link, and what is judged."""
 
     sender: Sender
@@ -214,7 +214,7 @@ def watched(pings: Pings, plan: StreamPlan, wanted: StreamSetting) -> dict[str, 
     }
 
 
-def _joined(sonar_map: SonarMap, plan: StreamPlan, wanted: StreamSetting) -> _Watch:
+def _joined(sonar_map: SonarMap, plan: StreamPlan, wanted: StreamSetting) -> _WatchedClient:
     sender: Sender
     client: MapReader
     if wanted.is_plain:
@@ -225,7 +225,7 @@ def _joined(sonar_map: SonarMap, plan: StreamPlan, wanted: StreamSetting) -> _Wa
         sender = StreamSender(sonar_map, wanted.interest, step, limit)
         client = StreamClient(sender.facts(), wanted.interest)
     link = SimulatedLink(plan.link, sender.pacer)
-    return _Watch(sender, client, link, Ages(sender.facts(), wanted.interest))
+    return _WatchedClient(sender, client, link, Ages(sender.facts(), wanted.interest))
 
 
 def _map(sonar_map: SonarMap, pings: Pings, number: int) -> None:
