@@ -10,47 +10,72 @@ from mapperd.client.follower import MapFollower
 from mapperd.client.mirror import Cells, MapMirror
 from mapperd.wire import messages
 from mapperd.wire.framing import StreamError
-from mapperd.wire.messages import Interest, MapFacts, Want
+from mapperd.wire.messages import (
+    EventMessage,
+    FanMessage,
+    ImageMessage,
+    Interest,
+    LocalizationMessage,
+    MapBox,
+    MapFacts,
+    PathMessage,
+    PoseMessage,
+    ReturnsMessage,
+    RobotsMessage,
+    SettingsMessage,
+    StatusMessage,
+    Want,
+    WelcomeMessage,
+)
 
 __all__ = [
     "AskError",
-    "Box",
     "Cells",
     "ClientChange",
     "ConnectionStatus",
     "EndedError",
-    "Event",
-    "Fan",
-    "Image",
+    "EventMessage",
+    "FanMessage",
+    "ImageMessage",
     "Interest",
     "LinkChanged",
-    "Localization",
+    "LocalizationMessage",
+    "MapBox",
     "MapChanged",
     "MapClient",
     "MapFacts",
     "MapFollower",
     "MapMirror",
     "MapReset",
-    "Path",
-    "Pose",
-    "Returns",
-    "Robots",
-    "Settings",
-    "Status",
+    "PathMessage",
+    "PoseMessage",
+    "ReturnsMessage",
+    "RobotsMessage",
+    "SettingsMessage",
+    "StatusMessage",
     "StreamError",
     "Want",
-    "Welcome",
+    "WelcomeMessage",
 ]
 
-Event = messages.EventMessage
-Fan = messages.FanMessage
-Image = messages.ImageMessage
-Localization = messages.LocalizationMessage
-Box = messages.MapBox
-Path = messages.PathMessage
-Pose = messages.PoseMessage
-Returns = messages.ReturnsMessage
-Robots = messages.RobotsMessage
-Settings = messages.SettingsMessage
-Status = messages.StatusMessage
-Welcome = messages.WelcomeMessage
+_FORMER_NAMES = {
+    "Box": "MapBox",
+    "Event": "EventMessage",
+    "Fan": "FanMessage",
+    "Image": "ImageMessage",
+    "Localization": "LocalizationMessage",
+    "Path": "PathMessage",
+    "Pose": "PoseMessage",
+    "Returns": "ReturnsMessage",
+    "Robots": "RobotsMessage",
+    "Settings": "SettingsMessage",
+    "Status": "StatusMessage",
+    "Welcome": "WelcomeMessage",
+}
+"""Names of version 0.2.0 that programs may still import, by what they are called now."""
+
+
+def __getattr__(name: str) -> object:
+    if name not in _FORMER_NAMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(messages, _FORMER_NAMES[name])

@@ -20,9 +20,9 @@ from mapperd.cli.mapperctl.map_output import (
     origin_among,
 )
 from mapperd.client import (
-    Box,
     Interest,
     LinkChanged,
+    MapBox,
     MapChanged,
     MapClient,
     StreamError,
@@ -106,11 +106,11 @@ def _checked(args: argparse.Namespace) -> ProbabilityCalibration | None:
     return calibration
 
 
-def _box(corners: tuple[float, ...] | None) -> Box | None:
+def _box(corners: tuple[float, ...] | None) -> MapBox | None:
     if corners is None:
         return None
     x, y, z, *high = corners
-    return Box((x, y, z), (high[0], high[1], high[2]))
+    return MapBox((x, y, z), (high[0], high[1], high[2]))
 
 
 def _made(

@@ -17,7 +17,7 @@ from plyfile import PlyData
 from mapperd.cli.mapperctl.arguments import parser
 from mapperd.cli.mapperctl.command import main
 from mapperd.cli.mapperctl.export import _Progress
-from mapperd.client import Box, Interest, MapMirror
+from mapperd.client import Interest, MapBox, MapMirror
 from mapperd.config.tree import Config
 from mapperd.export.formats import FORMATS
 from mapperd.mapping.sonar_map import SonarMap
@@ -162,7 +162,7 @@ def test_part_and_fineness_are_asked_of_the_daemon(
     code, lines, _ = export(tmp_path / "live.ply", *words)
     assert code == 0, lines
     assert watched.served.hellos[0].interest == Interest(
-        level=2, radius_m=25.5, box=Box((-8.0, -7.0, -6.0), (8.0, 7.0, 6.0))
+        level=2, radius_m=25.5, box=MapBox((-8.0, -7.0, -6.0), (8.0, 7.0, 6.0))
     )
 
 
