@@ -56,17 +56,17 @@ def config(tmp_path: Path) -> Config:
     return config_from_text(settings(write_room(tmp_path), mapping="corrected"))
 
 
-def onboard_of(config: Config) -> LocalizationStage:
+def stage_of(config: Config) -> LocalizationStage:
     localizing = begun(config)
     assert localizing is not None
-    return localizing.onboard
+    return localizing.stage
 
 
 def driven(
-    onboard: LocalizationStage, heard: list[PingImage], first: int, last: int
+    stage: LocalizationStage, heard: list[PingImage], first: int, last: int
 ) -> list[FusedPose | Reject]:
     track = dive(30).odometry
-    return [onboard.correct(heard[k], fused(track[k]), k * 200_000_000) for k in range(first, last)]
+    return [stage.correct(heard[k], fused(track[k]), k * 200_000_000) for k in range(first, last)]
 
 
 def with_amcl(config: Config, **values: object) -> Config:
@@ -74,7 +74,7 @@ def with_amcl(config: Config, **values: object) -> Config:
 
 
 def test_pings_are_mapped_where_the_vehicle_is(config: Config, heard: list[PingImage]) -> None:
-    where = driven(onboard_of(config), heard, 0, 30)[-1]
+    where = driven(stage_of(config), heard, 0, 30)[-1]
     assert isinstance(where, FusedPose)
     truth, odometry = dive(30).truth[-1], dive(30).odometry[-1]
     assert math.dist(where.pose.position_m[:2], truth[:2]) < 0.2
@@ -85,12 +85,12 @@ def test_pings_are_mapped_where_the_vehicle_is(config: Config, heard: list[PingI
 def test_scan_without_an_update_is_mapped_by_the_last_correction(
     config: Config, heard: list[PingImage]
 ) -> None:
-    onboard = onboard_of(config)
-    driven(onboard, heard, 0, 10)
-    before = onboard.facts()
+    stage = stage_of(config)
+    driven(stage, heard, 0, 10)
+    before = stage.facts()
     odom = fused(dive(30).odometry[9] + (0.05, 0.0, 0.0))
-    where = onboard.correct(heard[9], odom, 2_000_000_000)
-    after = onboard.facts()
+    where = stage.correct(heard[9], odom, 2_000_000_000)
+    after = stage.facts()
     assert after.updates == before.updates
     assert after.counts["still"] == 1
     assert after.particles is before.particles  # resampled only after a change
@@ -103,21 +103,23 @@ def test_scan_without_an_update_is_mapped_by_the_last_correction(
 def test_ping_without_an_image_is_counted_by_its_reason(
     config: Config, heard: list[PingImage]
 ) -> None:
-    onboard, why = onboard_of(config), Reject("bad_bearings", "not a fan")
-    driven(onboard, heard, 0, 10)
-    before = onboard.facts()
-    where = onboard.correct(why, fused(dive(30).odometry[9]), 2_000_000_000)
+    stage, why = stage_of(config), Reject("bad_bearings", "not a fan")
+    driven(stage, heard, 0, 10)
+    before = stage.facts()
+    where = stage.correct(why, fused(dive(30).odometry[9]), 2_000_000_000)
     assert isinstance(where, FusedPose)  # at the last correction
-    after = onboard.facts()
+    after = stage.facts()
     assert after.counts["bad_bearings"] == 1
     assert after.updates == before.updates
 
 
-def test_a_jump_of_the_odometry_is_nothing_to_map_by(config: Config, heard: list[PingImage]) -> None:
-    onboard = onboard_of(config)
-    driven(onboard, heard, 0, 10)
+def test_a_jump_of_the_odometry_is_nothing_to_map_by(
+    config: Config, heard: list[PingImage]
+) -> None:
+    stage = stage_of(config)
+    driven(stage, heard, 0, 10)
     far = fused(dive(30).odometry[10] + (50.0, 0.0, 0.0))
-    where = onboard.correct(heard[10], far, 2_000_000_000)
+    where = stage.correct(heard[10], far, 2_000_000_000)
     assert isinstance(where, Reject)
     assert where.reason == "odometry_jump"
 
@@ -125,41 +127,43 @@ def test_a_jump_of_the_odometry_is_nothing_to_map_by(config: Config, heard: list
 def test_ambiguous_belief_is_nothing_to_map_by(config: Config, heard: list[PingImage]) -> None:
     anywhere = with_amcl(config, set_initial_pose=False)
     ours = msgspec.structs.replace(anywhere.localization, mode="global")
-    onboard = onboard_of(msgspec.structs.replace(anywhere, localization=ours))
-    (where,) = driven(onboard, heard, 0, 1)
+    stage = stage_of(msgspec.structs.replace(anywhere, localization=ours))
+    (where,) = driven(stage, heard, 0, 1)
     assert isinstance(where, Reject)
     assert where.reason == "ambiguous"
-    facts = onboard.facts()
+    facts = stage.facts()
     assert not facts.sure
     assert facts.belief is not None
     assert facts.belief.ambiguous
 
 
 def test_other_settings_keep_the_particles(config: Config, heard: list[PingImage]) -> None:
-    onboard = onboard_of(config)
-    driven(onboard, heard, 0, 10)
-    cloud = onboard.facts().particles.copy()
-    onboard.reconfigure(with_amcl(config, laser_sigma_hit=0.3, max_beams=20))
-    assert np.array_equal(onboard._filter.particles.poses, cloud[:, :3])
-    where = driven(onboard, heard, 10, 12)[-1]
+    stage = stage_of(config)
+    driven(stage, heard, 0, 10)
+    cloud = stage.facts().particles.copy()
+    stage.reconfigure(with_amcl(config, laser_sigma_hit=0.3, max_beams=20))
+    assert np.array_equal(stage._filter.particles.poses, cloud[:, :3])
+    where = driven(stage, heard, 10, 12)[-1]
     assert isinstance(where, FusedPose)
 
 
-def test_settings_that_the_filter_refuses_change_nothing(config: Config, heard: list[PingImage]) -> None:
-    onboard = onboard_of(config)
+def test_settings_that_the_filter_refuses_change_nothing(
+    config: Config, heard: list[PingImage]
+) -> None:
+    stage = stage_of(config)
     bad = with_amcl(config, laser_z_hit=1e-300, laser_z_rand=0.0)
     with pytest.raises(ConfigError, match=r"\$\.amcl"):
         check_localization(bad)
-    onboard.reconfigure(bad)
-    assert onboard.facts().counts["settings_refused"] == 1
-    assert isinstance(driven(onboard, heard, 0, 3)[-1], FusedPose)
+    stage.reconfigure(bad)
+    assert stage.facts().counts["settings_refused"] == 1
+    assert isinstance(driven(stage, heard, 0, 3)[-1], FusedPose)
 
 
 def test_facts_of_a_vehicle_that_waits(config: Config, heard: list[PingImage]) -> None:
-    onboard = onboard_of(with_amcl(config, set_initial_pose=False))
-    assert onboard.request(NoMotionUpdate(1)) is not None
-    driven(onboard, heard, 0, 2)
-    facts = onboard.facts()
+    stage = stage_of(with_amcl(config, set_initial_pose=False))
+    assert stage.request(NoMotionUpdate(1)) is not None
+    driven(stage, heard, 0, 2)
+    facts = stage.facts()
     assert facts.state == "waiting for a pose"
     assert facts.counts == {"no_filter": 2}
     assert (facts.belief, facts.transform, facts.pose, facts.stamp_ns) == (None,) * 4
@@ -168,9 +172,9 @@ def test_facts_of_a_vehicle_that_waits(config: Config, heard: list[PingImage]) -
 
 
 def test_scan_stands_on_the_walls(config: Config, heard: list[PingImage]) -> None:
-    onboard = onboard_of(config)
-    driven(onboard, heard, 0, 20)
-    points = onboard.facts().scan_points_m
+    stage = stage_of(config)
+    driven(stage, heard, 0, 20)
+    points = stage.facts().scan_points_m
     assert points is not None
     grid = room()
     walls = grid.centres_m(*np.nonzero(grid.occupancy == 100))
@@ -179,8 +183,8 @@ def test_scan_stands_on_the_walls(config: Config, heard: list[PingImage]) -> Non
 
 
 def test_maps_are_refused_where_one_was_asked_for(config: Config, tmp_path: Path) -> None:
-    onboard = onboard_of(with_amcl(config, use_map_topic=False))
-    refused = onboard.request(NewMap(1, str(tmp_path / "other.yaml"), "0"))
+    stage = stage_of(with_amcl(config, use_map_topic=False))
+    refused = stage.request(NewMap(1, str(tmp_path / "other.yaml"), "0"))
     assert refused is not None
     assert refused.reason == "map_topic_off"
 
@@ -189,17 +193,17 @@ def test_maps_are_refused_where_one_was_asked_for(config: Config, tmp_path: Path
 def test_request_that_is_no_pose_is_refused_and_changes_nothing(
     config: Config, heard: list[PingImage], number: float
 ) -> None:
-    onboard = onboard_of(config)
-    driven(onboard, heard, 0, 10)
-    before = onboard.facts()
+    stage = stage_of(config)
+    driven(stage, heard, 0, 10)
+    before = stage.facts()
     for pose in ((number, 0.0, (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0)), (0.0, 0.0, (-1.0,) * 9)):
-        refused = onboard.request(InitialPose(1, pose[0], pose[1], 0.0, pose[2], "map"))
+        refused = stage.request(InitialPose(1, pose[0], pose[1], 0.0, pose[2], "map"))
         assert refused is not None
         assert refused.reason == "bad_request"
-    after = onboard.facts()
+    after = stage.facts()
     assert after.counts["bad_request"] == 2
     assert after.particles is before.particles
-    assert isinstance(driven(onboard, heard, 10, 12)[-1], FusedPose)
+    assert isinstance(driven(stage, heard, 10, 12)[-1], FusedPose)
 
 
 def test_map_that_cannot_be_had_or_taken_is_refused(config: Config) -> None:
@@ -210,22 +214,22 @@ def test_map_that_cannot_be_had_or_taken_is_refused(config: Config) -> None:
         return KnownMap(path, sha256, GridMap(np.zeros((1, MAX_SIDE + 1), np.int8), 0.1))
 
     for load in (gone, wide):
-        onboard = LocalizationStage(config, KnownMap("room", "", room()), load=load)
-        refused = onboard.request(NewMap(1, "other.yaml", "0"))
+        stage = LocalizationStage(config, KnownMap("room", "", room()), load=load)
+        refused = stage.request(NewMap(1, "other.yaml", "0"))
         assert refused is not None
         assert refused.reason == "bad_request"
-        assert onboard.facts().counts == {"bad_request": 1}
-        known = onboard.facts().known
+        assert stage.facts().counts == {"bad_request": 1}
+        known = stage.facts().known
         assert known is not None
         assert known.path == "room"
 
 
 def test_new_start_forgets_the_belief(config: Config, heard: list[PingImage]) -> None:
-    onboard = onboard_of(config)
-    driven(onboard, heard, 0, 5)
+    stage = stage_of(config)
+    driven(stage, heard, 0, 5)
     covariance = tuple(np.diag([0.1, 0.1, 0.1]).ravel().tolist())
-    assert onboard.request(InitialPose(1, 0.0, 0.0, 0.0, covariance, "map")) is None
-    facts = onboard.facts()
+    assert stage.request(InitialPose(1, 0.0, 0.0, 0.0, covariance, "map")) is None
+    facts = stage.facts()
     assert (facts.belief, facts.transform, facts.sure) == (None, None, False)
     assert abs(facts.particles[:, 0].mean()) < 0.1
 
@@ -233,15 +237,15 @@ def test_new_start_forgets_the_belief(config: Config, heard: list[PingImage]) ->
 def test_restored_one_goes_on_to_the_bit(config: Config, heard: list[PingImage]) -> None:
     localizing = begun(config)
     assert localizing is not None
-    driven(localizing.onboard, heard, 0, 15)
+    driven(localizing.stage, heard, 0, 15)
     again = restored_session(config, saved_state(localizing))
-    one, other = (driven(onboard, heard, 15, 30) for onboard in (localizing.onboard, again.onboard))
+    one, other = (driven(stage, heard, 15, 30) for stage in (localizing.stage, again.stage))
     for here, there in zip(one, other, strict=True):
         assert isinstance(here, FusedPose)
         assert isinstance(there, FusedPose)
         assert np.array_equal(here.pose.position_m, there.pose.position_m)
         assert np.array_equal(here.covariance, there.covariance)
-    assert dict(localizing.onboard.facts().counts) == dict(again.onboard.facts().counts)
+    assert dict(localizing.stage.facts().counts) == dict(again.stage.facts().counts)
 
 
 @pytest.mark.slow
@@ -253,15 +257,15 @@ def test_restored_one_tries_the_same_rival(config: Config, heard: list[PingImage
     config = msgspec.structs.replace(product, localization=ours)
     localizing = begun(config)
     assert localizing is not None
-    first = localizing.onboard
+    first = localizing.stage
     begin = 0
     while first._filter.rival is None:
         driven(first, heard, begin, begin + 1)
         begin += 1
-    again = restored_session(config, saved_state(localizing)).onboard
+    again = restored_session(config, saved_state(localizing)).stage
     for k in range(begin, 30):
-        for onboard in (first, again):
-            driven(onboard, heard, k, k + 1)
+        for stage in (first, again):
+            driven(stage, heard, k, k + 1)
         here, there = first._filter.rival, again._filter.rival
         assert (here is None) == (there is None)
         if here is not None and there is not None:
