@@ -12,8 +12,14 @@ angle B, changes by the factor 1 / cos B at least. So a row is a stripe where it
 Everything else stays as it is, sample by sample: thin echoes because they do not span the fan,
 floors seen flat because they are curved in range or thicker. What cannot be distinguished is a thin
 arc around the sonar itself, such as the wall of a round tank with the sonar in its middle.
+
+`without_stripes` does this. `notched` is the notch of the published mapper's later filter, for
+stripes that are thicker than the kernel or do not span the fan. It weakens what is constant over
+the beams, where the image's spectrum has the frequency zero over them: stripes, but also all else
+that a row has in common. A floor seen flat loses as much as a stripe does.
 """
 
+import functools
 import math
 
 import cv2
@@ -22,7 +28,7 @@ from numpy.typing import NDArray
 
 from mapperd.config.tree import CrosstalkConfig
 
-__all__ = ["without_stripes"]
+__all__ = ["notched", "without_stripes"]
 
 SECTORS = 24
 """Of equally many beams, over which speckle is averaged."""
@@ -120,3 +126,44 @@ def _bridge(image: Image, stripe: NDArray[np.bool_]) -> None:
         far = image[end] if end < len(image) else 0.0
         part = (np.arange(1, end - first + 1, dtype=np.float32) / (end - first + 1))[:, None]
         np.minimum(image[first:end], near + (far - near) * part, out=image[first:end])
+
+
+MIN_SIDE = 4
+"""Images smaller than this have no spectrum to speak of."""
+
+MIN_KEPT = 2.0
+"""Frequencies over the rows that are kept at least: the image's slow changes."""
+
+FULL_SCALE = 255.0
+
+
+def notched(image: Image, settings: CrosstalkConfig) -> Image:
+    """Weaken what is constant over the beams.
+
+    Args:
+        image: (rows, beams) 0..255; returned as it is if a side is under four samples.
+        settings: width, strength and what is kept.
+    """
+    if min(image.shape) < MIN_SIDE:
+        return image
+    kept = _mask(
+        image.shape, settings.filter_width, settings.filter_strength, settings.dc_preserve_ratio
+    )
+    spectrum = np.fft.rfft2(image)
+    spectrum *= kept
+    cleared = np.fft.irfft2(spectrum, s=image.shape)
+    return np.clip(cleared, 0.0, FULL_SCALE).astype(np.float32)
+
+
+@functools.lru_cache(maxsize=4)
+def _mask(shape: tuple[int, int], width: float, strength: float, dc_ratio: float) -> Image:
+    """Factor of each frequency, (rows, beams // 2 + 1)."""
+    rows, beams = shape
+    over_beams = np.fft.rfftfreq(beams)[None, :] * 2  # of the highest frequency
+    over_rows = np.fft.fftfreq(rows)[:, None] * rows  # whole waves in the image
+    stripe = np.exp(-((over_beams / width) ** 2) / 2)
+    kept_rows = max(MIN_KEPT, dc_ratio * rows / 2)
+    changing = 1 - np.exp(-((over_rows / kept_rows) ** 2) / 2)
+    mask = np.clip(1 - strength * stripe * changing, 0, 1).astype(np.float32)
+    mask.setflags(write=False)
+    return np.asarray(mask)

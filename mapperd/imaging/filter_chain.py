@@ -14,7 +14,7 @@ from mapperd.config.catalog import hint_at, rule_text
 from mapperd.config.tree import Config, CrosstalkConfig, FilteringConfig, SonarConfig
 from mapperd.errors import ConfigError, MapError, missing_extra
 from mapperd.imaging.ping_image import PingImage, ping_image_of_array
-from mapperd.imaging.robots import Robot
+from mapperd.imaging.robots import Robot, find_robots, terrain_of
 
 __all__ = ["CrosstalkFilter", "check_filters", "filter_ping_image"]
 
@@ -44,8 +44,7 @@ def filter_ping_image(echo: PingImage, config: Config) -> tuple[PingImage, tuple
     image = echo.intensity
     crosstalk, robots = config.crosstalk, config.robot_detection
     if crosstalk.enabled:
-        from mapperd.imaging.crosstalk import without_stripes  # noqa: PLC0415 an extra
-        from mapperd.imaging.fft_notch import notched  # noqa: PLC0415 only where wanted
+        from mapperd.imaging.crosstalk import notched, without_stripes  # noqa: PLC0415 an extra
 
         if crosstalk.morpho_enabled or crosstalk.azimuth_enabled:
             threshold = config.filtering.intensity_threshold
@@ -53,8 +52,6 @@ def filter_ping_image(echo: PingImage, config: Config) -> tuple[PingImage, tuple
         image = notched(image, crosstalk) if crosstalk.fft_enabled else image
     found: tuple[Robot, ...] = ()
     if robots.enabled:
-        from mapperd.imaging.robot_bands import find_robots, terrain_of  # noqa: PLC0415 an extra
-
         found = tuple(find_robots(image, echo.bearings_rad, echo.range_resolution_m, robots))
         image = terrain_of(image, config.terrain_detection, robots)
     if image is echo.intensity:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from mapperd.config.changes import with_values
 from mapperd.config.tree import Config
 from mapperd.errors import Reject
-from mapperd.imaging.sound_speed import corrected_ranges
+from mapperd.imaging.ping_image import corrected_ranges
 from mapperd.odometry.bridge import ENCODING_PREFIX
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.counters import PipelineCounters

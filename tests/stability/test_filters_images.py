@@ -14,12 +14,10 @@ from mapperd.config.tree import (
     RobotDetectionConfig,
     TerrainDetectionConfig,
 )
-from mapperd.imaging.crosstalk import without_stripes
-from mapperd.imaging.fft_notch import notched
+from mapperd.imaging.crosstalk import notched, without_stripes
 from mapperd.imaging.filter_chain import filter_ping_image
 from mapperd.imaging.ping_image import PingImage, ping_image_of_array, uniform_bearings
-from mapperd.imaging.robot_bands import find_robots, terrain_of
-from mapperd.imaging.robots import MAX_SIGHTINGS, Sighting, Sightings
+from mapperd.imaging.robots import MAX_SIGHTINGS, Sighting, Sightings, find_robots, terrain_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -15,9 +15,8 @@ from sonar_sim import MATERIALS, FramePose, Scene, Simulator, SonarSettings, Sur
 from sonar_sim.geometry.pose import rotation_of
 
 from mapperd.config.tree import CrosstalkConfig, RobotDetectionConfig, TerrainDetectionConfig
-from mapperd.imaging.crosstalk import without_stripes
-from mapperd.imaging.fft_notch import notched
-from mapperd.imaging.robot_bands import find_robots, terrain_of
+from mapperd.imaging.crosstalk import notched, without_stripes
+from mapperd.imaging.robots import find_robots, terrain_of
 
 THRESHOLD = 35.0
 STRIPES = ((400, 3, 120.0), (550, 2, 60.0))

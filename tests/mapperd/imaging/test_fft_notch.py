@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mapperd.config.tree import CrosstalkConfig
-from mapperd.imaging.fft_notch import notched
+from mapperd.imaging.crosstalk import notched
 from tests.mapperd.imaging.conftest import BEAMS, Image, fan, flat_floor, speckled, striped
 
 

@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 
 from mapperd.config.tree import RobotDetectionConfig, TerrainDetectionConfig
-from mapperd.imaging.robot_bands import MAX_ROBOTS, find_robots, terrain_of
-from mapperd.imaging.robots import MAX_SIGHTINGS, Robot, Sighting, Sightings
+from mapperd.imaging.robots import (
+    MAX_ROBOTS,
+    MAX_SIGHTINGS,
+    Robot,
+    Sighting,
+    Sightings,
+    find_robots,
+    terrain_of,
+)
 
 BEARINGS = np.linspace(-1.0, 1.0, 101)
 ROBOTS = RobotDetectionConfig(enabled=True)

@@ -10,7 +10,7 @@ from mapperd.config.device import WaterConfig
 from mapperd.config.loader import config_from_text
 from mapperd.errors import ConfigError
 from mapperd.geometry.frames import pose_from_rpy
-from mapperd.imaging.sound_speed import corrected_ranges, true_speed_mps
+from mapperd.imaging.ping_image import corrected_ranges, true_speed_mps
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import FixedPose
 from mapperd.session.replay import Replay, Window

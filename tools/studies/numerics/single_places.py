@@ -11,7 +11,7 @@ from scipy.ndimage import distance_transform_edt
 from mapperd.client.validation import places_of
 from mapperd.config.filters import CrosstalkConfig
 from mapperd.config.tree import Config
-from mapperd.imaging.fft_notch import notched
+from mapperd.imaging.crosstalk import notched
 from mapperd.imaging.ping_image import PingImage
 from mapperd.localization.detector import levels_db
 from mapperd.localization.models import filter_rule
@@ -192,7 +192,7 @@ PLACES = (
         "means alone, whose running sums lie within the search for a return; levels are ours",
     ),
     SinglePlace(
-        "`fft_notch`, `crosstalk`, `robot_bands`",
+        "`crosstalk`, `robots`",
         "images while they are filtered; measured of the notch",
         _notch,
         "the samples have 8 or 16 bit",

@@ -46,9 +46,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "`field_weight`": ("cpp/localization/src/field_weight.cpp",),
     "`levels`, `first_return`": _in("mapperd/", "localization/detector.py"),
-    "`fft_notch`, `crosstalk`, `robot_bands`": _in(
-        "mapperd/", "imaging/crosstalk.py imaging/fft_notch.py imaging/robot_bands.py"
-    ),
+    "`crosstalk`, `robots`": _in("mapperd/", "imaging/crosstalk.py imaging/robots.py"),
     "`stream.way`, particles, `topside`": _in(
         "mapperd/",
         "client/validation.py server/state_feed.py viewer/actors.py viewer/shapes.py "
