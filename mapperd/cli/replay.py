@@ -191,15 +191,15 @@ def _replayed(
         for _ in replay.run(run.session):
             trajectory.flush()
             if page is not None:
-                onboard = None if run.localization is None else run.localization.onboard
-                page.update(counters, None if onboard is None else onboard.facts())
+                stage = None if run.localization is None else run.localization.stage
+                page.update(counters, None if stage is None else stage.facts())
             bar.show((done_bytes + run.session.bytes_read) / size_bytes, counters.pings_mapped)
         done_bytes += run.session.bytes_read
     bar.close(counters.pings_mapped)
     wall_s = time.perf_counter() - began_s
     facts = recording_facts([run.session for run in runs])
     if runs[-1].localization is not None:
-        facts |= localization_summary(runs[-1].localization.onboard.facts())
+        facts |= localization_summary(runs[-1].localization.stage.facts())
     return lambda whole: summary_of(facts, whole, runs[-1].poses, counters, wall_s)
 
 

@@ -29,6 +29,8 @@ __all__ = [
 
 ALIASES = MappingProxyType(
     {
+        "localization.rival_interval": "localization.alternative_interval",
+        "localization.rival_tempering": "localization.alternative_tempering",
         "amcl.kld_err": "amcl.pf_err",
         "amcl.kld_z": "amcl.pf_z",
         "amcl.odom_model_type": "amcl.robot_model_type",

@@ -259,7 +259,7 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
             le=1,
         ),
     ] = 1.0
-    rival_interval: Annotated[
+    alternative_interval: Annotated[
         float,
         rule(
             "Distance after which particles drawn anywhere by the scan are compared with the "
@@ -271,7 +271,7 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
             le=1e6,
         ),
     ] = 0.0
-    rival_tempering: Annotated[
+    alternative_tempering: Annotated[
         float,
         rule(
             "Factor on the tempering in that comparison.",

@@ -31,8 +31,7 @@ from mapperd.pipeline.ingest import SONAR, STATUS, ChunkQueue, Ingest
 from mapperd.pipeline.persistence import MapPersistence, MemoryPersistence
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.pipeline.recorder import Recorder
-from mapperd.pipeline.snapshot import snapshot_reader
-from mapperd.pipeline.worker import MappingThread
+from mapperd.pipeline.worker import MappingThread, snapshot_reader
 from mapperd.session_log import LINK, ClockSet, Remarks, Request, Session, Settings
 from oculus_driver.link.state import LinkState, LinkStatus
 from oculus_driver.recording.sonar_log import MAX_CLOCK_ERROR_NS
@@ -220,7 +219,7 @@ class Live:
         pipeline = build_pipeline(
             sonar_map,
             self._poses,
-            localization=None if self.localization is None else self.localization.onboard,
+            localization=None if self.localization is None else self.localization.stage,
             persistence=self.persistence,
             remarks=Remarks(),
             counters=self.counters,

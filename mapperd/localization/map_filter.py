@@ -42,48 +42,48 @@ __all__ = ["FilterState", "MapFilter"]
 Floats = NDArray[np.float64]
 
 SPREAD_M = 0.5
-"""Standard deviation of a cloud above which it has not found its place."""
+"""Standard deviation above which a cloud counts as spread out."""
 
 HURRY_M = 1.0
-"""Of way between rivals, where scans do not lie on the map."""
+"""Maximum distance between alternatives while scans do not fit the map."""
 
 LOST_SHARE = 0.3
-"""Of the way between rivals, while a pose is not confirmed: the next one."""
+"""Part of `alternative_interval` after which the next one starts while the pose is unconfirmed."""
 
 SPACING_SHARE, VERIFY_SHARE, WATCH_SHARE, DROP_SHARE = 0.06, 0.15, 0.5, 0.05
-"""Of the way between rivals: between scans of a window; between verifications of a pose that is not
-confirmed, of one that is, and after scans that fit worse than those before."""
+"""Parts of `alternative_interval`: between scans of a window; between verifications of an
+unconfirmed pose, of a confirmed one, and after a drop of the fit."""
 
 TURN_SHARE = 0.1
-"""Of the way between rivals that a radian counts as."""
+"""Part of `alternative_interval` that a turn of one radian counts as."""
 
 DROP = 0.15
-"""Share of hits by which a scan fits worse than those before."""
+"""Drop of the share of hits that triggers a verification."""
 
 
 class FilterState(NamedTuple):
-    """All that changes in a filter, but for the map and the settings.
+    """State of a filter, without its map and settings.
 
     Attributes:
         cloud: the particles.
-        stamp_ns: of the last scan; None before the first.
-        hit_share: of recent scans, on the map; None before the first.
-        rival: cloud, odds and way of the rival; or None.
-        rivals: how many there have been.
-        blind: particles are anywhere, and no scan was searched by yet.
-        alone_m: way since the last rival.
-        recent_share, unsupported, scans: of the last scans, as in `FitWatch`.
-        confirmed: as of `MapFilter`.
+        stamp_ns: time of the last scan; None before the first.
+        hit_share: share of returns on the map, mean of recent scans; None before the first.
+        alternative: cloud, log-odds and distance travelled of the alternative hypothesis, if any.
+        alternatives: number of alternatives tried so far.
+        blind: the particles are spread over the map and no scan was searched yet.
+        alone_m: distance travelled since the last alternative ended.
+        recent_share, unsupported, scans: as in `FitWatch`.
+        confirmed: as in `MapFilter`.
         independent: unused; states of earlier versions have it.
         window: recent scans.
-        unverified_m: way since the last verification.
+        unverified_m: distance travelled since the last verification.
     """
 
     cloud: CloudState
     stamp_ns: int | None
     hit_share: float | None
-    rival: tuple[CloudState, float, float] | None
-    rivals: int
+    alternative: tuple[CloudState, float, float] | None
+    alternatives: int
     blind: bool
     alone_m: float
     recent_share: float | None = None
@@ -96,43 +96,43 @@ class FilterState(NamedTuple):
 
 
 class MapFilter:
-    """Particles on a map. One thread at a time.
+    """A particle filter on a map; not thread-safe.
 
     Args:
         config: the settings.
 
     Attributes:
-        weighed: what the last scan did to the weights; None before one.
-        watch: how well scans lie on the map.
-        rival: the cloud that is tried against `particles`; None most of the time.
-        rivals: how many there have been.
-        confirmed: the pose was given or verified, and has not been refuted since.
-        verdict: of the last verification; None before one.
+        weighed: result of weighing the last scan; None before the first.
+        watch: how well scans fit the map.
+        alternative: the cloud that is tried against `particles`; None most of the time.
+        alternatives: number of alternatives tried so far.
+        confirmed: the pose was given or verified, and not refuted since.
+        verdict: result of the last verification; None before the first.
     """
 
     def __init__(self, config: Config) -> None:
         self.weighed: Weighed | None = None
         self.watch = FitWatch()
-        self.rival: AlternativeHypothesis | None = None
-        self.rivals = 0
+        self.alternative: AlternativeHypothesis | None = None
+        self.alternatives = 0
         self.confirmed = True
         self.verdict: VerificationResult | None = None
         self._config = config
         self._particles = self._cloud()
         self._map: MapWeighing | None = None
         self._stamp_ns: int | None = None
-        self._blind = False  # particles are anywhere, and no scan was searched by yet
-        self._alone_m = 0.0  # way since the last rival
+        self._blind = False  # spread over the map, and no scan was searched yet
+        self._alone_m = 0.0  # distance since the last alternative ended
         self._window = ScanWindow()
-        self._unverified_m = 0.0  # way since the last verification
+        self._unverified_m = 0.0  # distance since the last verification
 
     @property
     def particles(self) -> ParticleFilter:
-        """The core's filter, to look at; a rival that wins takes its place."""
+        """The leading cloud, read-only; an alternative that wins replaces it."""
         return self._particles
 
     def reconfigure(self, config: Config) -> None:
-        """As `PoseFilter.reconfigure`; on any error all is as before."""
+        """As `PoseFilter.reconfigure`; an error leaves the filter unchanged."""
         rule = filter_rule(config)
         weighing = None if self._map is None else self._map.with_settings(config)
         for particles in self._clouds():
@@ -140,15 +140,15 @@ class MapFilter:
             particles.set_threads(threads_of(config))
         self._config, self._map = config, weighing
         if weighing is not None and not weighing.is_product:
-            # Without evidence about hits an earlier verdict must not stay.
-            self.watch, self.rival = FitWatch(), None
-        if not self._has_rivals():
+            # This model counts no hits: drop what earlier ones showed.
+            self.watch, self.alternative = FitWatch(), None
+        if not self._tries_alternatives():
             self.confirmed = True
 
     def take_map(self, known: LocalizationMap) -> None:
-        """As `PoseFilter.take_map`; on any error all is as before."""
+        """As `PoseFilter.take_map`; an error leaves the filter unchanged."""
         self._map = MapWeighing(known, self._config)
-        self.rival, self._window = None, ScanWindow()
+        self.alternative, self._window = None, ScanWindow()
 
     def start_at(self, pose: PlanarGaussian, *, given: bool = True) -> None:
         """As `PoseFilter.start_at`."""
@@ -161,7 +161,7 @@ class MapFilter:
         """As `PoseFilter.start_anywhere`.
 
         Raises:
-            ValueError: there is no map, or it has no free cell.
+            ValueError: there is no map, or the map has no free cell.
         """
         if self._map is None or self._map.free is None:
             raise ValueError("there is no free cell to start from")
@@ -169,17 +169,17 @@ class MapFilter:
         self._begin(blind=True)
 
     def state(self) -> FilterState:
-        """All that changes, but for the map and the settings."""
-        rival = None
-        if self.rival is not None:
-            tried = self.rival
-            rival = cloud_state(tried.particles), tried.log_odds, tried.way_m
+        """Return the state, without map and settings."""
+        alternative = None
+        if self.alternative is not None:
+            tried = self.alternative
+            alternative = cloud_state(tried.particles), tried.log_odds, tried.way_m
         return FilterState(
             cloud_state(self._particles),
             self._stamp_ns,
             self.watch.share,
-            rival,
-            self.rivals,
+            alternative,
+            self.alternatives,
             self._blind,
             self._alone_m,
             self.watch.recent,
@@ -191,20 +191,20 @@ class MapFilter:
         )
 
     def restore(self, state: FilterState) -> None:
-        """Go on as the filter that `state` was called of, on the same map and settings.
+        """Continue from the state of a filter with the same map and settings.
 
         Raises:
-            ValueError: it is no filter's state; this one is then of no use.
+            ValueError: the state is invalid; the filter cannot be used afterwards.
         """
         restore_cloud(self._particles, state.cloud)
-        self._stamp_ns, self.rivals = state.stamp_ns, state.rivals
+        self._stamp_ns, self.alternatives = state.stamp_ns, state.alternatives
         self.watch = FitWatch(state.hit_share, state.recent_share, state.unsupported, state.scans)
         self.confirmed = state.confirmed
-        self._blind, self._alone_m, self.rival = state.blind, state.alone_m, None
-        if state.rival is not None:
-            cloud, log_odds, way_m = state.rival
-            self.rival = AlternativeHypothesis(self._cloud(), log_odds, way_m)
-            restore_cloud(self.rival.particles, cloud)
+        self._blind, self._alone_m, self.alternative = state.blind, state.alone_m, None
+        if state.alternative is not None:
+            cloud, log_odds, way_m = state.alternative
+            self.alternative = AlternativeHypothesis(self._cloud(), log_odds, way_m)
+            restore_cloud(self.alternative.particles, cloud)
         self._window, self._unverified_m = state.window, state.unverified_m
 
     def update(
@@ -221,13 +221,13 @@ class MapFilter:
         self.weighed = self._weigh(self._map, self._particles, scan, base_height_m)
         if self._map.is_product:
             self.watch = self.watch.after(self._map.hit_share(self.weighed), len(scan))
-        if self.rival is not None:
-            self._try(self._map, self.rival.driven(way_m), scan, base_height_m)
+        if self.alternative is not None:
+            self._try(self._map, self.alternative.driven(way_m), scan, base_height_m)
         else:
             self._challenge(self._map, way_m, scan, base_height_m)
-        if self._has_rivals():
+        if self._tries_alternatives():
             turned_rad = abs(wrapped(now.yaw_rad - before.yaw_rad))
-            way_m += turned_rad * TURN_SHARE * self._config.localization.rival_interval
+            way_m += turned_rad * TURN_SHARE * self._config.localization.alternative_interval
             self._verify(self._map, before, Keyframe(now, base_height_m, scan), way_m)
         found = self._belief()
         for particles in self._clouds():
@@ -237,15 +237,15 @@ class MapFilter:
 
     def _begin(self, *, blind: bool) -> None:
         self._stamp_ns, self._blind = None, blind
-        self.watch, self.rival, self._alone_m = FitWatch(), None, 0.0
+        self.watch, self.alternative, self._alone_m = FitWatch(), None, 0.0
         self._window, self._unverified_m, self.verdict = ScanWindow(), 0.0, None
         if blind:
-            self.confirmed = not self._has_rivals()
+            self.confirmed = not self._tries_alternatives()
 
-    def _has_rivals(self) -> bool:
-        """Whether clouds are tried against the first; without them nothing can confirm a pose."""
+    def _tries_alternatives(self) -> bool:
+        """Whether alternatives are tried; without them no pose can be confirmed."""
         return (
-            self._config.localization.rival_interval > 0.0
+            self._config.localization.alternative_interval > 0.0
             and self._map is not None
             and self._map.is_product
             and self._map.searches
@@ -255,15 +255,17 @@ class MapFilter:
         return self.watch.fits(self._config.localization.min_hit_share)
 
     def _cloud(self) -> ParticleFilter:
-        """A new one; each rival has random numbers of its own."""
-        seed = (self._config.localization.random_seed + self.rivals) % 2**63
+        """Return a new cloud; each alternative has its own random numbers."""
+        seed = (self._config.localization.random_seed + self.alternatives) % 2**63
         return ParticleFilter(filter_rule(self._config), seed, threads_of(self._config))
 
     def _clouds(self) -> list[ParticleFilter]:
-        return [self._particles] + ([] if self.rival is None else [self.rival.particles])
+        return [self._particles] + (
+            [] if self.alternative is None else [self.alternative.particles]
+        )
 
     def _move(self, before: PlanarPose, now: PlanarPose, stamp_ns: int) -> float:
-        """Move all clouds; the way, which a refused step has none of."""
+        """Move all clouds; return the distance, 0 if a cloud refused the step."""
         amcl, ours = self._config.amcl, self._config.localization
         passed_s = 0.0 if self._stamp_ns is None else max(stamp_ns - self._stamp_ns, 0) / 1e9
         alphas = [getattr(amcl, f"odom_alpha{k}") for k in range(1, 6)]
@@ -291,38 +293,38 @@ class MapFilter:
 
     @staticmethod
     def _is_spread(particles: ParticleFilter) -> bool:
-        """It has not found its place."""
+        """Whether the cloud is still spread out."""
         return spread_m(particles.estimate()) > SPREAD_M
 
     def _try(
-        self, weighing: MapWeighing, rival: AlternativeHypothesis, scan: Scan, height_m: float
+        self, weighing: MapWeighing, alternative: AlternativeHypothesis, scan: Scan, height_m: float
     ) -> None:
-        """Weigh the rival, too, and have the scan decide between both."""
+        """Weigh the alternative and update its odds against the leading cloud."""
         ours = self._config.localization
-        weighed, first = self._weigh(weighing, rival.particles, scan, height_m), self.weighed
-        votes = ours.tempering * ours.rival_tempering * len(scan)
-        self.rival = rival.weighed(weighed.fit, first.fit if first else 0.0, votes)
+        weighed, first = self._weigh(weighing, alternative.particles, scan, height_m), self.weighed
+        votes = ours.tempering * ours.alternative_tempering * len(scan)
+        self.alternative = alternative.weighed(weighed.fit, first.fit if first else 0.0, votes)
 
     def _challenge(self, weighing: MapWeighing, way_m: float, scan: Scan, height_m: float) -> None:
-        """Begin a rival, where it is time."""
+        """Start an alternative if one is due."""
         ours = self._config.localization
         self._alone_m += way_m
-        due_m = ours.rival_interval
+        due_m = ours.alternative_interval
         if not self._fits():
             due_m = min(HURRY_M, due_m)
         elif not self.confirmed:
             due_m *= LOST_SHARE
-        wanted = self._has_rivals() and self._alone_m >= due_m
+        wanted = self._tries_alternatives() and self._alone_m >= due_m
         if wanted and not self._blind and weighing.can_search(scan):
-            self.rivals += 1
-            self.rival = AlternativeHypothesis(self._cloud())
-            weighing.draw(self.rival.particles, scan, height_m)
+            self.alternatives += 1
+            self.alternative = AlternativeHypothesis(self._cloud())
+            weighing.draw(self.alternative.particles, scan, height_m)
 
     def _verify(
         self, weighing: MapWeighing, before: PlanarPose, keyframe: Keyframe, way_m: float
     ) -> None:
-        """Compare the pose with distant ones, where it is time."""
-        ours, interval_m = self._config.localization, self._config.localization.rival_interval
+        """Compare the pose with distant ones if a verification is due."""
+        ours, interval_m = self._config.localization, self._config.localization.alternative_interval
         self._window = self._window.after(before, keyframe, SPACING_SHARE * interval_m)
         self._unverified_m += way_m if len(keyframe.scan) >= MIN_RETURNS else 0.0
         if self.watch.denies(ours.min_hit_share):
@@ -348,33 +350,33 @@ class MapFilter:
             self.confirmed |= verdict.verified
 
     def _refute(self, window: ScanWindow) -> None:
-        """The pose is not confirmed; an alternative is tried at once."""
+        """Withdraw the confirmation and start an alternative at once."""
         if self.confirmed:
             self.confirmed, self._window = False, window
-        self._alone_m = self._config.localization.rival_interval
+        self._alone_m = self._config.localization.alternative_interval
 
     def _belief(self) -> Belief:
         fits = self.watch.supports(self._config.localization.min_hit_share)
-        if self.rival is None:
+        if self.alternative is None:
             return belief(self._particles, fits=fits, confirmed=self.confirmed)
         both = ParticleFilter(filter_rule(self._config), 0)
         poses = [particles.poses for particles in self._clouds()]
-        shares = (1.0 - self.rival.share, self.rival.share)
+        shares = (1.0 - self.alternative.share, self.alternative.share)
         weights = [s * p.weights for s, p in zip(shares, self._clouds(), strict=True)]
         both.start_with(np.concatenate(poses), np.concatenate(weights))
         return belief(both, fits=fits, confirmed=self.confirmed)
 
     def _decide(self) -> None:
-        """The rival goes, or leads, or stays on trial."""
-        if self.rival is None:
+        """Drop the alternative, let it lead, or keep it on trial."""
+        if self.alternative is None:
             return
-        rival = self.rival
-        same = same_place(self._particles.estimate(), rival.particles.estimate())
-        if same or rival.hopeless:
-            self.rival, self._alone_m = None, 0.0
-        elif rival.leads:
-            self.rival = rival.changed(self._particles)
-            self._particles = rival.particles
+        alternative = self.alternative
+        same = same_place(self._particles.estimate(), alternative.particles.estimate())
+        if same or alternative.hopeless:
+            self.alternative, self._alone_m = None, 0.0
+        elif alternative.leads:
+            self.alternative = alternative.changed(self._particles)
+            self._particles = alternative.particles
             self.watch = FitWatch()
             self.confirmed = False
 

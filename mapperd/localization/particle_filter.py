@@ -54,7 +54,7 @@ def belief(
     bucket_xy_m: float = 0.2,
     bucket_yaw_rad: float = 0.524,
 ) -> Belief:
-    """Estimate of the particles; clusters are made of the given buckets."""
+    """Return the belief of a cloud; clusters are formed from buckets of the given size."""
     found, masses, _ = particles.modes(bucket_xy_m, bucket_yaw_rad)
     best = gaussian_of(found)
     offset = particles.poses[:, :2] - (best.x_m, best.y_m)
@@ -72,9 +72,10 @@ def belief(
 
 
 def gaussian_of(estimate: Estimate) -> PlanarGaussian:
-    """An estimate of the core, as a Gaussian.
+    """Return an estimate of the core as a Gaussian.
 
-    Headings that cancel have no variance that a number holds: then any heading will do.
+    If the headings cancel, their variance is unbounded: the heading is then reported as unknown,
+    with a variance of pi^2.
     """
     covariance = estimate.covariance
     if not np.isfinite(covariance).all():
@@ -88,12 +89,12 @@ Floats = NDArray[np.float64]
 
 
 class CloudState(NamedTuple):
-    """All that the core's filter holds, but for its rule.
+    """State of the core's filter, without its rule.
 
     Attributes:
-        poses: (N, 3), of the particles.
-        log_weights: (N,).
-        numbers, averages: of the core's filter, its seed among them.
+        poses: (N, 3) x, y, heading of the particles.
+        log_weights: (N,) log-weights.
+        numbers, averages: seed, counters and averages of the core's filter.
     """
 
     poses: Floats
@@ -103,30 +104,30 @@ class CloudState(NamedTuple):
 
 
 def cloud_state(particles: ParticleFilter) -> CloudState:
-    """The state of a cloud."""
+    """Return the state of a cloud."""
     return CloudState(*particles.state())
 
 
 def restore_cloud(particles: ParticleFilter, state: CloudState) -> None:
-    """Make a cloud of the same rule go on as the one that the state is of.
+    """Set the state of a cloud that has the same rule.
 
     Raises:
-        ValueError: it is no cloud's state; nothing is changed.
+        ValueError: the state is invalid; the cloud is unchanged.
     """
     particles.restore(state.poses, state.log_weights, state.numbers, state.averages)
 
 
 MAX_CLUSTERS = 8
-"""The heaviest; a cloud that is spread over a map falls into hundreds."""
+"""Number of reported clusters; a cloud spread over a map has hundreds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cluster:
-    """Particles that stand together.
+    """Particles close to each other.
 
     Attributes:
-        mass: share of the weight.
-        pose: their mean and covariance.
+        mass: share of the total weight.
+        pose: mean and covariance.
     """
 
     mass: float
@@ -134,7 +135,7 @@ class Cluster:
 
 
 def clusters_of(particles: ParticleFilter, max_clusters: int = MAX_CLUSTERS) -> tuple[Cluster, ...]:
-    """The heaviest clusters, falling; those without weight are left out."""
+    """Return the heaviest clusters in descending order, without those of no weight."""
     _, masses, labels = particles.modes()
     poses, weights = particles.poses, particles.weights
     found = []

@@ -98,13 +98,13 @@ class LocalizationSession:
     """A session's localization as it begins.
 
     Attributes:
-        onboard: for the thread that maps.
+        stage: for the thread that maps.
         maps: through which it gets other maps.
         saved: estimate that it goes on from.
         map_sha256: of the map that it begins with; empty without one.
     """
 
-    onboard: LocalizationStage
+    stage: LocalizationStage
     maps: KnownMaps
     saved: PlanarGaussian | None = None
     map_sha256: str = ""
@@ -158,14 +158,14 @@ def poses_depend_on(localizing: LocalizationSession | None) -> LocalizationSessi
 class _SavedState(NamedTuple):
     """State of the stage, and the settings that maps are loaded by, as plain values."""
 
-    onboard: LocalizationStageState
+    stage: LocalizationStageState
     loaded_by: dict[str, Any]
 
 
 def saved_state(localizing: LocalizationSession) -> bytes:
     """All that `restored_session` needs; in the thread that maps."""
     loaded_by = msgspec.to_builtins(localizing.maps.config)
-    return encode_state(_SavedState(localizing.onboard.state(), loaded_by))
+    return encode_state(_SavedState(localizing.stage.state(), loaded_by))
 
 
 def restored_session(config: Config, data: bytes) -> LocalizationSession:
@@ -182,11 +182,11 @@ def restored_session(config: Config, data: bytes) -> LocalizationSession:
     try:
         maps = KnownMaps(config_of(loaded_by, "the checkpoint"))
         known = maps.take(state.path, state.sha256) if state.sha256 else None
-        onboard = LocalizationStage(config, load=maps.take)
-        onboard.restore(state, known)
+        stage = LocalizationStage(config, load=maps.take)
+        stage.restore(state, known)
     except (ConfigError, MapError, ValueError, TypeError) as error:
         raise CheckpointError(f"localization cannot go on: {error}") from error
-    return LocalizationSession(onboard, maps)
+    return LocalizationSession(stage, maps)
 
 
 def numbers_of(pose: PlanarGaussian | None) -> Numbers12 | None:
@@ -207,9 +207,9 @@ def _session(
     config: Config, maps: KnownMaps, known: KnownMap | None, saved: PlanarGaussian | None
 ) -> LocalizationSession:
     try:
-        onboard = LocalizationStage(config, known, saved, maps.take)
+        stage = LocalizationStage(config, known, saved, maps.take)
     except MapError as error:
         raise ConfigError(f"{PLACE}: {error}", PLACE) from error
     except ValueError as error:
         raise ConfigError(f"$.amcl: {error}", "$.amcl") from error
-    return LocalizationSession(onboard, maps, saved, "" if known is None else known.sha256)
+    return LocalizationSession(stage, maps, saved, "" if known is None else known.sha256)

@@ -284,7 +284,7 @@ def map_rest(
     pipeline = build_pipeline(
         stored.sonar_map,
         poses,
-        localization=None if localization is None else localization.onboard,
+        localization=None if localization is None else localization.stage,
         persistence=persistence,
         remarks=remarks,
         confirm=confirm,

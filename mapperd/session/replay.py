@@ -353,7 +353,7 @@ class Run:
             confirm=self.session.session is None,
             remarks=self.remarks,
             counters=counters,
-            localization=None if localization is None else localization.onboard,
+            localization=None if localization is None else localization.stage,
             persistence=persistence,
         )
 

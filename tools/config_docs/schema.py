@@ -18,27 +18,34 @@ def json_schema() -> dict[str, Any]:
     Rules about several settings are beyond it: what it lets through may still be refused.
     """
     schema = {"$schema": DIALECT, **msgspec.json.schema(Config)}
-    _add_other_names(schema["$defs"]["AmclConfig"]["properties"])
+    _add_other_names(schema)
     for name in IGNORED:
-        place, _, field = name.partition(".")
-        place = schema["$defs"]["Config"]["properties"][place]["$ref"].rpartition("/")[2]
         ignored = {"deprecated": True, "description": "Ignored: it has no effect."}
-        schema["$defs"][place]["properties"][field] = ignored
+        _fields(schema, name)[_last(name)] = ignored
     return schema
 
 
-def _add_other_names(fields: dict[str, Any]) -> None:
-    """Accept files with settings or values of `amcl` under their other names."""
+def _fields(schema: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return the properties of a setting's section."""
+    section = schema["$defs"]["Config"]["properties"][name.partition(".")[0]]
+    properties: dict[str, Any] = schema["$defs"][_last(section["$ref"], "/")]["properties"]
+    return properties
+
+
+def _add_other_names(schema: dict[str, Any]) -> None:
+    """Accept files with settings or values under their other names."""
     inner: dict[str, Any] = {}
     for other, name in ALIASES.items():
+        fields = _fields(schema, name)
         known = {k: v for k, v in fields[_last(name)].items() if k != "default"}
         if name in VALUE_ALIASES:
             known |= {"enum": [*known["enum"], *VALUE_ALIASES[name]]}
         place = inner if ".initial_pose." in other else fields
         place[_last(other)] = known | {"deprecated": True}
     for name, values in VALUE_ALIASES.items():
-        fields[_last(name)] |= {"enum": [*fields[_last(name)]["enum"], *values]}
-    fields["initial_pose"] = {
+        field = _fields(schema, name)[_last(name)]
+        field["enum"] = [*field["enum"], *values]
+    _fields(schema, "amcl.initial_pose")["initial_pose"] = {
         "type": "object",
         "properties": inner,
         "additionalProperties": False,
@@ -46,5 +53,5 @@ def _add_other_names(fields: dict[str, Any]) -> None:
     }
 
 
-def _last(name: str) -> str:
-    return name.rpartition(".")[2]
+def _last(name: str, mark: str = ".") -> str:
+    return name.rpartition(mark)[2]

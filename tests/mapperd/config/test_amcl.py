@@ -14,7 +14,7 @@ from mapperd.config.amcl import CORRECTED
 from mapperd.config.catalog import parameters
 from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore, Refused
-from mapperd.config.loader import config_from_text
+from mapperd.config.loader import config_from_text, config_of
 from mapperd.config.tree import AmclConfig, Config
 from mapperd.errors import ConfigError
 
@@ -239,8 +239,14 @@ def test_every_other_name_stands_for_a_setting() -> None:
     assert not set(ALIASES) & set(parameters())
 
 
+def test_former_names_of_localization_are_read() -> None:
+    config = config_of({"localization": {"rival_interval": 3.0}}, "an old recording")
+    assert config.localization.alternative_interval == 3.0
+
+
 def test_schema_lets_other_names_through() -> None:
     judge = jsonschema.Draft202012Validator(json_schema())
+    assert judge.is_valid({"localization": {"rival_interval": 3.0}})
     tree: dict[str, Any] = {"amcl": {"kld_z": 2.3, "initial_pose": {"yaw": 1}}}
     assert judge.is_valid(tree)
     assert judge.is_valid({"amcl": {"odom_model_type": "diff-corrected"}})

@@ -221,15 +221,15 @@ def test_maps_that_were_loaded_are_taken_whatever_becomes_of_their_files(tmp_pat
     localizing = begun(config_from_text(text_of(tmp_path)))
     assert localizing is not None
     path = shifted_room(tmp_path)
-    maps, onboard = localizing.maps, localizing.onboard
+    maps, stage = localizing.maps, localizing.stage
     known, again = maps.load(str(path)), maps.load(str(path))
     maps.offer(known)
     maps.offer(again)  # the same map, asked for twice before it is taken once
     path.with_suffix(".pgm").unlink()
     for number in (1, 2):
-        assert onboard.request(NewMap(number, known.path, known.sha256)) is None
+        assert stage.request(NewMap(number, known.path, known.sha256)) is None
     with pytest.raises(CheckpointError):  # in a replay the session cannot be as it was
-        onboard.request(NewMap(3, known.path, known.sha256))
+        stage.request(NewMap(3, known.path, known.sha256))
 
 
 def test_nothing_can_be_asked_where_localization_is_off(tmp_path: Path) -> None:

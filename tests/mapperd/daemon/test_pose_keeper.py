@@ -29,7 +29,7 @@ class SentState:
     def __init__(self, path: Path, config_text: str) -> None:
         localizing = begun(config_from_text(config_text))
         assert localizing is not None
-        self.facts: LocalizationFacts | None = localizing.onboard.facts()
+        self.facts: LocalizationFacts | None = localizing.stage.facts()
         self.amcl = AmclConfig(save_pose_rate=50.0)
         self.events = EventLog(lambda: 0)
         self.path = path
@@ -133,4 +133,4 @@ def test_saved_pose_that_is_invalid_is_reported_and_passed_over(
     assert found is not None
     assert found.saved is not None
     assert found.saved.x_m == 3.0
-    assert found.onboard.facts().particles[:, 0].mean() == pytest.approx(3.0, abs=0.5)
+    assert found.stage.facts().particles[:, 0].mean() == pytest.approx(3.0, abs=0.5)

@@ -115,16 +115,16 @@ def test_last_estimate_is_no_more_certain_on_a_new_map(script: Any) -> None:
     assert not drive(particles, THERE[3:5], 3)[-1].ambiguous
 
 
-def test_without_rivals_nothing_can_confirm_a_pose(script: Any) -> None:
+def test_without_alternatives_nothing_can_confirm_a_pose(script: Any) -> None:
     script(lambda pose: pose)
-    particles = MapFilter(profile("rival_interval: 0"))
+    particles = MapFilter(profile("alternative_interval: 0"))
     particles.take_map(room())
     particles.start_anywhere()
     assert not drive(particles, THERE[:9])[-1].ambiguous
     unconfirmed = on_the_map()
     unconfirmed.start_anywhere()
     assert drive(unconfirmed, THERE[:4])[-1].ambiguous
-    unconfirmed.reconfigure(profile("rival_interval: 0"))
+    unconfirmed.reconfigure(profile("alternative_interval: 0"))
     assert not drive(unconfirmed, THERE[4:6], 4)[-1].ambiguous
 
 

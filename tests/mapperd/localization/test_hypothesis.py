@@ -20,7 +20,7 @@ from tests.mapperd.localization.test_map_filter import room, scan_from
 SIGMA = np.diag([0.1**2, 0.1**2, 0.05**2])
 
 
-def profile(ours: str = "rival_interval: 2.0", policy: str = "seq") -> Config:
+def profile(ours: str = "alternative_interval: 2.0", policy: str = "seq") -> Config:
     """The settings that docs/guides/localization.md recommends, for a small room."""
     return config_from_text(f"""
 amcl:
@@ -82,14 +82,14 @@ def cloud_at(x: float, spread_m: float = 0.01) -> ParticleFilter:
 
 
 def test_odds_follow_bayes_and_fade() -> None:
-    rival = AlternativeHypothesis(cloud_at(0))
-    assert rival.share == pytest.approx(1e-3, rel=2e-3)
-    reported = rival.weighed(0.6, 0.2, 6.0)
+    alternative = AlternativeHypothesis(cloud_at(0))
+    assert alternative.share == pytest.approx(1e-3, rel=2e-3)
+    reported = alternative.weighed(0.6, 0.2, 6.0)
     assert reported.log_odds == pytest.approx((1 - FADE) * LONG_ODDS + 6.0 * math.log(3.0))
-    assert rival.weighed(0.0, 0.2, 6.0) == rival.weighed(0.2, 0.0, 6.0) == rival
-    assert not rival.leads
+    assert alternative.weighed(0.0, 0.2, 6.0) == alternative.weighed(0.2, 0.0, 6.0) == alternative
+    assert not alternative.leads
     assert reported.weighed(0.6, 0.2, 6.0).leads
-    assert rival.weighed(1e-300, 1.0, 1e6).share < 1e-20
+    assert alternative.weighed(1e-300, 1.0, 1e6).share < 1e-20
 
 
 def test_rival_is_hopeless_only_after_its_trial() -> None:
@@ -131,8 +131,8 @@ def test_vehicle_that_is_carried_off_is_reported_and_is_found_again() -> None:
     assert not found[-1].ambiguous
 
 
-def test_without_rivals_it_stays_lost_and_is_reported() -> None:
-    particles = MapFilter(profile("rival_interval: 0"))
+def test_without_alternatives_it_stays_lost_and_is_reported() -> None:
+    particles = MapFilter(profile("alternative_interval: 0"))
     particles.take_map(room())
     there = path(60)
     particles.start_at(PlanarGaussian(1.0, 5.0, 2.0, SIGMA))
@@ -143,20 +143,20 @@ def test_without_rivals_it_stays_lost_and_is_reported() -> None:
 
 
 def test_model_that_reports_no_hits_keeps_no_verdict_of_one_that_did() -> None:
-    particles = MapFilter(profile("rival_interval: 1"))
+    particles = MapFilter(profile("alternative_interval: 1"))
     particles.take_map(room())
     there = path(40)
     particles.start_at(PlanarGaussian(1.0, 5.0, 2.0, SIGMA))
     tried = 0
-    while particles.rival is None or particles.watch.fits(0.4):
+    while particles.alternative is None or particles.watch.fits(0.4):
         drive(particles, there[tried : tried + 2], tried)
         tried += 1
-    other = profile("rival_interval: 1")
+    other = profile("alternative_interval: 1")
     cubes = structs.replace(other.amcl, laser_model_type="likelihood_field")
     particles.reconfigure(structs.replace(other, amcl=cubes))
     found = drive(particles, there[tried : tried + 2], tried)[-1]
     assert found.fits
-    assert particles.rival is None
+    assert particles.alternative is None
 
 
 @pytest.mark.slow
@@ -167,7 +167,7 @@ def test_vehicle_that_is_followed_is_not_thrown_off() -> None:
     particles.start_at(PlanarGaussian(*there[0], SIGMA))
     first = particles.particles
     found = drive(particles, there)
-    assert particles.rivals >= 3
+    assert particles.alternatives >= 3
     assert particles.particles is first
     assert max(off_m(one, pose) for one, pose in zip(found[5:], there[5:], strict=True)) < 0.3
     assert not any(one.ambiguous for one in found[5:])
@@ -181,7 +181,7 @@ def test_both_policies_and_two_runs_give_equal_bits() -> None:
         particles.take_map(room())
         particles.start_anywhere()
         drive(particles, path(25))
-        assert particles.rivals > 0
+        assert particles.alternatives > 0
         found.append(particles.particles.poses)
     assert np.array_equal(found[0], found[1])
     assert np.array_equal(found[1], found[2])
@@ -196,7 +196,7 @@ def test_odometry_that_is_no_number_neither_moves_nor_counts() -> None:
     lost = PlanarPose(math.nan, 0.0, 0.0)
     particles.update(lost, lost, scan_from(there[4], 5 * 10**9), 0.0)
     found = drive(particles, there[4:], 6)
-    assert particles.rivals > 0
+    assert particles.alternatives > 0
     assert off_m(found[-1], there[-1]) < 0.15
 
 

@@ -249,9 +249,9 @@ def test_restored_one_goes_on_to_the_bit(config: Config, heard: list[PingImage])
 
 
 @pytest.mark.slow
-def test_restored_one_tries_the_same_rival(config: Config, heard: list[PingImage]) -> None:
+def test_restored_one_tries_the_same_alternative(config: Config, heard: list[PingImage]) -> None:
     ours = msgspec.structs.replace(
-        config.localization, rival_interval=1.0, tempering=0.2, search_poses=20_000
+        config.localization, alternative_interval=1.0, tempering=0.2, search_poses=20_000
     )
     product = with_amcl(config, laser_model_type="likelihood_field_prob")
     config = msgspec.structs.replace(product, localization=ours)
@@ -259,19 +259,19 @@ def test_restored_one_tries_the_same_rival(config: Config, heard: list[PingImage
     assert localizing is not None
     first = localizing.stage
     begin = 0
-    while first._filter.rival is None:
+    while first._filter.alternative is None:
         driven(first, heard, begin, begin + 1)
         begin += 1
     again = restored_session(config, saved_state(localizing)).stage
     for k in range(begin, 30):
         for stage in (first, again):
             driven(stage, heard, k, k + 1)
-        here, there = first._filter.rival, again._filter.rival
+        here, there = first._filter.alternative, again._filter.alternative
         assert (here is None) == (there is None)
         if here is not None and there is not None:
             assert here.log_odds == there.log_odds
             assert np.array_equal(here.particles.poses, there.particles.poses)
-    assert first._filter.rivals == again._filter.rivals
+    assert first._filter.alternatives == again._filter.alternatives
 
 
 def test_all_that_a_filter_knows_is_in_its_state(config: Config) -> None:
@@ -281,8 +281,8 @@ def test_all_that_a_filter_knows_is_in_its_state(config: Config) -> None:
         "_particles",
         "_stamp_ns",
         "watch",
-        "rival",
-        "rivals",
+        "alternative",
+        "alternatives",
         "confirmed",
         "_blind",
         "_alone_m",

@@ -76,7 +76,7 @@ def drive(particles: MapFilter, grid: GridMap, poses: list[Pose], first: int = 0
 
 
 def on(grid: GridMap, seed: int = 1) -> MapFilter:
-    particles = MapFilter(profile(f"rival_interval: 2.0\n  random_seed: {seed}"))
+    particles = MapFilter(profile(f"alternative_interval: 2.0\n  random_seed: {seed}"))
     particles.take_map(grid)
     return particles
 

@@ -288,13 +288,13 @@ def course(recording: Path, config: Config, path: Trajectory) -> PassCourse:
     localizing = begun(blind)
     if localizing is None:
         raise ValueError("localization is off")
-    onboard = localizing.onboard
+    stage = localizing.stage
     poses = OdometryPoses(blind)
-    replay = Replay(SonarMap(blind), poses, Window(), time.process_time, localization=onboard)
+    replay = Replay(SonarMap(blind), poses, Window(), time.process_time, localization=stage)
     rows, updates = [], 0
     with open_recording(recording) as chunks:
         for _ in chain(replay.run(chunks), [None]):  # its end settles the last pings
-            facts = onboard.facts()
+            facts = stage.facts()
             if facts.updates == updates or facts.odom is None or facts.pose is None:
                 continue
             updates = facts.updates

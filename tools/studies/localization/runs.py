@@ -124,7 +124,7 @@ def settings(place: DiveArea, seed: int) -> Config:
         tempering_spread=0.2,
         least_effective_share=0.3,
         draw_exponent=0.5,
-        rival_interval=66 * place.step_m,
+        alternative_interval=66 * place.step_m,
     )
     return Config(amcl=amcl, localization=ours)
 

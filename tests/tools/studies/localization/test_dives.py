@@ -33,7 +33,7 @@ def test_profile_is_the_one_that_was_measured() -> None:
     for name in set(LocalizationConfig.__struct_fields__) - {"mode", "scan"}:
         wanted = getattr(dived.localization, name)
         # So many steps of way are 9.9 m there.
-        about = pytest.approx(wanted, rel=0.02) if name == "rival_interval" else wanted
+        about = pytest.approx(wanted, rel=0.02) if name == "alternative_interval" else wanted
         assert getattr(offered.localization, name) == about, name
 
 

@@ -24,7 +24,7 @@ SCALES = {
     "scale.cells": ("octree.voxel_resolution",),
     "scale.step": ("amcl.update_min_d", "localization.update_max_interval"),
     "scale.sigma": ("amcl.laser_sigma_hit",),
-    "scale.rivals": ("localization.rival_interval",),
+    "scale.rivals": ("localization.alternative_interval",),
 }
 """Factors that a study turns, and the settings that they multiply: these differ between places."""
 
@@ -132,7 +132,7 @@ KNOBS = (
         MARGIN,
         "A vehicle that is followed needs some hundred, which a number that follows the cloud's "
         "spread gives; 300 always are less exact in small places. What the most may be changes "
-        "little here; with 5000, rivals that are thinly drawn take over now and then in half an "
+        "little here; with 5000, alternatives that are thinly drawn take over now and then in half an "
         "hour's dives (docs/guides/localization.md).",
     ),
     Knob(
