@@ -27,10 +27,17 @@ __all__ = [
     "tree_updated",
 ]
 
-ALIASES = MappingProxyType(
+FORMER = MappingProxyType(
     {
         "localization.rival_interval": "localization.alternative_interval",
         "localization.rival_tempering": "localization.alternative_tempering",
+    }
+)
+"""Setting by its name in earlier versions."""
+
+ALIASES = MappingProxyType(
+    {
+        **FORMER,
         "amcl.kld_err": "amcl.pf_err",
         "amcl.kld_z": "amcl.pf_z",
         "amcl.odom_model_type": "amcl.robot_model_type",
@@ -151,10 +158,11 @@ def tree_updated(tree: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ..
         tree: sections and values; what is no section stays.
 
     Returns:
-        the tree without ignored settings and with replaced values, and what was changed: one
-        phrase a setting, for people.
+        the tree without ignored settings, and with settings and values under their present names;
+        and what was changed: one phrase a setting, for people.
     """
     updated, phrases = _servers_merged(tree)
+    _rename_former(updated, phrases)
     for name in (*REMOVED, *IGNORED, *REPLACED):
         section, field = name.split(".")
         fields = updated.get(section)
@@ -171,6 +179,22 @@ def tree_updated(tree: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ..
             updated[section] = fields | {field: REPLACED[name][1]}
             phrases.append("{}: {} is now {}".format(name, *REPLACED[name]))
     return updated, tuple(phrases)
+
+
+def _rename_former(tree: dict[str, Any], phrases: list[str]) -> None:
+    """Move settings to their present names; where both are set, the present name applies."""
+    for name, present in FORMER.items():
+        section, former = name.split(".")
+        field = present.split(".")[1]
+        fields = tree.get(section)
+        if not isinstance(fields, dict) or former not in fields:
+            continue
+        rest = {key: value for key, value in fields.items() if key != former}
+        ignored = field in rest
+        tree[section] = rest if ignored else rest | {field: fields[former]}
+        phrases.append(
+            f"{name} is ignored: {present} applies" if ignored else f"{name} is now {present}"
+        )
 
 
 def _servers_merged(tree: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:

@@ -5,6 +5,7 @@ from typing import Any
 
 import msgspec
 
+from mapperd.config.aliases import ALIASES
 from mapperd.config.catalog import Parameter, parameters, value_of
 from mapperd.config.loader import config_of
 from mapperd.config.tree import Config
@@ -22,14 +23,14 @@ def changes_between(before: Config, after: Config) -> dict[str, Any]:
 
 
 def with_values(config: Config, values: Mapping[str, object]) -> Config:
-    """Settings of which some have other values, by name.
+    """Settings of which some have other values, by name or by another name of the setting.
 
     Raises:
         ConfigError: they are not allowed.
     """
     tree = msgspec.to_builtins(config)
     for name, value in values.items():
-        *sections, leaf = name.split(".")
+        *sections, leaf = ALIASES.get(name, name).split(".")
         section = tree
         for part in sections:
             section = section[part]

@@ -12,6 +12,7 @@ from config_docs.schema import json_schema
 from mapperd.config.aliases import ALIASES, IGNORED, change_renamed, restored_changes
 from mapperd.config.amcl import CORRECTED
 from mapperd.config.catalog import parameters
+from mapperd.config.changes import with_values
 from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore, Refused
 from mapperd.config.loader import config_from_text, config_of
@@ -242,6 +243,10 @@ def test_every_other_name_stands_for_a_setting() -> None:
 def test_former_names_of_localization_are_read() -> None:
     config = config_of({"localization": {"rival_interval": 3.0}}, "an old recording")
     assert config.localization.alternative_interval == 3.0
+    changed = with_values(config, {"localization.rival_interval": 4.0})
+    assert changed.localization.alternative_interval == 4.0
+    both = {"localization": {"rival_interval": 3.0, "alternative_interval": 5.0}}
+    assert config_of(both, "a file").localization.alternative_interval == 5.0
 
 
 def test_schema_lets_other_names_through() -> None:
