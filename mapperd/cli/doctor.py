@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mapperd import __version__
-from mapperd.cli.mapperctl.connection import ControlConnection, DaemonTarget
-from mapperd.cli.mapperctl.errors import CtlError
+from mapperd.cli.mapperctl.connection import ControlConnection, CtlError, DaemonTarget
 from mapperd.cli.mapperctl.views import status_lines
 from mapperd.config.layers import load_settings
 from mapperd.config.link_address import parse_address
@@ -34,7 +33,7 @@ BAD_CONFIG = 78
 FAULT = 1
 INTERRUPTED = 130
 MARKS = {"ok": "ok  ", "doubtful": "?   ", "failed": "FAIL", "not tested": "-   "}
-PATIENCE_S = 5.0
+ANSWER_TIMEOUT_S = 5.0
 MAX_SECONDS = 3600.0
 BACK_S = 0.2
 """How long before now a pose is asked for: the newest record is that old at most."""
@@ -72,7 +71,7 @@ def _asked(config: Config, seconds: float) -> tuple[Path, dict[str, Any], dict[s
     """Ask a running daemon, which holds the links, for its status twice; None without one."""
     for path in socket_places(config, os.environ):
         try:
-            with ControlConnection(DaemonTarget(path), PATIENCE_S) as daemon:
+            with ControlConnection(DaemonTarget(path), ANSWER_TIMEOUT_S) as daemon:
                 before = daemon.ask("status")
                 daemon.wait(seconds)
                 return path, before, daemon.ask("status")

@@ -17,7 +17,7 @@ from mapperd.cli.arguments import Arguments, parse_arguments
 from mapperd.cli.calibrate import calibrate_command, calibrate_parser
 from mapperd.cli.doctor import doctor, doctor_parser
 from mapperd.cli.init import init, init_parser
-from mapperd.cli.mapperctl.errors import CtlError
+from mapperd.cli.mapperctl.connection import CtlError
 from mapperd.cli.replay import map_recordings, unreadable, unreadable_odometry
 from mapperd.cli.surroundings import listen, odometry_lines, sonar_lines
 from mapperd.config.layers import Layered, load_settings, settings_files

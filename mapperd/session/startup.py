@@ -22,10 +22,9 @@ from mapperd.session.recovery import (
     unmapped_sessions,
 )
 from mapperd.session.store_session import SqlitePersistence
-from mapperd.store.maintenance import put_aside, rebuild_lost
+from mapperd.store.maintenance import Verification, put_aside, rebuild_lost
 from mapperd.store.position import Position, position_in
 from mapperd.store.tile_store import TileStore
-from mapperd.store.verification import Verification
 
 __all__ = ["OpenMap", "open_map"]
 

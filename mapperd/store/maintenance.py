@@ -1,10 +1,12 @@
-"""Files of maps: rebuild lost bricks, put damaged files aside, write whole maps.
+"""Files of maps: verify them, rebuild lost bricks, put damaged files aside, write whole maps.
 
 The evidence of a ping does not depend on the map, and bricks are independent. Mapping the same
-pings again and keeping only the lost bricks restores them bit by bit.
+pings again and keeping only the lost bricks restores them bit by bit. `Verification` checks a large
+file while pings are mapped into it.
 """
 
 import sqlite3
+import threading
 import weakref
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -14,12 +16,13 @@ import zstandard
 from mapperd.config.tree import Config
 from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.store.database import migrate, transaction, translated
+from mapperd.store.database import migrate, open_reader, transaction, translated
 from mapperd.store.metadata import begun, write_checksum, write_kind
 from mapperd.store.tile_store import TileStore
 from mapperd.store.tiles import COLUMNS, LEVEL, BrickRow, Key, pack
+from mapperd.store.transfer import check_structure, damaged_rows
 
-__all__ = ["packed", "put_aside", "rebuild_lost", "write_whole"]
+__all__ = ["Verification", "packed", "put_aside", "rebuild_lost", "write_whole"]
 
 MapAgain = Callable[[SonarMap], bool]
 """Maps the input again from its beginning up to the store's position; False if any is missing."""
@@ -140,3 +143,64 @@ def write_whole(path: Path, config: Config, revision: int, rows: Iterable[BrickR
         finally:
             connection.close()
     return count
+
+
+PAUSE_S = 0.002
+"""Between two reads, which leaves the disk and the processor to the pings."""
+
+INSTRUCTIONS = 10_000
+"""Of SQLite between two looks at whether to stop."""
+
+
+class Verification:
+    """Verifies the checksums and the structure of a whole file once, in a thread of `start`.
+
+    The store receives the damaged bricks.
+
+    Args:
+        store: open.
+        on_end: called in the thread with what is wrong with the structure of the file, or with
+            None if it is sound; not called after `stop`.
+
+    Attributes:
+        state: `waiting`, `running`, `done` or `failed`.
+    """
+
+    def __init__(self, store: TileStore, on_end: Callable[[StoreError | None], None]) -> None:
+        self.state = "waiting"
+        self._store = store
+        self._on_end = on_end
+        self._stopped = threading.Event()
+        self._connection = open_reader(store.path)
+        self._connection.set_progress_handler(self._stopped.is_set, INSTRUCTIONS)
+        self._thread = threading.Thread(target=self._run, name="verification", daemon=True)
+
+    def start(self) -> None:
+        """Start to read."""
+        self.state = "running"
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread, whether or not all is read."""
+        self._stopped.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        self._connection.close()
+
+    def _run(self) -> None:
+        problem = None
+        try:
+            self._verify()
+        except StoreError as error:
+            problem = error
+        if self._stopped.is_set():
+            return
+        self.state = "done" if problem is None else "failed"
+        self._on_end(problem)
+
+    def _verify(self) -> None:
+        for damaged in damaged_rows(self._connection, self._store.path):
+            self._store.suspect(damaged)
+            if self._stopped.wait(PAUSE_S):
+                return
+        check_structure(self._connection, self._store.path)

@@ -5,7 +5,7 @@ import pickle
 import pytest
 
 from mapperd.api import OperationError
-from mapperd.cli.mapperctl.errors import CtlError, CtlExit
+from mapperd.cli.mapperctl.connection import CtlError, CtlExit
 from mapperd.client.errors import AskError, EndedError
 from mapperd.errors import (
     CheckpointError,

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from mapperd import __version__
 from mapperd.api import STD_XY_M, STD_YAW_RAD
-from mapperd.cli.mapperctl.errors import CtlError, CtlExit
+from mapperd.cli.mapperctl.connection import CtlError, CtlExit
 from mapperd.cli.mapperctl.sonar import add_sonar
 from mapperd.config.catalog import parameters
 from mapperd.config.loader import YamlProblem, parse_yaml

@@ -10,8 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from mapperd.cli.mapperctl.arguments import parser
-from mapperd.cli.mapperctl.connection import DaemonTarget
-from mapperd.cli.mapperctl.errors import CtlError, CtlExit
+from mapperd.cli.mapperctl.connection import CtlError, CtlExit, DaemonTarget
 from mapperd.cli.mapperctl.remote import run
 from mapperd.cli.mapperctl.views import params_lines
 from mapperd.config.changes import facts_of

@@ -1,4 +1,4 @@
-"""A connection to the daemon: one request after the other, and its events."""
+"""A connection to the daemon: one request after the other, and its events; errors."""
 
 import contextlib
 import select
@@ -8,13 +8,14 @@ import time
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Self
 
 import msgspec
 
-from mapperd.cli.mapperctl.errors import CtlError, CtlExit
+from mapperd.errors import MapperdError
 from mapperd.wire.auth import proof_of
 from mapperd.wire.framing import StreamError, client_inbox, framed
 from mapperd.wire.messages import (
@@ -33,7 +34,49 @@ from mapperd.wire.messages import (
     WelcomeMessage,
 )
 
-__all__ = ["ControlConnection", "DaemonTarget"]
+__all__ = ["ControlConnection", "CtlError", "CtlExit", "DaemonTarget", "plain", "refused"]
+
+
+class CtlExit(IntEnum):
+    """Exit codes of `mapperctl`; those above 64 follow sysexits.h."""
+
+    OK = 0
+    REFUSED = 1
+    USAGE = 2
+    UNAVAILABLE = 69
+    CANNOT_WRITE = 73
+    TRY_AGAIN = 75
+    PROTOCOL = 76
+    NO_PERMISSION = 77
+    BAD_CONFIG = 78
+    INTERRUPTED = 130
+
+
+class CtlError(MapperdError):
+    """A command failed; the text is one line for people.
+
+    Attributes:
+        code: exit code.
+    """
+
+    def __init__(self, message: str, code: CtlExit) -> None:
+        super().__init__(plain(message))
+        self.code = code
+
+
+def plain(text: object) -> str:
+    """Replace unprintable characters, such as a terminal's escape sequences."""
+    return "".join(letter if letter.isprintable() else "?" for letter in str(text))
+
+
+NO_PERMISSION = frozenset({"wrong_token", "needs_token", "no_permission", "not_trusted"})
+
+
+def refused(error: StreamError) -> CtlError:
+    """Convert an error of the stream to an error with an exit code."""
+    code = CtlExit.NO_PERMISSION if error.reason in NO_PERMISSION else CtlExit.PROTOCOL
+    return CtlError(str(error), code)
+
 
 CONNECT_S = 5.0
 NO_DAEMON = "check that mapperd runs there and that its server.address is this one"

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-from mapperd.cli.mapperctl.errors import CtlError, CtlExit, plain, refused
+from mapperd.cli.mapperctl.connection import CtlError, CtlExit, plain, refused
 from mapperd.cli.mapperctl.map_output import (
     MapOutput,
     check_suffix,

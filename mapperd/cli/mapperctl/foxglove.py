@@ -6,7 +6,7 @@ import json
 import ssl
 import sys
 
-from mapperd.cli.mapperctl.errors import CtlError, CtlExit, refused
+from mapperd.cli.mapperctl.connection import CtlError, CtlExit, refused
 from mapperd.cli.mapperctl.record import stop_requested
 from mapperd.client import Interest, MapClient
 from mapperd.errors import ConfigError, LiveError

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mapperd.cli.mapperctl.bag import bag_of_map, bag_of_recordings
-from mapperd.cli.mapperctl.errors import CtlError, CtlExit, plain
+from mapperd.cli.mapperctl.connection import CtlError, CtlExit, plain
 from mapperd.cli.mapperctl.map_output import (
     check_suffix,
     make_files,

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Coroutine, Iterator
 from typing import Any, TextIO
 
-from mapperd.cli.mapperctl.errors import CtlError, CtlExit, plain, refused
+from mapperd.cli.mapperctl.connection import CtlError, CtlExit, plain, refused
 from mapperd.cli.mapperctl.map_output import check_suffix, make_files, origin_among
 from mapperd.client import Interest, MapClient, Want
 from mapperd.config.tree import Config

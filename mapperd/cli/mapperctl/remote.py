@@ -12,8 +12,13 @@ from types import MappingProxyType
 from typing import Any
 
 from mapperd.cli.mapperctl.arguments import pose_from_args
-from mapperd.cli.mapperctl.connection import ControlConnection, DaemonTarget
-from mapperd.cli.mapperctl.errors import CtlError, CtlExit, plain
+from mapperd.cli.mapperctl.connection import (
+    ControlConnection,
+    CtlError,
+    CtlExit,
+    DaemonTarget,
+    plain,
+)
 from mapperd.cli.mapperctl.sonar import run_sonar
 from mapperd.cli.mapperctl.views import event_line, localization_lines, params_lines, status_lines
 from mapperd.config.layers import load_files, settings_files, text_with, user_folder
@@ -25,8 +30,8 @@ __all__ = ["run"]
 
 USAGE = CtlExit.USAGE
 
-PATIENCE_S = 30.0
-PATIENCE_WITH_DISKS_S = 900.0
+ANSWER_TIMEOUT_S = 30.0
+DISK_TIMEOUT_S = 900.0
 SLOW = ("save", "reset", "snapshot", "reload", "set_map")
 PERIOD_S = 1.0
 """Of `--watch`."""
@@ -55,7 +60,7 @@ def run(args: argparse.Namespace, target: DaemonTarget) -> Lines:
     slow = args.command in SLOW
     if args.command == "reset" and not args.yes:
         _ask_first(target)
-    with ControlConnection(target, PATIENCE_WITH_DISKS_S if slow else PATIENCE_S) as daemon:
+    with ControlConnection(target, DISK_TIMEOUT_S if slow else ANSWER_TIMEOUT_S) as daemon:
         if args.command == "events":
             yield from _events(args, daemon)
             return
@@ -255,7 +260,7 @@ def _watch(args: argparse.Namespace, target: DaemonTarget) -> Lines:
     before: dict[str, Any] | None = None
     while True:
         try:
-            with ControlConnection(target, PATIENCE_S) as daemon:
+            with ControlConnection(target, ANSWER_TIMEOUT_S) as daemon:
                 while True:
                     status = daemon.ask(args.command, **_arguments(args))
                     yield json.dumps(status) if args.json else _screen(args, status, before)

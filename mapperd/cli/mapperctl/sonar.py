@@ -7,8 +7,13 @@ from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from mapperd.cli.mapperctl.connection import ControlConnection, DaemonTarget
-from mapperd.cli.mapperctl.errors import CtlError, CtlExit, plain
+from mapperd.cli.mapperctl.connection import (
+    ControlConnection,
+    CtlError,
+    CtlExit,
+    DaemonTarget,
+    plain,
+)
 from mapperd.config.catalog import parameters
 from mapperd.config.loader import YamlProblem, parse_yaml
 from mapperd.errors import ConfigError
@@ -33,7 +38,7 @@ OPTIONS: Mapping[str, str] = MappingProxyType(
 )
 """Setting by option."""
 
-PATIENCE_S = 30.0
+ANSWER_TIMEOUT_S = 30.0
 CONFIRM_S = 9.0
 """The daemon reports a confirmation, or that there is none, within 8 s."""
 
@@ -72,7 +77,7 @@ def run_sonar(args: argparse.Namespace, target: DaemonTarget) -> Iterator[str]:
         CtlError: the settings are refused, or the sonar does not confirm them.
     """
     changes = _changes(args)
-    with ControlConnection(target, PATIENCE_S) as daemon:
+    with ControlConnection(target, ANSWER_TIMEOUT_S) as daemon:
         if not changes:
             yield from _shown(args, daemon)
             return

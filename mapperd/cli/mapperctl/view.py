@@ -17,13 +17,13 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import urlsplit
 
-from mapperd.cli.mapperctl.errors import CtlError, CtlExit
+from mapperd.cli.mapperctl.connection import CtlError, CtlExit
 from mapperd.client import Interest, LinkChanged, MapClient, StreamError
 from mapperd.config.tree import Config
 from mapperd.daemon.map_server import MapServer, saved_map
 from mapperd.errors import MapperdError, missing_extra
 from mapperd.foxglove.recording import FoxgloveRecording
-from mapperd.localization.status import LocalizationFacts
+from mapperd.localization.status import LocalizationSnapshot
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.worker import StatusSnapshot
@@ -206,7 +206,7 @@ class ReplayView:
         self._thread.join()
         self._open.close()
 
-    def update(self, counters: PipelineCounters, localization: LocalizationFacts | None) -> None:
+    def update(self, counters: PipelineCounters, localization: LocalizationSnapshot | None) -> None:
         """Show how far the replay is; now and then."""
         now_s = time.monotonic()
         if now_s - self._updated_s < UPDATE_S:

@@ -7,7 +7,7 @@ from functools import partial
 from textwrap import wrap
 from typing import Any
 
-from mapperd.cli.mapperctl.errors import plain
+from mapperd.cli.mapperctl.connection import plain
 
 __all__ = ["event_line", "localization_lines", "params_lines", "status_lines"]
 

@@ -15,7 +15,7 @@ import pytest
 from mcap.writer import Writer
 
 from mapperd.cli.mapperctl.command import main as mapperctl
-from mapperd.cli.mapperctl.errors import CtlExit
+from mapperd.cli.mapperctl.connection import CtlExit
 from mapperd.cli.mapperd import DaemonExit
 from mapperd.cli.mapperd import main as mapperd
 from mapperd.daemon.session import host_clock
@@ -35,7 +35,7 @@ NOBODY = 65534
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Look for problems at once; have settings and folders of our own."""
-    monkeypatch.setattr("mapperd.daemon.problems.PATIENCE_S", 0.3)
+    monkeypatch.setattr("mapperd.daemon.problems.GRACE_S", 0.3)
     monkeypatch.setattr("mapperd.daemon.status.LOOK_S", 0.1)
     # Daemons of these tests run beside the main thread, which alone gets signals.
     monkeypatch.setattr(

@@ -11,9 +11,8 @@ import zstandard
 from mapperd.client.mirror import Cells
 from mapperd.foxglove.geometry import Frames, transforms
 from mapperd.foxglove.map_publisher import map_cloud, map_rows
-from mapperd.foxglove.messages import StateMessages
+from mapperd.foxglove.messages import COLOURS, FanShape, StateMessages, annotations, colour_image
 from mapperd.foxglove.scene import PathDrawing, covariance_scene, fan_scene, robots_scene
-from mapperd.foxglove.sonar_image import COLOURS, FanShape, annotations, colour_image
 from mapperd.wire.messages import ImageMessage, ReturnsMessage, RobotsMessage
 from tests.mapperd.foxglove.foxglove_fakes import (
     FAN,

@@ -15,8 +15,7 @@ from mapperd.pipeline.build import build_pipeline
 from mapperd.pipeline.ingest import SONAR, ChunkQueue
 from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.pipeline.pose_lookup import FixedPose
-from mapperd.pipeline.snapshot import snapshot_reader
-from mapperd.pipeline.worker import MappingThread
+from mapperd.pipeline.worker import MappingThread, snapshot_reader
 from mapperd.session_log import Decision, Drop, Remarks
 from oculus_driver.recording import OCULUS, Chunk
 

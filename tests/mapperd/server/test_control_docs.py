@@ -7,10 +7,8 @@ import msgspec
 import pytest
 
 from mapperd.cli.mapperctl.arguments import EPILOG, parser
-from mapperd.cli.mapperctl.connection import REASONS
-from mapperd.cli.mapperctl.errors import CtlExit
-from mapperd.server.connection import MAX_UNSENT
-from mapperd.server.requests import EVENTS_AT_ONCE
+from mapperd.cli.mapperctl.connection import REASONS, CtlExit
+from mapperd.server.connection import EVENTS_AT_ONCE, MAX_UNSENT
 from mapperd.server.session import ASKS, MESSAGES_AT_ONCE, MESSAGES_PER_S, QUIET_S
 from mapperd.server.stream_server import NEWCOMERS
 from mapperd.wire.auth import Limits
@@ -23,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[3]
 PAGE = (ROOT / "docs" / "reference" / "control.md").read_text(encoding="utf-8")
 COMMANDS = (ROOT / "docs" / "reference" / "cli.md").read_text(encoding="utf-8")
 STREAM = (ROOT / "docs" / "reference" / "map-stream.md").read_text(encoding="utf-8")
-MODULES = ("api", "server/requests", "wire/requests")
+MODULES = ("api", "server/connection", "wire/requests")
 CODE = "\n".join((ROOT / "mapperd" / f"{one}.py").read_text(encoding="utf-8") for one in MODULES)
 
 

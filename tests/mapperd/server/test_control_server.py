@@ -12,7 +12,7 @@ import pytest
 from mapperd.config.catalog import parameters
 from mapperd.config.tree import Config
 from mapperd.events import Severity
-from mapperd.server.requests import EVENTS_AT_ONCE
+from mapperd.server.connection import EVENTS_AT_ONCE
 from mapperd.wire.auth import Limits
 from mapperd.wire.requests import Request
 from tests.support.control_server import FREE, Line, Served, message_of, refusal, served, until

@@ -13,7 +13,7 @@ import pytest
 
 from mapperd.cli import mapperd as cli
 from mapperd.cli.arguments import parse_arguments
-from mapperd.cli.mapperctl.errors import CtlError
+from mapperd.cli.mapperctl.connection import CtlError
 from mapperd.cli.mapperctl.offline import run
 from mapperd.config.tree import Config
 from mapperd.daemon.map_folder import write_results
@@ -25,11 +25,11 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.session.replay_to_store import map_into_store
 from mapperd.session.startup import OpenMap, open_map
 from mapperd.session.store_session import SqlitePersistence
+from mapperd.store.maintenance import Verification
 from mapperd.store.map_files import map_in
 from mapperd.store.position import Position, position_in
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
-from mapperd.store.verification import Verification
 from tests.mapperd.session.crash import test_startup as sessions
 from tests.mapperd.store import dive
 

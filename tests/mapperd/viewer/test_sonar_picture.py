@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 pytest.importorskip("PIL", reason="the extra `topside` is not installed")
 
-from mapperd.viewer.sonar_picture import DETECTION, WATER, SonarPicture
+from mapperd.viewer.sonar_panel import DETECTION, WATER, SonarPicture
 from mapperd.wire.messages import ImageMessage, ReturnsMessage
 from oculus_driver.fan import FanGeometry
 

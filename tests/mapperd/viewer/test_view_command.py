@@ -13,7 +13,7 @@ import pytest
 
 from mapperd.cli.mapperctl.arguments import parser
 from mapperd.cli.mapperctl.command import main
-from mapperd.cli.mapperctl.errors import CtlError, CtlExit
+from mapperd.cli.mapperctl.connection import CtlError, CtlExit
 from mapperd.cli.mapperctl.view import _report_link, open_page, run_view, same_origin
 from mapperd.client import AskError, MapClient
 from mapperd.daemon.map_server import MapServer, saved_map

@@ -104,9 +104,9 @@ MEASURED: dict[str, tuple[str, ...]] = {
 NOT_MEASURED: dict[str, tuple[str, ...]] = {
     "drawn by a browser or a viewer, whose own width it is": _in(
         "mapperd/",
-        "foxglove/geometry.py foxglove/map_publisher.py foxglove/sonar_image.py "
+        "foxglove/geometry.py foxglove/map_publisher.py foxglove/messages.py "
         "viewer/chunks.py viewer/colours.py viewer/map_layer.py viewer/sonar_panel.py "
-        "viewer/sonar_picture.py viewer/tools.py",
+        "viewer/tools.py",
     ),
     "serves the rules that decide on effects, to tenths of a decibel": _in(
         SIMULATOR,

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from mapperd.cli.mapperctl.command import main
-from mapperd.cli.mapperctl.errors import CtlExit
+from mapperd.cli.mapperctl.connection import CtlExit
 from mapperd.cli.mapperd import DaemonExit
 from mapperd.cli.mapperd import main as mapperd_main
 from mapperd.pipeline.decoder import PingStream
