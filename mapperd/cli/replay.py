@@ -192,14 +192,14 @@ def _replayed(
             trajectory.flush()
             if page is not None:
                 stage = None if run.localization is None else run.localization.stage
-                page.update(counters, None if stage is None else stage.facts())
+                page.update(counters, None if stage is None else stage.snapshot())
             bar.show((done_bytes + run.session.bytes_read) / size_bytes, counters.pings_mapped)
         done_bytes += run.session.bytes_read
     bar.close(counters.pings_mapped)
     wall_s = time.perf_counter() - began_s
     facts = recording_facts([run.session for run in runs])
     if runs[-1].localization is not None:
-        facts |= localization_summary(runs[-1].localization.stage.facts())
+        facts |= localization_summary(runs[-1].localization.stage.snapshot())
     return lambda whole: summary_of(facts, whole, runs[-1].poses, counters, wall_s)
 
 

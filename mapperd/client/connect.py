@@ -78,7 +78,7 @@ CONNECT_S = 10.0
 SILENCE_S = 6.0
 """Timeout of a read; the daemon sends something every second."""
 
-WAIT_S, LONGEST_WAIT_S = 0.2, 5.0
+RETRY_DELAY_S, MAX_RETRY_DELAY_S = 0.2, 5.0
 SOUND_S = 2.0
 """A connection that lasted this long was good: the next attempt follows soon."""
 
@@ -165,7 +165,7 @@ class RetryDelay:
     """Delay between attempts: doubles each time until a connection is good."""
 
     def __init__(self) -> None:
-        self._wait_s = WAIT_S
+        self._wait_s = RETRY_DELAY_S
         self._jitter = random.Random()  # noqa: S311 not a secret
 
     async def wait(self, lasted_s: float) -> None:
@@ -175,6 +175,6 @@ class RetryDelay:
             lasted_s: duration of the last connection.
         """
         if lasted_s > SOUND_S:
-            self._wait_s = WAIT_S
+            self._wait_s = RETRY_DELAY_S
         await asyncio.sleep(self._wait_s * self._jitter.uniform(0.5, 1.0))
-        self._wait_s = min(LONGEST_WAIT_S, 2 * self._wait_s)
+        self._wait_s = min(MAX_RETRY_DELAY_S, 2 * self._wait_s)

@@ -22,7 +22,7 @@ from mapperd.imaging.filter_chain import filter_ping_image
 from mapperd.imaging.ping_image import ping_image_of
 from mapperd.io import atomic_file, make_folder
 from mapperd.localization.picture import Trail, localization_picture
-from mapperd.localization.status import LocalizationFacts
+from mapperd.localization.status import LocalizationSnapshot
 from oculus_driver.ping import Ping
 
 __all__ = [
@@ -92,7 +92,7 @@ async def draw_pictures(
     settings: ConfigStore,
     events: EventLog,
     folder: Path,
-    localized: Callable[[], LocalizationFacts | None] = lambda: None,
+    localized: Callable[[], LocalizationSnapshot | None] = lambda: None,
 ) -> None:
     """Draw the newest ping and localization every second while the settings want it, for ever.
 
@@ -107,10 +107,10 @@ async def draw_pictures(
     artist = _Artist(folder)
     reported = ""
     while True:
-        config, facts = settings.current, localized()
+        config, snapshot = settings.current, localized()
         if config.visualization.show_opencv_visualization:
             try:
-                await asyncio.to_thread(artist.draw, newest(), facts, config)
+                await asyncio.to_thread(artist.draw, newest(), snapshot, config)
                 reported = ""
             except (ExportError, MapError) as error:
                 if str(error) != reported:
@@ -125,34 +125,36 @@ class _Artist:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._ping: Ping | None = None
-        self._facts: LocalizationFacts | None = None
+        self._snapshot: LocalizationSnapshot | None = None
         self._trail = Trail()
 
-    def draw(self, ping: Ping | None, facts: LocalizationFacts | None, config: Config) -> None:
-        if facts is not None and facts is not self._facts:
-            if facts.belief is not None:
-                self._trail.add(facts.belief.best)
-            write_localization_picture(facts, self._trail.points_m(), self._folder)
-            self._facts = facts
+    def draw(
+        self, ping: Ping | None, snapshot: LocalizationSnapshot | None, config: Config
+    ) -> None:
+        if snapshot is not None and snapshot is not self._snapshot:
+            if snapshot.belief is not None:
+                self._trail.add(snapshot.belief.best)
+            write_localization_picture(snapshot, self._trail.points_m(), self._folder)
+            self._snapshot = snapshot
         if ping is not None and ping is not self._ping:
             write_debug_pictures(ping, config, self._folder)
             self._ping = ping
 
 
 def write_localization_picture(
-    facts: LocalizationFacts, trail_m: NDArray[np.float64], folder: Path
+    snapshot: LocalizationSnapshot, trail_m: NDArray[np.float64], folder: Path
 ) -> Path | None:
     """Write `localization.png`, whole or not at all; nothing without a map.
 
     Args:
-        facts: how localization goes.
+        snapshot: how localization goes.
         trail_m: (N, 2) places before.
         folder: is made where it is not there.
 
     Raises:
         ExportError: nothing can be written there.
     """
-    picture = localization_picture(facts, trail_m)
+    picture = localization_picture(snapshot, trail_m)
     if picture is None:
         return None
     make_folder(folder)

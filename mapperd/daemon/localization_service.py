@@ -20,7 +20,7 @@ from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.map_io import image_of
 from mapperd.localization.saved_pose import SavePace, save_pose
 from mapperd.localization.session import KnownMaps
-from mapperd.localization.status import LocalizationFacts
+from mapperd.localization.status import LocalizationSnapshot
 from mapperd.pipeline.ingest import Ingest
 from mapperd.session_log import (
     Covariance9,
@@ -266,7 +266,7 @@ class PoseKeeper:
 
     Args:
         path: of the file.
-        facts: the newest.
+        snapshot: the newest.
         amcl: the settings in force.
         clock: Unix time, nanoseconds.
         events: where a failure to save is logged.
@@ -275,13 +275,13 @@ class PoseKeeper:
     def __init__(
         self,
         path: Path,
-        facts: Callable[[], LocalizationFacts | None],
+        snapshot: Callable[[], LocalizationSnapshot | None],
         amcl: Callable[[], AmclConfig],
         clock: Callable[[], int],
         events: EventLog | None = None,
     ) -> None:
         self._path = path
-        self._facts = facts
+        self._snapshot = snapshot
         self._amcl = amcl
         self._clock = clock
         self._events = events
@@ -301,17 +301,17 @@ class PoseKeeper:
 
     def save(self) -> None:
         """Write the newest estimate, if there is a new one to go on from; not in an event loop."""
-        facts, amcl = self._facts(), self._amcl()
-        if facts is None or facts.belief is None or facts.belief.ambiguous:
+        snapshot, amcl = self._snapshot(), self._amcl()
+        if snapshot is None or snapshot.belief is None or snapshot.belief.ambiguous:
             return
-        if not amcl.save_pose_rate > 0 or facts.stamp_ns == self._written:
+        if not amcl.save_pose_rate > 0 or snapshot.stamp_ns == self._written:
             return
         try:
-            save_pose(self._path, facts.belief.best, amcl.global_frame_id, self._clock())
+            save_pose(self._path, snapshot.belief.best, amcl.global_frame_id, self._clock())
         except ExportError as error:
             self._report_stuck(str(error))
         else:
-            self._written, self._stuck = facts.stamp_ns, False
+            self._written, self._stuck = snapshot.stamp_ns, False
 
     def _report_stuck(self, problem: str) -> None:
         if self._events is not None and not self._stuck:

@@ -25,7 +25,7 @@ from mapperd.export.trajectory import TrajectoryWriter
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.geometry.geodesy import Origin
 from mapperd.io import atomic_file, make_folder, remove
-from mapperd.localization.status import LocalizationFacts
+from mapperd.localization.status import LocalizationSnapshot
 from mapperd.mapping.content import MapContent, VoxelCloud
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
@@ -296,17 +296,17 @@ def recording_facts(sessions: Sequence[RecordedSession]) -> dict[str, Any]:
     return {"recording": facts if odometry is None else facts | {"odometry": odometry.summary()}}
 
 
-def localization_summary(facts: LocalizationFacts) -> dict[str, Any]:
+def localization_summary(snapshot: LocalizationSnapshot) -> dict[str, Any]:
     """How localization stood at the end."""
-    belief = facts.belief
+    belief = snapshot.belief
     reported = {
-        "state": facts.state,
-        "map": None if facts.known is None else facts.known.path,
-        "map_sha256": None if facts.known is None else facts.known.sha256,
-        "updates": facts.updates,
-        "scans": dict(sorted(facts.counts.items())),
-        "particles": facts.particle_count,
-        "sure": facts.sure,
+        "state": snapshot.state,
+        "map": None if snapshot.known is None else snapshot.known.path,
+        "map_sha256": None if snapshot.known is None else snapshot.known.sha256,
+        "updates": snapshot.updates,
+        "scans": dict(sorted(snapshot.counts.items())),
+        "particles": snapshot.particle_count,
+        "sure": snapshot.sure,
         "ambiguous": None if belief is None else belief.ambiguous,
         "pose": None if belief is None else _gaussian(belief.best),
     }

@@ -13,9 +13,9 @@ from mapperd.daemon.doctor import PORT_REMEDIES, without_odometry
 from mapperd.odometry.links import LinkPhase
 from oculus_driver.link.state import LinkState
 
-__all__ = ["PATIENCE_S", "Problem", "problems_of"]
+__all__ = ["GRACE_S", "Problem", "problems_of"]
 
-PATIENCE_S = 5.0
+GRACE_S = 5.0
 """Time after the start within which sonar and odometry are expected."""
 
 MAX_REASONS = 3
@@ -54,7 +54,7 @@ def problems_of(status: Values, config: Config) -> list[Problem]:
             `DaemonApi.status`.
         config: in force.
     """
-    if status["uptime_s"] < PATIENCE_S:
+    if status["uptime_s"] < GRACE_S:
         return []
     return [
         *_sonar(status["sonar"], config),

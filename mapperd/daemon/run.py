@@ -33,7 +33,7 @@ from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.report import state_of
 from mapperd.localization.saved_pose import load_pose
 from mapperd.localization.session import LocalizationSession, begun
-from mapperd.localization.status import LocalizationFacts
+from mapperd.localization.status import LocalizationSnapshot
 from mapperd.mapping.content import MapContent
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.pipeline.watchdog import process_progress
@@ -190,8 +190,8 @@ async def _served(
         await daemon.run(_until(stop, run.duration_s))
         wall_s = time.perf_counter() - began_s
         source = {"live": _live_facts(daemon, stop_requested=stop.is_set())}
-        if (facts := live.mapping.snapshot.localization) is not None:
-            source |= localization_summary(facts)
+        if (snapshot := live.mapping.snapshot.localization) is not None:
+            source |= localization_summary(snapshot)
     return source, wall_s
 
 
@@ -327,14 +327,14 @@ async def _print_status(live: Live, print_line: Printer) -> None:
         print_line(sonar + _where(live.mapping.snapshot.localization))
 
 
-def _where(facts: LocalizationFacts | None) -> str:
+def _where(snapshot: LocalizationSnapshot | None) -> str:
     """Localization as text for the status line."""
-    if facts is None:
+    if snapshot is None:
         return ""
-    state = f", {state_of(facts)}"
-    if facts.belief is None:
+    state = f", {state_of(snapshot)}"
+    if snapshot.belief is None:
         return state
-    best = facts.belief.best
+    best = snapshot.belief.best
     return f"{state} at x {best.x_m:.2f} m, y {best.y_m:.2f} m"
 
 

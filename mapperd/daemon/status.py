@@ -14,7 +14,7 @@ from mapperd.daemon.problems import Problem, problems_of
 from mapperd.daemon.session import Live
 from mapperd.events import EventLog, Severity
 from mapperd.localization.report import localization_summary, map_name_of, state_of
-from mapperd.localization.status import LocalizationFacts
+from mapperd.localization.status import LocalizationSnapshot
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.links import LinkPhase, OdometryLink
 from mapperd.pipeline.worker import StatusSnapshot
@@ -141,34 +141,34 @@ class LocalizationWatch:
         self._level = "OK"
         self._warning: str | None = None
 
-    def update(self, facts: LocalizationFacts) -> None:
+    def update(self, snapshot: LocalizationSnapshot) -> None:
         """Report changes."""
-        name = map_name_of(facts)
+        name = map_name_of(snapshot)
         if name != self._map:
             self._map = name
             self._events.add(
                 Severity.NOTICE, "map_loaded", f"localizing on {self._map}", map=self._map
             )
-        if facts.warning != self._warning:
-            self._warning = facts.warning
-            if facts.warning is not None:
-                self._events.add(Severity.WARNING, "localization_model", facts.warning)
-        self._look_at_state(facts)
-        self._look_at_level(facts)
+        if snapshot.warning != self._warning:
+            self._warning = snapshot.warning
+            if snapshot.warning is not None:
+                self._events.add(Severity.WARNING, "localization_model", snapshot.warning)
+        self._look_at_state(snapshot)
+        self._look_at_level(snapshot)
 
-    def _look_at_state(self, facts: LocalizationFacts) -> None:
-        state = state_of(facts)
+    def _look_at_state(self, snapshot: LocalizationSnapshot) -> None:
+        state = state_of(snapshot)
         before, self._state = self._state, state
-        if state == before or state not in TEXTS or facts.belief is None:
+        if state == before or state not in TEXTS or snapshot.belief is None:
             return
         severity, text = TEXTS[state]
-        best = facts.belief.best
+        best = snapshot.belief.best
         where = f"x {best.x_m:.2f} m, y {best.y_m:.2f} m, {best.yaw_rad:.3f} rad"
-        share = facts.belief.elsewhere
+        share = snapshot.belief.elsewhere
         self._events.add(severity, state, f"{text}; {where} at best", elsewhere=share)
 
-    def _look_at_level(self, facts: LocalizationFacts) -> None:
-        diagnosis = facts.diagnosis
+    def _look_at_level(self, snapshot: LocalizationSnapshot) -> None:
+        diagnosis = snapshot.diagnosis
         if diagnosis.level == self._level:
             return
         self._level = diagnosis.level

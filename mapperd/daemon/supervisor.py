@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Iterat
 from typing import Any
 
 from mapperd.api import DaemonApi
-from mapperd.daemon.systemd import PATIENCE_S, Notifier
+from mapperd.daemon.systemd import EXTENSION_S, Notifier
 from mapperd.errors import MapperdError
 from mapperd.events import Severity
 from mapperd.pipeline.watchdog import Watchdog, Worker
@@ -73,7 +73,7 @@ LOOK_S = 2.0
 """Between looks at how it goes; the watchdog's third where that is shorter."""
 
 MIN_LOOK_S = 0.05
-PATIENCE = 0.5
+WATCHDOG_SHARE = 0.5
 """Of the watchdog's time: a worker may be silent so long before the manager is let to act."""
 
 ASKING = (signal.SIGHUP, signal.SIGUSR1, signal.SIGUSR2)
@@ -184,7 +184,7 @@ class _Session:
         self._line = StatusLine()
         self._feeds = watchdog_s is not None
         self._period_s = min(LOOK_S, max(MIN_LOOK_S, (watchdog_s or LOOK_S * 3) / 3))
-        self._watchdog = Watchdog((watchdog_s or 60.0) * PATIENCE)
+        self._watchdog = Watchdog((watchdog_s or 60.0) * WATCHDOG_SHARE)
         self._stuck: tuple[str, ...] = ()
 
     def begin(self, work: Coroutine[Any, Any, None]) -> None:
@@ -205,7 +205,7 @@ class _Session:
             if self._feeds and not stuck:
                 self._notifier.alive()
             if self.is_stopping and not stuck:
-                self._notifier.extend(PATIENCE_S)
+                self._notifier.extend(EXTENSION_S)
             await asyncio.sleep(self._period_s)
 
     def _report_stuck(self, stuck: tuple[str, ...]) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, MutableMapping
 
 __all__ = ["Notifier", "inherited_sockets", "watchdog_s"]
 
-PATIENCE_S = 30.0
+EXTENSION_S = 30.0
 """Time that long work requests while it makes progress, and may take without progress."""
 
 MAX_STATUS = 200
@@ -62,7 +62,7 @@ class Notifier:
 
     @contextlib.contextmanager
     def patience(
-        self, progress: Callable[[], object], limit_s: float = PATIENCE_S
+        self, progress: Callable[[], object], limit_s: float = EXTENSION_S
     ) -> Iterator[None]:
         """Request more time, and feed the watchdog, while the work in this block makes progress.
 

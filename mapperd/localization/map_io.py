@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from mapperd.config.loader import YamlProblem, parse_yaml
 from mapperd.errors import MapError, missing_extra
 from mapperd.io import atomic_file
-from mapperd.localization.grid_map import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, GridMap
+from mapperd.localization.maps import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, GridMap
 
 __all__ = ["image_of", "pgm_bytes", "pgm_pixels", "read_nav2_map", "write_nav2_map"]
 
@@ -36,7 +36,7 @@ HEADER = re.compile(
 )
 """Magic, width, height, brightest; comments up to a line's end between them."""
 
-LONGEST_HEADER = 4096
+MAX_HEADER_BYTES = 4096
 BRIGHTEST = 255
 
 
@@ -50,7 +50,7 @@ def pgm_pixels(data: bytes, name: str) -> NDArray[np.uint8]:
     Raises:
         MapError: it is no such image, or not all of one (`bad_map_file`).
     """
-    header = HEADER.match(data[:LONGEST_HEADER])
+    header = HEADER.match(data[:MAX_HEADER_BYTES])
     if header is None:
         raise MapError(f"{name}: no binary grey image (PGM, P5), PNG or BMP", "bad_map_file")
     width, height, brightest = (int(number) for number in header.groups())

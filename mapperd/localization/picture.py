@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.geometry.gaussian import PlanarGaussian
-from mapperd.localization.grid_map import OCCUPIED, UNKNOWN, GridMap
-from mapperd.localization.status import LocalizationFacts
+from mapperd.localization.maps import OCCUPIED, UNKNOWN, GridMap
+from mapperd.localization.status import LocalizationSnapshot
 
 __all__ = ["Trail", "localization_picture"]
 
@@ -58,22 +58,22 @@ class Trail:
         return np.array(self._places, dtype=np.float64).reshape(-1, 2)
 
 
-def localization_picture(facts: LocalizationFacts, trail_m: Floats) -> Picture | None:
+def localization_picture(snapshot: LocalizationSnapshot, trail_m: Floats) -> Picture | None:
     """Draw; (rows, columns, 3) with row 0 the far end of y. None without a map.
 
     Args:
-        facts: what there is.
+        snapshot: what there is.
         trail_m: (N, 2) places before, map frame.
     """
-    if facts.known is None:
+    if snapshot.known is None:
         return None
-    canvas = _Canvas(facts.known.grid)
+    canvas = _Canvas(snapshot.known.grid)
     canvas.line(trail_m, PATH)
-    canvas.dots(facts.particles[:, :2], PARTICLE, 1)
-    if facts.scan_points_m is not None:
-        canvas.dots(facts.scan_points_m[:, :2], SCAN, 2)
-    if facts.belief is not None:
-        best = facts.belief.best
+    canvas.dots(snapshot.particles[:, :2], PARTICLE, 1)
+    if snapshot.scan_points_m is not None:
+        canvas.dots(snapshot.scan_points_m[:, :2], SCAN, 2)
+    if snapshot.belief is not None:
+        best = snapshot.belief.best
         canvas.line(_ellipse(best), POSE)
         canvas.line(_heading(best), POSE)
         canvas.dots(np.array([[best.x_m, best.y_m]]), POSE, 5)

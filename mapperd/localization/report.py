@@ -7,7 +7,7 @@ from typing import Any
 from mapperd.config.tree import Config
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.odom_correction import MapFromOdom
-from mapperd.localization.status import Diagnosis, LocalizationFacts
+from mapperd.localization.status import Diagnosis, LocalizationSnapshot
 
 __all__ = ["localization_report", "localization_summary", "map_name_of", "state_of"]
 
@@ -15,49 +15,51 @@ LOST_SHARE = 0.5
 """Of the weight: with more of it elsewhere, the best cluster is not where the vehicle is."""
 
 
-def state_of(facts: LocalizationFacts) -> str:
+def state_of(snapshot: LocalizationSnapshot) -> str:
     """In one word or two, for people and programs.
 
-    As `LocalizationFacts.state` before there is a belief; then `localized`, `ambiguous`, or
+    As `LocalizationSnapshot.state` before there is a belief; then `localized`, `ambiguous`, or
     `lost`: more than half of the weight is elsewhere than the best cluster.
     """
-    belief = facts.belief
+    belief = snapshot.belief
     if belief is None:
-        return facts.state
+        return snapshot.state
     if belief.elsewhere > LOST_SHARE:
         return "lost"
     return "ambiguous" if belief.ambiguous else "localized"
 
 
-def map_name_of(facts: LocalizationFacts) -> str:
+def map_name_of(snapshot: LocalizationSnapshot) -> str:
     """Of the map's file, without its folder; empty without a map."""
-    return "" if facts.known is None else Path(facts.known.path).name
+    return "" if snapshot.known is None else Path(snapshot.known.path).name
 
 
-def localization_summary(facts: LocalizationFacts | None, config: Config) -> dict[str, Any] | None:
+def localization_summary(
+    snapshot: LocalizationSnapshot | None, config: Config
+) -> dict[str, Any] | None:
     """A few numbers for the status; None where localization is off."""
-    if facts is None:
+    if snapshot is None:
         return None
     return {
         "mode": config.localization.mode,
-        "state": state_of(facts),
-        "map": map_name_of(facts),
-        **_of_belief(facts),
-        "sure": facts.sure,
-        "diagnostics": facts.diagnosis.level,
-        "counts": dict(sorted(facts.counts.items())),
+        "state": state_of(snapshot),
+        "map": map_name_of(snapshot),
+        **_of_belief(snapshot),
+        "sure": snapshot.sure,
+        "diagnostics": snapshot.diagnosis.level,
+        "counts": dict(sorted(snapshot.counts.items())),
     }
 
 
 def localization_report(
-    facts: LocalizationFacts | None, config: Config, particles: int
+    snapshot: LocalizationSnapshot | None, config: Config, particles: int
 ) -> dict[str, Any]:
     """Build the full report.
 
     Args:
-        facts: None where localization is off.
+        snapshot: None where localization is off.
         config: the settings in force: frames and mode.
-        particles: of the cloud, at most so many, evenly spaced among those of the facts.
+        particles: of the cloud, at most so many, evenly spaced among those of the snapshot.
 
     Returns:
         `mode`, `state`; where it is not off also `map`, the `frame`s, `pose` and `overall` with
@@ -65,34 +67,34 @@ def localization_report(
         rows of x, y, yaw and weight. What is not known is None.
     """
     mode = config.localization.mode
-    if facts is None:
+    if snapshot is None:
         return {"mode": mode, "state": "off"}
-    amcl, belief = config.amcl, facts.belief
-    t_s = _seconds(facts.stamp_ns)
+    amcl, belief = config.amcl, snapshot.belief
+    t_s = _seconds(snapshot.stamp_ns)
     frame = {"frame": amcl.global_frame_id}
     child = {"child_frame": amcl.base_frame_id}
     return {
         "mode": mode,
-        "state": state_of(facts),
-        "map": map_name_of(facts),
+        "state": state_of(snapshot),
+        "map": map_name_of(snapshot),
         "t_s": t_s,
-        **_of_belief(facts),
-        "updates": facts.updates,
-        "sure": facts.sure,
-        "warning": facts.warning,
+        **_of_belief(snapshot),
+        "updates": snapshot.updates,
+        "sure": snapshot.sure,
+        "warning": snapshot.warning,
         "pose": None if belief is None else {"t_s": t_s, **frame, **child, **_pose(belief.best)},
         "overall": None if belief is None else _pose(belief.overall),
-        "clusters": [{"mass": one.mass, **_pose(one.pose)} for one in facts.clusters],
-        "map_odom": _transform(facts.transform, config),
-        "diagnostics": _diagnostics(facts.diagnosis),
-        "counts": dict(sorted(facts.counts.items())),
-        "sample": _sample(facts, particles),
+        "clusters": [{"mass": one.mass, **_pose(one.pose)} for one in snapshot.clusters],
+        "map_odom": _transform(snapshot.transform, config),
+        "diagnostics": _diagnostics(snapshot.diagnosis),
+        "counts": dict(sorted(snapshot.counts.items())),
+        "sample": _sample(snapshot, particles),
     }
 
 
-def _of_belief(facts: LocalizationFacts) -> dict[str, Any]:
-    belief: Belief | None = facts.belief
-    report: dict[str, Any] = {"particles": facts.particle_count}
+def _of_belief(snapshot: LocalizationSnapshot) -> dict[str, Any]:
+    belief: Belief | None = snapshot.belief
+    report: dict[str, Any] = {"particles": snapshot.particle_count}
     if belief is None:
         return report
     best = belief.best
@@ -144,12 +146,12 @@ def _diagnostics(diagnosis: Diagnosis) -> dict[str, Any]:
     return {"level": diagnosis.level, "text": diagnosis.text, **values}
 
 
-def _sample(facts: LocalizationFacts, max_particles: int) -> list[list[float]]:
-    count = len(facts.particles)
+def _sample(snapshot: LocalizationSnapshot, max_particles: int) -> list[list[float]]:
+    count = len(snapshot.particles)
     if max_particles <= 0 or not count:
         return []
     step = -(-count // max_particles)
-    sample: list[list[float]] = facts.particles[::step].tolist()
+    sample: list[list[float]] = snapshot.particles[::step].tolist()
     return sample
 
 

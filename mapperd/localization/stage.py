@@ -26,7 +26,7 @@ from mapperd.localization.maps import VolumeMap
 from mapperd.localization.odom_correction import placed
 from mapperd.localization.particle_filter import Cluster, clusters_of
 from mapperd.localization.scan import Scan
-from mapperd.localization.status import LocalizationFacts, diagnose, model_warning, sample_of
+from mapperd.localization.status import LocalizationSnapshot, diagnose, model_warning, sample_of
 from mapperd.odometry.fusion import FusedPose
 from mapperd.session_log import (
     GlobalLocalization,
@@ -192,13 +192,13 @@ class LocalizationStage:
             self._updated = _Updated(Belief.restored(belief), scan, height_m)
         self._changes += 1
 
-    def facts(self) -> LocalizationFacts:
+    def snapshot(self) -> LocalizationSnapshot:
         """How it stands now."""
         amcl, last, localizer = self._config.amcl, self._updated, self._localizer
         belief = None if last is None else last.belief
         correction = localizer.correction
         odom = None if self._odom is None else self._odom.pose
-        return LocalizationFacts(
+        return LocalizationSnapshot(
             state=localizer.life.name,
             counts=dict(localizer.counts),
             updates=self._updates,

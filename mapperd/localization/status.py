@@ -19,7 +19,7 @@ __all__ = [
     "MAX_SAMPLE",
     "Deviation",
     "Diagnosis",
-    "LocalizationFacts",
+    "LocalizationSnapshot",
     "diagnose",
     "model_warning",
     "sample_of",
@@ -112,7 +112,7 @@ MAX_SAMPLE = 500
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LocalizationFacts:
+class LocalizationSnapshot:
     """How it stands between two pings; nobody changes it afterwards.
 
     Attributes:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["flags_of", "log_odds_of", "numbers_of", "points_of", "probabilities_of"]
 
-LARGEST_EXPONENT = 700.0
+MAX_EXPONENT = 700.0
 """Beyond it exp overflows a double; a probability of so many log-odds is 1e-304."""
 
 
@@ -33,7 +33,7 @@ def log_odds_of(probability: float, name: str) -> float:
 
 def probabilities_of(log_odds: NDArray[np.floating]) -> NDArray[np.float64]:
     """Probabilities, float64, of log-odds of any shape."""
-    exponent = np.minimum(-log_odds.astype(np.float64), LARGEST_EXPONENT)
+    exponent = np.minimum(-log_odds.astype(np.float64), MAX_EXPONENT)
     return np.asarray(1 / (1 + np.exp(exponent)), dtype=np.float64)
 
 

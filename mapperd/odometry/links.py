@@ -35,7 +35,7 @@ OnBytes = Callable[[bytes], bool]
 
 OnOpen = Callable[[], None]
 
-LARGEST_READ = 1 << 16
+MAX_READ_BYTES = 1 << 16
 CONNECT_S = 5.0
 PAUSE_S = 0.05
 """A port that receives more than its limit is read after such pauses; the system drops the rest."""
@@ -67,7 +67,7 @@ async def _listen_udp(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) 
 
         def read() -> None:
             try:
-                wants_more = on_bytes(port.recv(LARGEST_READ))
+                wants_more = on_bytes(port.recv(MAX_READ_BYTES))
             except BlockingIOError:
                 return
             except OSError as error:
@@ -123,7 +123,7 @@ async def _read_tcp(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) ->
     try:
         writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         on_open()
-        while data := await reader.read(LARGEST_READ):
+        while data := await reader.read(MAX_READ_BYTES):
             on_bytes(data)
     finally:
         writer.close()
@@ -137,7 +137,7 @@ async def _read_serial(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes)
 
     def read() -> None:
         try:
-            data = port.read(LARGEST_READ)
+            data = port.read(MAX_READ_BYTES)
             if not data:  # readable and empty is what an unplugged line looks like
                 raise ConnectionResetError("the line was unplugged")
         except OSError as error:

@@ -92,7 +92,7 @@ def within(
     return inside & (distances_m(keys, block_m, position_m) <= limit)
 
 
-FARTHEST_BRICK = 1 << 27
+MAX_BRICK = 1 << 27
 """Limit of a brick's key: larger keys are of damaged rows."""
 
 
@@ -159,7 +159,7 @@ class StoredBricks:
             found = self._connection.execute(
                 "SELECT x, y, z, revision FROM brick WHERE revision > ?1 AND"
                 " x BETWEEN -?2 AND ?2 AND y BETWEEN -?2 AND ?2 AND z BETWEEN -?2 AND ?2",
-                (revision, FARTHEST_BRICK),
+                (revision, MAX_BRICK),
             ).fetchall()
         columns = np.array(found, np.int64).reshape(-1, 4)
         return ChangedRows(
@@ -218,7 +218,7 @@ CORE_BLOCKS_AT_ONCE = 256
 BRICK_LEVEL = 3
 """Level whose blocks are the bricks of the map's file."""
 
-FARTHEST = 1 << 30
+MAX_KEY = 1 << 30
 """Limit of the keys of the stream; blocks beyond are not sent."""
 
 Keys = NDArray[np.int32]
@@ -401,7 +401,7 @@ def _stream_keys(blocks: Keys, level: int) -> Keys:
         keys = (2 * blocks.astype(np.int64)[:, None] + eighths).reshape(-1, 3)
     else:
         keys = blocks.astype(np.int64) >> (level - 1)
-    near: Keys = keys[(np.abs(keys) < FARTHEST).all(axis=1)].astype(np.int32)
+    near: Keys = keys[(np.abs(keys) < MAX_KEY).all(axis=1)].astype(np.int32)
     if level <= 1:
         return near
     each_once = _core.KeyIndex()

@@ -177,7 +177,7 @@ def _least(rank: NDArray[np.float64], of: NDArray[np.intp], most: int) -> NDArra
     return chosen
 
 
-DUTY, LONGEST_REST_S = 0.6, 0.6
+DUTY, MAX_REST_S = 0.6, 0.6
 """Share of the time that passes keep the link busy, and the longest rest after a pass."""
 
 IDLE, ASIDE_S = 0.4, 0.15
@@ -249,7 +249,7 @@ class SendSchedule:
     def end_pass(self) -> None:
         """End the pass: no near blocks are left, or the vehicle has moved away from them."""
         if self._began_s is not None:
-            rest_s = min(self._bytes / (DUTY * self._pacer.allowed_rate), LONGEST_REST_S)
+            rest_s = min(self._bytes / (DUTY * self._pacer.allowed_rate), MAX_REST_S)
             self._rests_until_s = self._began_s + rest_s
             self._began_s, self._bytes, self._messages = None, 0, 0
 

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.api import DaemonApi
-from mapperd.config.changes import changes_between, facts_of
+from mapperd.config.live import changes_between, facts_of
 from mapperd.config.tree import Config
 from mapperd.events import Event
 from mapperd.geometry.frames import Pose
 from mapperd.localization.report import localization_report
-from mapperd.localization.status import LocalizationFacts
+from mapperd.localization.status import LocalizationSnapshot
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.step import PingResult
 from mapperd.server.state_messages import (
@@ -144,11 +144,11 @@ class StateFeed:
         self._events: dict[int, bytes] = {}
         self.status = msgspec.Raw(b"\x80")
 
-    def put(self, treated: PingResult) -> None:
+    def put(self, result: PingResult) -> None:
         """Take a processed ping; fast, for the mapping thread."""
-        self._put = treated
-        if isinstance(treated.pose, FusedPose):
-            self.path.add(treated.pose.pose.position_m)
+        self._put = result
+        if isinstance(result.pose, FusedPose):
+            self.path.add(result.pose.pose.position_m)
 
     def newest(self, kind: str) -> Newest:
         """Return the newest message of `pose`, `fan`, `returns`, `robots` or `localization`."""
@@ -169,10 +169,10 @@ class StateFeed:
             now_s: monotonic time.
         """
         self._follow_settings()
-        treated = self._put
-        if treated is not None and treated is not self._shown:
-            self._shown = treated
-            self._add_ping(treated, wanted)
+        result = self._put
+        if result is not None and result is not self._shown:
+            self._shown = result
+            self._add_ping(result, wanted)
         facts = self._facts()
         if facts is None:
             return
@@ -203,16 +203,16 @@ class StateFeed:
             wanted: kinds of messages that clients want.
             coarseness: image sizes that clients get.
         """
-        treated, config = self._shown, self._config
-        if treated is None:
+        result, config = self._shown, self._config
+        if result is None:
             return
-        self._drawn = treated
+        self._drawn = result
         if "returns" in wanted:
             sonar = None
-            if isinstance(treated.pose, FusedPose):
-                sonar = self._mounting.of_sonar(treated.pose.pose)
-            self._make("returns", returns_message(treated, sonar, config))
-        ping, stamp_ns = treated.posed.ping, treated.posed.complete_ns or 0
+            if isinstance(result.pose, FusedPose):
+                sonar = self._mounting.of_sonar(result.pose.pose)
+            self._make("returns", returns_message(result, sonar, config))
+        ping, stamp_ns = result.posed.ping, result.posed.complete_ns or 0
         self._drawings += 1
         images = [Newest(0, image.frame) for image in self._images]  # keeps their lengths
         for coarse in coarseness:
@@ -231,8 +231,8 @@ class StateFeed:
                 self._events.pop(next(iter(self._events)))
         return frame
 
-    def _add_ping(self, treated: PingResult, wanted: Collection[str]) -> None:
-        posed, fused = treated.posed, treated.pose
+    def _add_ping(self, result: PingResult, wanted: Collection[str]) -> None:
+        posed, fused = result.posed, result.pose
         if isinstance(fused, FusedPose):
             stamp_ns = posed.t_ns or posed.complete_ns or 0
             self._add_pose(
@@ -275,18 +275,18 @@ class StateFeed:
         return "localization" if facts.localization is not None and corrected else "odometry"
 
     def _add_localization(
-        self, facts: LocalizationFacts, wanted: Collection[str], now_s: float
+        self, snapshot: LocalizationSnapshot, wanted: Collection[str], now_s: float
     ) -> None:
-        if facts is self._last.get("localization"):
+        if snapshot is self._last.get("localization"):
             return
         where = self._config.localization.mapping
-        if where == "off" and facts.pose is not None and facts.stamp_ns is not None:
-            self.path.add(facts.pose.position_m)
-            covariance = localized_covariance(facts)
-            self._add_pose(facts.pose, facts.stamp_ns, "localization", None, covariance)
+        if where == "off" and snapshot.pose is not None and snapshot.stamp_ns is not None:
+            self.path.add(snapshot.pose.position_m)
+            covariance = localized_covariance(snapshot)
+            self._add_pose(snapshot.pose, snapshot.stamp_ns, "localization", None, covariance)
         if "localization" in wanted and self._due("localization", now_s, SLOW_S):
-            self._last["localization"] = facts
-            self._make("localization", _localization(facts, self._config))
+            self._last["localization"] = snapshot
+            self._make("localization", _localization(snapshot, self._config))
 
     def _follow_settings(self) -> None:
         before, config = self._config, self._operations.settings.current
@@ -322,12 +322,12 @@ def _seen(robot: dict[str, Any]) -> tuple[int, float, float, float]:
     return round(robot["t_s"] * 1e9), x, y, z
 
 
-def _localization(facts: LocalizationFacts, config: Config) -> LocalizationMessage:
-    report = msgspec.to_builtins(localization_report(facts, config, 0), enc_hook=plain)
-    points = facts.scan_points_m
+def _localization(snapshot: LocalizationSnapshot, config: Config) -> LocalizationMessage:
+    report = msgspec.to_builtins(localization_report(snapshot, config, 0), enc_hook=plain)
+    points = snapshot.scan_points_m
     return LocalizationMessage(
         report=report,
-        particles=_rows(facts.particles),
+        particles=_rows(snapshot.particles),
         scan=b"" if points is None else _rows(points),
     )
 

@@ -11,7 +11,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import MapError
 from mapperd.geometry.frames import Pose, pose_from_rpy, quaternion_product, quaternion_to_matrix
 from mapperd.imaging.ping_image import PingImage, beams_in_view, display_units, ping_image_of
-from mapperd.localization.status import LocalizationFacts
+from mapperd.localization.status import LocalizationSnapshot
 from mapperd.pipeline.step import PingResult
 from mapperd.wire.messages import FanMessage, ImageMessage, PoseMessage, ReturnsMessage
 from oculus_driver.ping import Ping
@@ -74,12 +74,12 @@ def pose_message(
     )
 
 
-def localized_covariance(facts: LocalizationFacts) -> Floats | None:
+def localized_covariance(snapshot: LocalizationSnapshot) -> Floats | None:
     """Return the covariance (6, 6) of the estimate, 0 for height, roll and pitch (odometry's)."""
-    if facts.belief is None:
+    if snapshot.belief is None:
         return None
     covariance = np.zeros((6, 6))
-    covariance[np.ix_([0, 1, 5], [0, 1, 5])] = facts.belief.best.covariance
+    covariance[np.ix_([0, 1, 5], [0, 1, 5])] = snapshot.belief.best.covariance
     return covariance
 
 
@@ -125,16 +125,16 @@ _COMPRESSOR = zstandard.ZstdCompressor(level=1)
 
 
 def returns_message(
-    treated: PingResult, sonar: Pose | None, config: Config
+    result: PingResult, sonar: Pose | None, config: Config
 ) -> ReturnsMessage | None:
     """Return the first return of each beam; None if the ping's bearings are not a fan.
 
     Args:
-        treated: the processed ping.
+        result: the processed ping.
         sonar: pose of the sonar, map frame; None if unknown.
         config: the settings.
     """
-    ping, echo = treated.posed.ping, treated.image
+    ping, echo = result.posed.ping, result.image
     if echo is None:
         try:
             echo = ping_image_of(ping, config.sonar)
@@ -143,11 +143,11 @@ def returns_message(
     points, intensities = first_returns(echo, config)
     turn = None if sonar is None else sonar.map_q_base.tolist()
     return ReturnsMessage(
-        stamp_ns=max(treated.posed.complete_ns or 0, 0),
+        stamp_ns=max(result.posed.complete_ns or 0, 0),
         ping_id=ping.ping_id,
         sonar_position_m=None if sonar is None else tuple(sonar.position_m.tolist()),
         sonar_orientation_xyzw=None if turn is None else (*turn[1:], turn[0]),
-        outcome="mapped" if treated.reject is None else treated.reject.reason,
+        outcome="mapped" if result.reject is None else result.reject.reason,
         points=points.astype("<f4").tobytes(),
         intensities=intensities.tobytes(),
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from mutations.catalogue import CATALOGUE, REPOSITORY, Mutation, load, mutated
-from mutations.judge import PATIENCE_S, End, is_endless, judge_cpp, judge_pytest
+from mutations.judge import TEST_TIMEOUT_S, End, is_endless, judge_cpp, judge_pytest
 from mutations.results import MutationResults, Result, table
 from mutations.stamp import stamp, texts_of
 
@@ -98,8 +98,8 @@ def test_a_cpp_program_counts_as_failed_only_by_its_own_checks(
 
 
 def test_a_time_limit_counts_only_if_the_unbroken_test_is_far_below_it() -> None:
-    assert is_endless(End("hang"), End("passed", seconds=0.1 * PATIENCE_S))
-    assert not is_endless(End("hang"), End("passed", seconds=0.5 * PATIENCE_S))
+    assert is_endless(End("hang"), End("passed", seconds=0.1 * TEST_TIMEOUT_S))
+    assert not is_endless(End("hang"), End("passed", seconds=0.5 * TEST_TIMEOUT_S))
     assert not is_endless(End("failed"), End("passed", seconds=1.0))
 
 

@@ -22,9 +22,9 @@ from oculus_driver import Ping, StreamParser, bearing_table_cdeg, decode_ping, e
 
 PICTURE = Path("docs/images/driver-throughput.png")
 ROWS = (16, 64, 200, 400, 703, 1400, 2800)
-LARGEST_ROWS = 703
+MAX_ROWS = 703
 """Rows of the pings in the captures that we have."""
-FASTEST_HZ = 40.0
+MAX_RATE_HZ = 40.0
 BEAMS = 512
 PIECE = 1 << 16
 STREAM_BYTES = 200_000_000
@@ -134,7 +134,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--picture", type=Path, default=PICTURE)
     args = parser.parse_args()
-    largest_mb_per_s = len(message_of(LARGEST_ROWS)) * FASTEST_HZ / 1e6
+    largest_mb_per_s = len(message_of(MAX_ROWS)) * MAX_RATE_HZ / 1e6
     print(f"largest rate of an M750d: {largest_mb_per_s:.1f} MB/s\n")
     print("| rows | message, kB | MB/s | times largest | pings/s | last byte to ping | peak, kB |")
     print("|---:|---:|---:|---:|---:|---:|---:|")

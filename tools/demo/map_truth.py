@@ -70,7 +70,7 @@ def read_voxels(path: Path) -> OccupiedVoxels:
     return OccupiedVoxels(centres, float(edge[1]))
 
 
-LARGEST_EDGE_M = 0.12
+MAX_EDGE_M = 0.12
 POINTS_A_TURN = 2000
 """Bounds the memory: each point brings some tens of triangles."""
 
@@ -91,7 +91,7 @@ class TrueSurface:
         self._exact_within_m = exact_within_m
         faces = np.arange(3 * len(triangles_m)).reshape(-1, 3)
         vertices, small = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
-            triangles_m.reshape(-1, 3), faces, LARGEST_EDGE_M
+            triangles_m.reshape(-1, 3), faces, MAX_EDGE_M
         )
         self.triangles_m: NDArray[np.float64] = np.asarray(vertices[small], dtype=np.float64)
         middles = self.triangles_m.mean(axis=1)

@@ -234,8 +234,8 @@ def _spool(
     before = counters.bytes_rejected
     replay = as_asked(session, None, config).replay(spool, Window(), counters)
 
-    def note(settled: PosedPing) -> None:
-        spool.t_ns = settled.t_ns
+    def note(posed: PosedPing) -> None:
+        spool.t_ns = posed.t_ns
 
     replay.on_posed = note
     stopped: str | None = None

@@ -10,7 +10,7 @@ from mutations.catalogue import Mutation
 from mutations.forked import run_forked
 
 __all__ = [
-    "PATIENCE_S",
+    "TEST_TIMEOUT_S",
     "End",
     "is_endless",
     "judge_cpp",
@@ -20,7 +20,7 @@ __all__ = [
     "targets_of",
 ]
 
-PATIENCE_S = 120.0
+TEST_TIMEOUT_S = 120.0
 # Output of a test that a mutation has broken otherwise than meant.
 NO_FAILURE = re.compile(r"\b(SyntaxError|NameError|ImportError|ModuleNotFoundError)\b")
 
@@ -45,7 +45,7 @@ class End:
 MAX_SHARE = 0.25
 """Of the time limit: a slower test is no evidence of an endless loop."""
 
-HANG = End("hang", f"no end within {PATIENCE_S:.0f} s")
+HANG = End("hang", f"no end within {TEST_TIMEOUT_S:.0f} s")
 
 
 def targets_of(test: str) -> tuple[str, ...]:
@@ -65,7 +65,7 @@ def run_test(copy: Copy, test: str, mutation: Mutation | None) -> End:
     if test.startswith("tests/"):
         options = ["-q", "-x", "-rfE", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
         words = [*options, *test.split()]
-        code, printed = run_forked(words, copy.root, environment, PATIENCE_S)
+        code, printed = run_forked(words, copy.root, environment, TEST_TIMEOUT_S)
         end = HANG if code is None else judge_pytest(code, printed)
         return replace(end, imported=copy.was_imported)
     program, _, case = test.partition(": ")
@@ -79,7 +79,7 @@ def run_test(copy: Copy, test: str, mutation: Mutation | None) -> End:
             text=True,
             errors="replace",
             check=False,
-            timeout=PATIENCE_S,
+            timeout=TEST_TIMEOUT_S,
         )
     except subprocess.TimeoutExpired:
         return HANG
@@ -91,7 +91,7 @@ def is_endless(end: End, whole: End) -> bool:
 
     The test must pass without the mutation (`whole`) in a fraction of the time limit.
     """
-    return end.how == "hang" and whole.seconds < MAX_SHARE * PATIENCE_S
+    return end.how == "hang" and whole.seconds < MAX_SHARE * TEST_TIMEOUT_S
 
 
 def judge_pytest(code: int, out: str) -> End:

@@ -11,7 +11,7 @@ import numpy as np
 
 from mapperd.cli.mapperctl.map_output import missing, without_checksum
 from mapperd.cli.progress import ProgressBar
-from mapperd.config.changes import with_values
+from mapperd.config.live import with_values
 from mapperd.config.tree import Config
 from mapperd.export.rosbag import Bag, Storage, Turned, open_bag
 from mapperd.geometry.frames import (
@@ -152,22 +152,22 @@ class _BagWriter:
         self._cloud_ns: int | None = None
         self._mounting: Pose | None = None
 
-    def ping(self, settled: PosedPing) -> None:
+    def ping(self, posed: PosedPing) -> None:
         """Write the image of a ping, mapped or not."""
-        if settled.t_ns is None:
+        if posed.t_ns is None:
             self.unstamped += 1
             return
-        self._newest_ns = max(self._newest_ns or 0, settled.t_ns)
-        self._bag.image(settled.t_ns, settled.ping.image)
+        self._newest_ns = max(self._newest_ns or 0, posed.t_ns)
+        self._bag.image(posed.t_ns, posed.ping.image)
 
-    def placed(self, treated: PingResult) -> None:
+    def placed(self, result: PingResult) -> None:
         """Write the pose by odometry, and in the map."""
-        t_ns, odometry = treated.posed.t_ns, treated.posed.pose
+        t_ns, odometry = result.posed.t_ns, result.posed.pose
         if t_ns is None:
             return
         self._write_mounting(t_ns)
         if isinstance(odometry, FusedPose):
-            self._write_pose(t_ns, odometry, treated)
+            self._write_pose(t_ns, odometry, result)
         if self._every_ns:
             self._cloud_ns = t_ns if self._cloud_ns is None else self._cloud_ns
             if t_ns - self._cloud_ns >= self._every_ns:
@@ -180,11 +180,11 @@ class _BagWriter:
             self._bag.cloud(self._newest_ns, self._map)
             self._bag.grid(self._newest_ns, self._map)
 
-    def _write_pose(self, t_ns: int, odometry: FusedPose, treated: PingResult) -> None:
+    def _write_pose(self, t_ns: int, odometry: FusedPose, result: PingResult) -> None:
         frames, odom = self._bag.config.frames, self._bag.config.amcl.odom_frame_id
         turned = [Turned(odom, frames.base, odometry.pose)]
-        if isinstance(treated.pose, FusedPose):
-            shift = _map_of_odometry(treated.pose.pose, odometry.pose)
+        if isinstance(result.pose, FusedPose):
+            shift = _map_of_odometry(result.pose.pose, odometry.pose)
             turned.append(Turned(frames.map, odom, shift))
         self._bag.odometry(t_ns, odometry)
         self._bag.transforms(t_ns, turned)

@@ -14,12 +14,12 @@ from mapperd.client import MapClient
 from mapperd.client.changes import ClientChange
 from mapperd.client.validation import floats_of
 from mapperd.events import Severity
-from mapperd.localization.status import LocalizationFacts
+from mapperd.localization.status import LocalizationSnapshot
 from mapperd.server.listeners import open_unix_listener
 from mapperd.server.state_feed import StateFeed
 from mapperd.server.stream_server import StreamServer
 from mapperd.wire.messages import EventMessage, LocalizationMessage, RobotsMessage, Want
-from tests.mapperd.localization.believed import facts as believed
+from tests.mapperd.localization.believed import snapshot as believed
 from tests.mapperd.server.watched import PlainSource, run
 from tests.support.control_server import FakeDaemon
 
@@ -32,7 +32,7 @@ class Known:
 
     odometry: dict[str, Any] = field(default_factory=lambda: {"source": "odometry"})
     robots: list[dict[str, Any]] = field(default_factory=list)
-    localization: LocalizationFacts | None = None
+    localization: LocalizationSnapshot | None = None
 
 
 @dataclass

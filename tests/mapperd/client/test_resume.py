@@ -80,8 +80,8 @@ def test_a_link_that_breaks_all_the_time_brings_all_of_the_map(
     grows: bool,  # noqa: FBT001
     reports: bool,  # noqa: FBT001
 ) -> None:
-    monkeypatch.setattr(connect, "WAIT_S", 0.02)
-    monkeypatch.setattr(connect, "LONGEST_WAIT_S", 0.02)
+    monkeypatch.setattr(connect, "RETRY_DELAY_S", 0.02)
+    monkeypatch.setattr(connect, "MAX_RETRY_DELAY_S", 0.02)
     chance = np.random.default_rng(5)
     sonar_map = a_map()
     observe(sonar_map, chance, 1500)

@@ -104,7 +104,7 @@ def go(work: Callable[[AsyncExitStack], Awaitable[None]]) -> None:
 def test_mirrors_equal_the_map_through_restarts_and_breaks(
     short: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connect, "LONGEST_WAIT_S", 0.2)
+    monkeypatch.setattr(connect, "MAX_RETRY_DELAY_S", 0.2)
     chance = np.random.default_rng(3)
     breaks = random.Random(3)  # noqa: S311 a test
     sonar_map, path = a_map(), short / "map.sock"

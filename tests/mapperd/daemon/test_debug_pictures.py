@@ -17,9 +17,9 @@ from mapperd.daemon.debug_pictures import debug_pictures, draw_pictures, write_d
 from mapperd.events import EventLog
 from mapperd.export.png import png_bytes
 from mapperd.localization.picture import PATH, WATER
-from mapperd.localization.status import LocalizationFacts
+from mapperd.localization.status import LocalizationSnapshot
 from oculus_driver.ping import Ping
-from tests.mapperd.localization.believed import facts
+from tests.mapperd.localization.believed import snapshot
 
 MakePing = Callable[..., Ping]
 SHOWN = {"visualization": {"show_opencv_visualization": True}}
@@ -67,7 +67,7 @@ def test_localization_is_drawn_with_where_it_was(
 ) -> None:
     monkeypatch.setattr(module, "DRAW_S", 0.0)
     store, events = ConfigStore(Layered(config_of(SHOWN, ""))), EventLog(lambda: 0)
-    newest, path = [facts(known=None)], tmp_path / "debug" / "localization.png"
+    newest, path = [snapshot(known=None)], tmp_path / "debug" / "localization.png"
 
     def drawn(colour: tuple[int, int, int]) -> bool:
         """Whether something of that colour is seen between the two places."""
@@ -100,13 +100,13 @@ def test_localization_is_drawn_with_where_it_was(
     assert events.last == 0
 
 
-def at(x_m: float) -> LocalizationFacts:
+def at(x_m: float) -> LocalizationSnapshot:
     """Localized at (x, 2), and nothing else to be seen."""
-    belief = facts().belief
+    belief = snapshot().belief
     assert belief is not None
     best = dataclasses.replace(belief.best, x_m=x_m)
     belief = dataclasses.replace(belief, best=best)
-    return facts(belief=belief, particles=np.zeros((0, 4)), scan_points_m=None)
+    return snapshot(belief=belief, particles=np.zeros((0, 4)), scan_points_m=None)
 
 
 def test_pictures_are_drawn_while_the_setting_is_on(

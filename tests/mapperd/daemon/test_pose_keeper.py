@@ -20,7 +20,7 @@ from mapperd.localization.session import begun
 from tests.mapperd.localization.room import settings, write_room
 
 if TYPE_CHECKING:
-    from mapperd.localization.status import LocalizationFacts
+    from mapperd.localization.status import LocalizationSnapshot
 
 
 class SentState:
@@ -29,17 +29,17 @@ class SentState:
     def __init__(self, path: Path, config_text: str) -> None:
         localizing = begun(config_from_text(config_text))
         assert localizing is not None
-        self.facts: LocalizationFacts | None = localizing.stage.facts()
+        self.snapshot: LocalizationSnapshot | None = localizing.stage.snapshot()
         self.amcl = AmclConfig(save_pose_rate=50.0)
         self.events = EventLog(lambda: 0)
         self.path = path
-        self.keeper = PoseKeeper(path, lambda: self.facts, lambda: self.amcl, int, self.events)
+        self.keeper = PoseKeeper(path, lambda: self.snapshot, lambda: self.amcl, int, self.events)
 
     def now_at(self, x_m: float, stamp_ns: int, elsewhere: float = 0.0) -> None:
-        assert self.facts is not None
+        assert self.snapshot is not None
         pose = PlanarGaussian(x_m, 0.0, 0.0, np.eye(3))
         belief = Belief(pose, pose, np.ones(1), elsewhere, 10.0)
-        self.facts = replace(self.facts, belief=belief, stamp_ns=stamp_ns)
+        self.snapshot = replace(self.snapshot, belief=belief, stamp_ns=stamp_ns)
 
     @property
     def saved_x_m(self) -> float | None:
@@ -133,4 +133,4 @@ def test_saved_pose_that_is_invalid_is_reported_and_passed_over(
     assert found is not None
     assert found.saved is not None
     assert found.saved.x_m == 3.0
-    assert found.stage.facts().particles[:, 0].mean() == pytest.approx(3.0, abs=0.5)
+    assert found.stage.snapshot().particles[:, 0].mean() == pytest.approx(3.0, abs=0.5)

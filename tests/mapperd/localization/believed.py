@@ -7,11 +7,11 @@ import numpy as np
 
 from mapperd.config.tree import AmclConfig
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
-from mapperd.localization.grid_map import FREE, OCCUPIED, UNKNOWN, GridMap
 from mapperd.localization.known_map import KnownMap
+from mapperd.localization.maps import FREE, OCCUPIED, UNKNOWN, GridMap
 from mapperd.localization.odom_correction import MapFromOdom
 from mapperd.localization.particle_filter import Cluster
-from mapperd.localization.status import LocalizationFacts, diagnose
+from mapperd.localization.status import LocalizationSnapshot, diagnose
 
 STAMP_NS = 1_700_000_000_000_000_000
 
@@ -28,7 +28,9 @@ def known(path: str = "/maps/tank.yaml") -> KnownMap:
     return KnownMap(path, "00", GridMap(cells, 0.1, -2.0, -2.0))
 
 
-def facts(elsewhere: float | None = 0.0, *, std: float = 0.1, **more: Any) -> LocalizationFacts:
+def snapshot(
+    elsewhere: float | None = 0.0, *, std: float = 0.1, **more: Any
+) -> LocalizationSnapshot:
     """A status whose belief has this share elsewhere; None has no belief yet."""
     best = gaussian(std=std)
     belief = None
@@ -55,4 +57,4 @@ def facts(elsewhere: float | None = 0.0, *, std: float = 0.1, **more: Any) -> Lo
         "scan_points_m": np.array([[5.0, 2.0, 0.0], [np.nan, 0.0, 0.0]]),
         "known": known(),
     }
-    return LocalizationFacts(**values | more)
+    return LocalizationSnapshot(**values | more)

@@ -6,11 +6,11 @@ import pytest
 
 from mapperd.daemon.status import LocalizationWatch
 from mapperd.events import EventLog
-from mapperd.localization.status import LocalizationFacts
-from tests.mapperd.localization.believed import facts, known
+from mapperd.localization.status import LocalizationSnapshot
+from tests.mapperd.localization.believed import known, snapshot
 
 
-def reported(*all_facts: LocalizationFacts) -> list[tuple[str, str]]:
+def reported(*all_facts: LocalizationSnapshot) -> list[tuple[str, str]]:
     events = EventLog(lambda: 0)
     watch = LocalizationWatch(events)
     for one in all_facts:
@@ -20,15 +20,15 @@ def reported(*all_facts: LocalizationFacts) -> list[tuple[str, str]]:
 
 def test_a_dive_is_reported_in_order() -> None:
     assert reported(
-        facts(None, known=None),
-        facts(None),
-        facts(0.6),
-        facts(0.6),
-        facts(0.2),
-        facts(0.0),
-        facts(0.0),
-        facts(None),
-        facts(0.0),
+        snapshot(None, known=None),
+        snapshot(None),
+        snapshot(0.6),
+        snapshot(0.6),
+        snapshot(0.2),
+        snapshot(0.0),
+        snapshot(0.0),
+        snapshot(None),
+        snapshot(0.0),
     ) == [
         ("map_loaded", "notice"),
         ("lost", "warning"),
@@ -41,11 +41,11 @@ def test_a_dive_is_reported_in_order() -> None:
 def test_another_map_and_a_level_are_reported() -> None:
     first, other = known("/maps/a.yaml"), known("/maps/b.yaml")
     assert reported(
-        facts(0.0, known=first),
-        facts(0.0, known=other),
-        facts(0.0, known=other, std=0.5),
-        facts(0.0, known=other, std=0.5),
-        facts(0.0, known=other, std=0.1),
+        snapshot(0.0, known=first),
+        snapshot(0.0, known=other),
+        snapshot(0.0, known=other, std=0.5),
+        snapshot(0.0, known=other, std=0.5),
+        snapshot(0.0, known=other, std=0.1),
     ) == [
         ("map_loaded", "notice"),
         ("localized", "notice"),
@@ -56,8 +56,8 @@ def test_another_map_and_a_level_are_reported() -> None:
 
 
 def test_what_the_model_does_not_do_is_reported_once() -> None:
-    warned = replace(facts(0.0), warning="it compares a slice")
-    assert reported(facts(0.0), warned, warned, facts(0.0), warned)[2:] == [
+    warned = replace(snapshot(0.0), warning="it compares a slice")
+    assert reported(snapshot(0.0), warned, warned, snapshot(0.0), warned)[2:] == [
         ("localization_model", "warning"),
         ("localization_model", "warning"),
     ]
@@ -65,7 +65,7 @@ def test_what_the_model_does_not_do_is_reported_once() -> None:
 
 def test_text_reports_what_and_where() -> None:
     events = EventLog(lambda: 0)
-    LocalizationWatch(events).update(facts(0.7, std=0.5))
+    LocalizationWatch(events).update(snapshot(0.7, std=0.5))
     texts = [event.text for event in events.since(0)[0]]
     assert texts[0] == "localizing on tank.yaml"
     assert texts[1].endswith("x 1.00 m, y 2.00 m, 0.500 rad at best")

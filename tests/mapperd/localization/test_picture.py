@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mapperd.geometry.gaussian import PlanarGaussian
-from mapperd.localization.grid_map import FREE, OCCUPIED, GridMap
 from mapperd.localization.known_map import KnownMap
+from mapperd.localization.maps import FREE, OCCUPIED, GridMap
 from mapperd.localization.picture import (
     MAX_PIXELS,
     NOWHERE,
@@ -20,7 +20,7 @@ from mapperd.localization.picture import (
     Trail,
     localization_picture,
 )
-from tests.mapperd.localization.believed import facts
+from tests.mapperd.localization.believed import snapshot
 
 EMPTY = np.zeros((0, 2))
 PIXELS_A_M = 50
@@ -34,7 +34,7 @@ def at(picture: np.ndarray, x_m: float, y_m: float) -> tuple[int, ...]:
 
 
 def drawn(trail: np.ndarray = EMPTY, **more: object) -> np.ndarray:
-    picture = localization_picture(facts(**more), trail)  # type: ignore[arg-type]
+    picture = localization_picture(snapshot(**more), trail)  # type: ignore[arg-type]
     assert picture is not None
     return picture
 
@@ -90,7 +90,7 @@ def test_map_of_which_nothing_is_known_is_grey() -> None:
 
 
 def test_without_a_map_nothing_is_drawn() -> None:
-    assert localization_picture(facts(known=None), EMPTY) is None
+    assert localization_picture(snapshot(known=None), EMPTY) is None
 
 
 def test_trail_keeps_the_newest_places() -> None:

@@ -10,7 +10,7 @@ from mapperd.config.loader import config_of
 from mapperd.localization.models import filter_rule
 from mapperd.localization.particle_filter import ParticleFilter, clusters_of
 from mapperd.localization.report import localization_report, localization_summary, state_of
-from tests.mapperd.localization.believed import STAMP_NS, facts
+from tests.mapperd.localization.believed import STAMP_NS, snapshot
 
 CONFIG = config_of({"localization": {"mode": "global"}}, "")
 
@@ -21,11 +21,11 @@ CONFIG = config_of({"localization": {"mode": "global"}}, "")
      (0.51, "lost"), (None, "waiting for a map")],
 )  # fmt: skip
 def test_state_reports_how_far_it_can_be_trusted(elsewhere: float | None, state: str) -> None:
-    assert state_of(facts(elsewhere, state="waiting for a map")) == state
+    assert state_of(snapshot(elsewhere, state="waiting for a map")) == state
 
 
 def test_report_has_all_there_is() -> None:
-    stated = localization_report(facts(0.2), CONFIG, 50)
+    stated = localization_report(snapshot(0.2), CONFIG, 50)
     assert json.loads(json.dumps(stated)) == stated  # plain values alone
     assert (stated["mode"], stated["state"], stated["map"]) == ("global", "ambiguous", "tank.yaml")
     pose = stated["pose"]
@@ -47,7 +47,7 @@ def test_report_has_all_there_is() -> None:
 
 
 def test_before_a_belief_nothing_is_made_up() -> None:
-    stated = localization_report(facts(None, transform=None, known=None), CONFIG, 0)
+    stated = localization_report(snapshot(None, transform=None, known=None), CONFIG, 0)
     assert stated["pose"] is stated["overall"] is stated["map_odom"] is stated["t_s"] is None
     assert (stated["clusters"], stated["sample"], stated["map"]) == ([], [], "")
     assert localization_report(None, CONFIG, 9) == {"mode": "global", "state": "off"}
@@ -56,11 +56,11 @@ def test_before_a_belief_nothing_is_made_up() -> None:
 
 @pytest.mark.parametrize(("most", "count"), [(0, 0), (1, 1), (50, 50), (70, 67), (500, 200)])
 def test_sample_is_bounded(most: int, count: int) -> None:
-    assert len(localization_report(facts(), CONFIG, most)["sample"]) == count
+    assert len(localization_report(snapshot(), CONFIG, most)["sample"]) == count
 
 
 def test_a_level_that_is_passed_is_reported() -> None:
-    stated = localization_report(facts(std=0.15), CONFIG, 0)["diagnostics"]
+    stated = localization_report(snapshot(std=0.15), CONFIG, 0)["diagnostics"]
     assert (stated["level"], stated["std_x"]["level"], stated["std_y"]["level"]) == (
         "WARN",
         "OK",

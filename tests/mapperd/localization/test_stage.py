@@ -15,9 +15,9 @@ from mapperd.errors import ConfigError, MapError, Reject
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.imaging.ping_image import PingImage, ping_image_of
-from mapperd.localization.grid_map import GridMap
 from mapperd.localization.known_map import MAX_SIDE, KnownMap
 from mapperd.localization.map_filter import MapFilter
+from mapperd.localization.maps import GridMap
 from mapperd.localization.models import check_localization
 from mapperd.localization.odom_correction import MapFromOdom, placed
 from mapperd.localization.session import begun, restored_session, saved_state
@@ -87,10 +87,10 @@ def test_scan_without_an_update_is_mapped_by_the_last_correction(
 ) -> None:
     stage = stage_of(config)
     driven(stage, heard, 0, 10)
-    before = stage.facts()
+    before = stage.snapshot()
     odom = fused(dive(30).odometry[9] + (0.05, 0.0, 0.0))
     where = stage.correct(heard[9], odom, 2_000_000_000)
-    after = stage.facts()
+    after = stage.snapshot()
     assert after.updates == before.updates
     assert after.counts["still"] == 1
     assert after.particles is before.particles  # resampled only after a change
@@ -105,10 +105,10 @@ def test_ping_without_an_image_is_counted_by_its_reason(
 ) -> None:
     stage, why = stage_of(config), Reject("bad_bearings", "not a fan")
     driven(stage, heard, 0, 10)
-    before = stage.facts()
+    before = stage.snapshot()
     where = stage.correct(why, fused(dive(30).odometry[9]), 2_000_000_000)
     assert isinstance(where, FusedPose)  # at the last correction
-    after = stage.facts()
+    after = stage.snapshot()
     assert after.counts["bad_bearings"] == 1
     assert after.updates == before.updates
 
@@ -131,16 +131,16 @@ def test_ambiguous_belief_is_nothing_to_map_by(config: Config, heard: list[PingI
     (where,) = driven(stage, heard, 0, 1)
     assert isinstance(where, Reject)
     assert where.reason == "ambiguous"
-    facts = stage.facts()
-    assert not facts.sure
-    assert facts.belief is not None
-    assert facts.belief.ambiguous
+    snapshot = stage.snapshot()
+    assert not snapshot.sure
+    assert snapshot.belief is not None
+    assert snapshot.belief.ambiguous
 
 
 def test_other_settings_keep_the_particles(config: Config, heard: list[PingImage]) -> None:
     stage = stage_of(config)
     driven(stage, heard, 0, 10)
-    cloud = stage.facts().particles.copy()
+    cloud = stage.snapshot().particles.copy()
     stage.reconfigure(with_amcl(config, laser_sigma_hit=0.3, max_beams=20))
     assert np.array_equal(stage._filter.particles.poses, cloud[:, :3])
     where = driven(stage, heard, 10, 12)[-1]
@@ -155,7 +155,7 @@ def test_settings_that_the_filter_refuses_change_nothing(
     with pytest.raises(ConfigError, match=r"\$\.amcl"):
         check_localization(bad)
     stage.reconfigure(bad)
-    assert stage.facts().counts["settings_refused"] == 1
+    assert stage.snapshot().counts["settings_refused"] == 1
     assert isinstance(driven(stage, heard, 0, 3)[-1], FusedPose)
 
 
@@ -163,18 +163,18 @@ def test_facts_of_a_vehicle_that_waits(config: Config, heard: list[PingImage]) -
     stage = stage_of(with_amcl(config, set_initial_pose=False))
     assert stage.request(NoMotionUpdate(1)) is not None
     driven(stage, heard, 0, 2)
-    facts = stage.facts()
-    assert facts.state == "waiting for a pose"
-    assert facts.counts == {"no_filter": 2}
-    assert (facts.belief, facts.transform, facts.pose, facts.stamp_ns) == (None,) * 4
-    assert facts.particles.shape == (0, 4)
-    assert facts.diagnosis.level == "OK"
+    snapshot = stage.snapshot()
+    assert snapshot.state == "waiting for a pose"
+    assert snapshot.counts == {"no_filter": 2}
+    assert (snapshot.belief, snapshot.transform, snapshot.pose, snapshot.stamp_ns) == (None,) * 4
+    assert snapshot.particles.shape == (0, 4)
+    assert snapshot.diagnosis.level == "OK"
 
 
 def test_scan_stands_on_the_walls(config: Config, heard: list[PingImage]) -> None:
     stage = stage_of(config)
     driven(stage, heard, 0, 20)
-    points = stage.facts().scan_points_m
+    points = stage.snapshot().scan_points_m
     assert points is not None
     grid = room()
     walls = grid.centres_m(*np.nonzero(grid.occupancy == 100))
@@ -195,12 +195,12 @@ def test_request_that_is_no_pose_is_refused_and_changes_nothing(
 ) -> None:
     stage = stage_of(config)
     driven(stage, heard, 0, 10)
-    before = stage.facts()
+    before = stage.snapshot()
     for pose in ((number, 0.0, (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0)), (0.0, 0.0, (-1.0,) * 9)):
         refused = stage.request(InitialPose(1, pose[0], pose[1], 0.0, pose[2], "map"))
         assert refused is not None
         assert refused.reason == "bad_request"
-    after = stage.facts()
+    after = stage.snapshot()
     assert after.counts["bad_request"] == 2
     assert after.particles is before.particles
     assert isinstance(driven(stage, heard, 10, 12)[-1], FusedPose)
@@ -218,8 +218,8 @@ def test_map_that_cannot_be_had_or_taken_is_refused(config: Config) -> None:
         refused = stage.request(NewMap(1, "other.yaml", "0"))
         assert refused is not None
         assert refused.reason == "bad_request"
-        assert stage.facts().counts == {"bad_request": 1}
-        known = stage.facts().known
+        assert stage.snapshot().counts == {"bad_request": 1}
+        known = stage.snapshot().known
         assert known is not None
         assert known.path == "room"
 
@@ -229,9 +229,9 @@ def test_new_start_forgets_the_belief(config: Config, heard: list[PingImage]) ->
     driven(stage, heard, 0, 5)
     covariance = tuple(np.diag([0.1, 0.1, 0.1]).ravel().tolist())
     assert stage.request(InitialPose(1, 0.0, 0.0, 0.0, covariance, "map")) is None
-    facts = stage.facts()
-    assert (facts.belief, facts.transform, facts.sure) == (None, None, False)
-    assert abs(facts.particles[:, 0].mean()) < 0.1
+    snapshot = stage.snapshot()
+    assert (snapshot.belief, snapshot.transform, snapshot.sure) == (None, None, False)
+    assert abs(snapshot.particles[:, 0].mean()) < 0.1
 
 
 def test_restored_one_goes_on_to_the_bit(config: Config, heard: list[PingImage]) -> None:
@@ -245,7 +245,7 @@ def test_restored_one_goes_on_to_the_bit(config: Config, heard: list[PingImage])
         assert isinstance(there, FusedPose)
         assert np.array_equal(here.pose.position_m, there.pose.position_m)
         assert np.array_equal(here.covariance, there.covariance)
-    assert dict(localizing.stage.facts().counts) == dict(again.stage.facts().counts)
+    assert dict(localizing.stage.snapshot().counts) == dict(again.stage.snapshot().counts)
 
 
 @pytest.mark.slow

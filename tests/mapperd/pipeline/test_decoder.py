@@ -39,10 +39,10 @@ def test_ping_comes_out_with_its_number_and_the_time_of_its_last_byte(
 ) -> None:
     engine, data = engine_of(), ping_bytes(1)
     assert engine.feed(sonar(data[:500], T0)) == []
-    (settled,) = engine.feed(sonar(data[500:], T0 + 5 * MS))
-    assert isinstance(settled, PosedPing)
-    assert (settled.number, settled.complete_ns) == (0, T0 + 5 * MS)
-    assert settled.ping.arrival_ns == T0
+    (posed,) = engine.feed(sonar(data[500:], T0 + 5 * MS))
+    assert isinstance(posed, PosedPing)
+    assert (posed.number, posed.complete_ns) == (0, T0 + 5 * MS)
+    assert posed.ping.arrival_ns == T0
 
 
 def test_numbers_count_every_ping_message(ping_bytes: MakeBytes) -> None:

@@ -52,9 +52,9 @@ def stepping_with(config: Config) -> tuple[PingExecutor, ConfigStore, SonarMap, 
 def step_on(stepping: PingExecutor, engine: SessionDecoder, *pings: Ping) -> None:
     for ping in pings:
         engine.offer(ping, None, None)
-    for settled in engine.end():
-        assert isinstance(settled, PosedPing)
-        stepping.map_ping(settled)
+    for posed in engine.end():
+        assert isinstance(posed, PosedPing)
+        stepping.map_ping(posed)
 
 
 @pytest.mark.parametrize(

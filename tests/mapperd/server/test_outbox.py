@@ -9,7 +9,7 @@ from mapperd.server.pacer import Pacer
 from mapperd.wire.framing import client_inbox
 from mapperd.wire.messages import ImageMessage
 from oculus_driver.ping import Ping
-from tests.mapperd.server.test_state_feed import feed_of, fused, treated
+from tests.mapperd.server.test_state_feed import feed_of, fused, ping_result
 
 
 class Choosing(ClientOutbox):
@@ -44,7 +44,7 @@ def test_no_picture_is_older_than_the_one_before(ping: Callable[..., Ping]) -> N
     for number, (drawn, coarse) in enumerate(
         [({0, 1, 2}, 0), ({0}, 0), ({0}, 1), ({0, 1}, 1), ({1}, 2), ({1, 2}, 2), ({1, 2}, 0)], 1
     ):
-        feed.put(treated(ping(ping_id=number), fused(number), PingStats()))
+        feed.put(ping_result(ping(ping_id=number), fused(number), PingStats()))
         now_s += 1
         feed.refresh({"image"}, now_s)
         feed.draw({"image"}, drawn)

@@ -8,7 +8,7 @@ from mapperd.server.priority_queue import (
     ASIDE_S,
     DUTY,
     EACH,
-    LONGEST_REST_S,
+    MAX_REST_S,
     MIN,
     QUIET_S,
     SendRoom,
@@ -35,7 +35,7 @@ def test_after_a_pass_the_link_rests_for_what_is_near() -> None:
     assert some.rooms(10.0).near  # the pass goes on
     some.sent_near(4000, 0, 10.2)
     rest_s = 8_000 / (DUTY * RATE)
-    assert rest_s < LONGEST_REST_S
+    assert rest_s < MAX_REST_S
     assert not some.rooms(10.0 + rest_s - 0.01).near
     assert some.rooms(10.0 + rest_s + 0.01).near
 
@@ -43,8 +43,8 @@ def test_after_a_pass_the_link_rests_for_what_is_near() -> None:
 def test_no_rest_is_longer_than_what_keeps_the_map_fresh() -> None:
     some, _ = turns()
     some.sent_near(500_000, 0, 10.0)
-    assert not some.rooms(10.0 + LONGEST_REST_S - 0.01).near
-    assert some.rooms(10.0 + LONGEST_REST_S + 0.01).near
+    assert not some.rooms(10.0 + MAX_REST_S - 0.01).near
+    assert some.rooms(10.0 + MAX_REST_S + 0.01).near
 
 
 def test_a_fast_link_hardly_rests() -> None:

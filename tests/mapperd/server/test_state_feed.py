@@ -57,7 +57,7 @@ def fused(x: float, yaw_deg: float = 0.0) -> FusedPose:
     return FusedPose(pose, np.array([1.0, 0, 0]), None, np.eye(6) * 0.04, 0, 0.0)
 
 
-def treated(ping: Ping, pose: FusedPose | Reject, stats: PingStats | Reject) -> PingResult:
+def ping_result(ping: Ping, pose: FusedPose | Reject, stats: PingStats | Reject) -> PingResult:
     return PingResult(PosedPing(0, ping, pose, 2_000, 1_000), pose, stats)
 
 
@@ -75,7 +75,7 @@ def test_the_pose_is_the_pings_and_the_sonars_beside_it(ping: Ping) -> None:
     feed, _, _ = feed_of()
     feed.refresh({"pose"}, 0.0)
     assert feed.newest("pose").number == 0
-    feed.put(treated(ping, fused(5.0, yaw_deg=90.0), PingStats()))
+    feed.put(ping_result(ping, fused(5.0, yaw_deg=90.0), PingStats()))
     feed.refresh({"pose"}, 0.1)
     feed.refresh({"pose"}, 0.2)
     assert feed.newest("pose").number == 1
@@ -95,7 +95,7 @@ def test_the_pose_is_the_pings_and_the_sonars_beside_it(ping: Ping) -> None:
 def test_a_ping_without_a_pose_moves_nothing(ping: Ping) -> None:
     feed, _, _ = feed_of()
     refused = Reject("no_odometry", "")
-    feed.put(treated(ping, refused, refused))
+    feed.put(ping_result(ping, refused, refused))
     feed.refresh({"pose", "returns"}, 0.0)
     assert feed.position_m is None
     assert len(feed.path) == 0
@@ -108,7 +108,7 @@ def test_a_ping_without_a_pose_moves_nothing(ping: Ping) -> None:
 def test_the_fan_is_reported_when_it_changes(ping: Ping) -> None:
     feed, _, daemon = feed_of()
     for n in range(3):
-        feed.put(treated(ping, fused(n), PingStats()))
+        feed.put(ping_result(ping, fused(n), PingStats()))
         feed.refresh({"fan"}, n)
     assert feed.newest("fan").number == 1
     output = message(feed.newest("fan").frame)
@@ -118,7 +118,7 @@ def test_the_fan_is_reported_when_it_changes(ping: Ping) -> None:
     assert output.min_range_m == 0.5
     assert output.max_range_m == pytest.approx(ping.max_range_m, abs=1e-3)
     daemon.settings.apply({"filtering.min_range": 0.7}, "test")
-    feed.put(treated(ping, fused(9), PingStats()))
+    feed.put(ping_result(ping, fused(9), PingStats()))
     feed.refresh({"fan"}, 9)
     assert message(feed.newest("fan").frame).min_range_m == 0.7
 
@@ -151,7 +151,7 @@ def test_robots_are_reported_when_they_come_and_go() -> None:
 
 def test_pictures_are_drawn_only_when_somebody_wants_them(ping: Ping) -> None:
     feed, _, _ = feed_of()
-    feed.put(treated(ping, fused(1), PingStats()))
+    feed.put(ping_result(ping, fused(1), PingStats()))
     feed.refresh({"pose"}, 0.0)
     assert not feed.wants_drawing({"pose"}, 0.0)
     assert feed.wants_drawing({"image"}, 0.0)
@@ -159,7 +159,7 @@ def test_pictures_are_drawn_only_when_somebody_wants_them(ping: Ping) -> None:
     assert feed.image(0).number == feed.image(2).number == 1
     assert feed.image(1).number == 0
     assert not feed.wants_drawing({"image"}, 1.0)  # that ping has been drawn
-    feed.put(treated(ping, fused(2), PingStats()))
+    feed.put(ping_result(ping, fused(2), PingStats()))
     feed.refresh({"image"}, 2.0)
     assert feed.wants_drawing({"image"}, 2.0)
 
@@ -233,7 +233,7 @@ def test_the_sonar_sits_where_the_settings_report(ping: Ping) -> None:
     feed, _, _ = feed_of(Config())
     base = pose_from_rpy((1, 2, 3), (10, 20, 30))
     pose = FusedPose(base, None, None, np.full((6, 6), np.nan), 0, 0.0)
-    feed.put(treated(ping, pose, PingStats()))
+    feed.put(ping_result(ping, pose, PingStats()))
     feed.refresh({"pose"}, 0.0)
     output = message(feed.newest("pose").frame)
     assert output.covariance is None
@@ -247,7 +247,7 @@ def test_what_is_no_number_is_counted_and_never_reported(ping: Ping) -> None:
     feed, _, _ = feed_of()
     for x, speed in ((1.0, math.nan), (2.0, math.inf), (1e300, 0.5)):
         pose = FusedPose(fused(x).pose, np.array([0, speed, 0]), None, np.eye(6), 0, 0.0)
-        feed.put(treated(ping, pose, PingStats()))
+        feed.put(ping_result(ping, pose, PingStats()))
         feed.refresh({"pose"}, x)
         output = message(feed.newest("pose").frame)
         check_message(output)  # a client takes it

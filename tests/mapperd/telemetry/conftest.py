@@ -14,7 +14,7 @@ from mapperd.localization.report import localization_report, localization_summar
 from mapperd.telemetry.outbox import Kind, Outbox, QueuedMessage
 
 if TYPE_CHECKING:
-    from mapperd.localization.status import LocalizationFacts
+    from mapperd.localization.status import LocalizationSnapshot
 
 T0_S = 1_700_000_000.0
 ROOT = "mapperd/v1/rov-1/mapper"
@@ -48,7 +48,7 @@ class FakeDaemon:
         self.asked: list[tuple[str, ...]] = []
         self.pings = 0
         self.pose: dict[str, Any] | None = None
-        self.localized: LocalizationFacts | None = None
+        self.localized: LocalizationSnapshot | None = None
         self.robots: list[dict[str, Any]] = []
         self.phase = "mapping"
         self.asked_for_status = 0

@@ -11,7 +11,7 @@ import pytest
 from mapperd.config.tree import AmclConfig, MqttConfig
 from mapperd.telemetry.payloads import SAMPLE
 from mapperd.telemetry.topics import Asked, Topics
-from tests.mapperd.localization.believed import STAMP_NS, facts
+from tests.mapperd.localization.believed import STAMP_NS, snapshot
 from tests.mapperd.telemetry.conftest import ROOT, T0_S, FakeDaemon, drained
 from tests.mapperd.telemetry.test_publisher import PublisherHarness
 from tests.mapperd.telemetry.test_requests import Asker
@@ -23,7 +23,7 @@ OURS = ("amcl_pose", "map_odom", "particle_cloud", "diagnostics")
 
 
 def test_all_is_reported_under_the_published_names(daemon: FakeDaemon) -> None:
-    daemon.localized = facts(0.2)
+    daemon.localized = snapshot(0.2)
     published = PublisherHarness(daemon).publish()
     (pose,), (moved,), (cloud,), (levels,) = (published[topic] for topic in OURS)
     assert (pose["x_m"], pose["y_m"], pose["yaw_rad"]) == (1.0, 2.0, 0.5)
@@ -42,7 +42,7 @@ def test_nothing_is_reported_while_it_is_off(daemon: FakeDaemon) -> None:
 
 
 def test_without_a_belief_levels_alone_are_reported(daemon: FakeDaemon) -> None:
-    daemon.localized = facts(None, transform=None)
+    daemon.localized = snapshot(None, transform=None)
     published = PublisherHarness(daemon).publish()
     assert set(OURS) & set(published) == {"diagnostics"}
     assert published["diagnostics"][0]["text"] == "no estimate yet"
@@ -51,7 +51,7 @@ def test_without_a_belief_levels_alone_are_reported(daemon: FakeDaemon) -> None:
 def test_rates_are_bounded(daemon: FakeDaemon) -> None:
     harness = PublisherHarness(daemon)
     found: dict[str, int] = dict.fromkeys(OURS, 0)
-    base = facts(0.0)
+    base = snapshot(0.0)
     assert base.transform is not None
     for k in range(200):  # a scan every 50 ms for 10 s
         later = STAMP_NS + k * 50_000_000
@@ -67,16 +67,16 @@ def test_rates_are_bounded(daemon: FakeDaemon) -> None:
 
 
 def test_nothing_is_reported_twice(daemon: FakeDaemon) -> None:
-    daemon.localized = facts(0.0)
+    daemon.localized = snapshot(0.0)
     published = PublisherHarness(daemon).publish(4.0)
     assert [len(published[topic]) for topic in OURS] == [1, 1, 1, 1]
 
 
 def test_levels_are_reported_when_they_change(daemon: FakeDaemon) -> None:
-    daemon.localized = facts(0.0)
+    daemon.localized = snapshot(0.0)
     harness = PublisherHarness(daemon)
     harness.publish(1.5)
-    daemon.localized = facts(0.0, std=0.5)
+    daemon.localized = snapshot(0.0, std=0.5)
     (levels,) = harness.publish(1.5)["diagnostics"]
     assert (levels["level"], levels["std_x"]["level"]) == ("WARN", "WARN")
 
@@ -159,7 +159,7 @@ def test_mosquitto_carries_it(tmp_path: Path) -> None:
         pytest.skip("Mosquitto is not installed")
     port = free_tcp_port()
     daemon = FakeDaemon({"port": port, "commands": True})
-    daemon.localized = facts(0.2)
+    daemon.localized = snapshot(0.2)
 
     async def run() -> None:
         async with broker.listening(port) as shore, broker.running_telemetry(daemon):

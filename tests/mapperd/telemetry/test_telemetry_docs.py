@@ -11,7 +11,7 @@ from mapperd.telemetry.payloads import BackOff
 from mapperd.telemetry.publisher import Reporter
 from mapperd.telemetry.requests import MAX_BYTES, MAX_ID, MAX_WAITING, REMEMBERED
 from mapperd.telemetry.topics import MAX_NAME, Topics
-from tests.mapperd.localization.believed import facts
+from tests.mapperd.localization.believed import snapshot
 from tests.mapperd.telemetry.conftest import POSE, ROBOT, T0_S, FakeDaemon, below
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "guides" / "telemetry.md").read_text(
@@ -20,7 +20,7 @@ PAGE = (Path(__file__).resolve().parents[3] / "docs" / "guides" / "telemetry.md"
 
 
 def test_table_has_every_topic_with_its_quality_and_whether_it_is_kept(daemon: FakeDaemon) -> None:
-    daemon.pose, daemon.robots, daemon.localized = POSE, [ROBOT], facts()
+    daemon.pose, daemon.robots, daemon.localized = POSE, [ROBOT], snapshot()
     daemon.events.add(Severity.INFO, "code", "text")
     outbox = Outbox(100)
     topics = Topics.of(daemon.settings.current.mqtt)

@@ -77,7 +77,7 @@ def browser() -> Iterator["Browser"]:
 def test_the_page_follows_a_daemon_through_a_restart(
     browser: "Browser", short: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connect, "LONGEST_WAIT_S", 0.2)
+    monkeypatch.setattr(connect, "MAX_RETRY_DELAY_S", 0.2)
     path = short / "map.sock"
     daemon = Daemon(path)
     daemon.build(0.0)

@@ -45,8 +45,8 @@ def caught(path: Path, config: Config) -> list[tuple[Any, ...]]:
     sonar_map = Caught(config)
     replay = as_asked(session, None, config).replay(sonar_map, Window())
 
-    def note(settled: PosedPing) -> None:
-        sonar_map.t_ns = settled.t_ns
+    def note(posed: PosedPing) -> None:
+        sonar_map.t_ns = posed.t_ns
 
     replay.on_posed = note
     for _ in replay.run(session):

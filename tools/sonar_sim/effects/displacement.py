@@ -20,7 +20,7 @@ from sonar_sim.effects.echoes import COLUMNS, Echoes
 from sonar_sim.effects.effect import RuleResult, displaced_db
 from sonar_sim.effects.image_difference import Tolerance, full_scale, gamma_of
 from sonar_sim.effects.preview import PingPreview
-from sonar_sim.effects.texture import FARTHEST, MIN_STEPS
+from sonar_sim.effects.texture import FAR_QUANTILE, MIN_STEPS
 from sonar_sim.scene.sonar import SonarSettings
 
 STEP_S = 1e-3
@@ -304,4 +304,4 @@ def _sum(parts: Iterable[Displacement]) -> Displacement:
 
 
 def _farthest(cells: NDArray[np.float64]) -> float:
-    return float(np.quantile(np.abs(cells), FARTHEST)) if cells.any() else 0.0
+    return float(np.quantile(np.abs(cells), FAR_QUANTILE)) if cells.any() else 0.0

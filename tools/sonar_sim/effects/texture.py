@@ -19,7 +19,7 @@ REACH = 16
 """Cells within which a block is looked for."""
 FOUND = 0.4
 """Correlation from which a block is taken for found."""
-FARTHEST = 0.9
+FAR_QUANTILE = 0.9
 """Part of the blocks that moved no farther than what counts."""
 BROAD = 1.4
 """Correlation of both neighbours together, over the peak's, from which it is broad."""
@@ -110,7 +110,7 @@ def displacement_cells(first: SpeckleTexture, second: SpeckleTexture) -> float:
         return 0.0
     moved = [_moved(a, b) for a, b in zip(blocks[0][good], blocks[1][good], strict=True)]
     found = [cells for cells in moved if cells is not None]
-    return float(np.quantile(found, FARTHEST)) if found else 0.0
+    return float(np.quantile(found, FAR_QUANTILE)) if found else 0.0
 
 
 def _blocks(picture: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -14,7 +14,7 @@ from sonar_sim.errors import SceneError
 from sonar_sim.geometry.pose import FramePose, rotation_of
 
 KNOT_S = 0.05
-SHORTEST_S, LONGEST_S = 0.01, 1e5
+MIN_DURATION_S, MAX_DURATION_S = 0.01, 1e5
 """Of a path; a longer one's knots would not fit into memory, nor a shorter one's smoothing."""
 STEP_S = 1e-3
 """Half the step of the difference that gives the turn rates."""
@@ -65,9 +65,10 @@ class Trajectory:
         turn_s = np.max(np.abs(legs[:, 3:]), axis=1) / motion.turn_rate_dps
         passed_s = np.concatenate([[0.0], np.cumsum(np.maximum(travel_s, turn_s))])
         self.duration_s = float(passed_s[-1])
-        if not SHORTEST_S <= self.duration_s <= LONGEST_S:
+        if not MIN_DURATION_S <= self.duration_s <= MAX_DURATION_S:
             raise SceneError(
-                f"a path takes {SHORTEST_S:g} to {LONGEST_S:g} s, not {self.duration_s:g} s"
+                f"a path takes {MIN_DURATION_S:g} to {MAX_DURATION_S:g} s, "
+                f"not {self.duration_s:g} s"
             )
         knots_s = np.linspace(0.0, self.duration_s, math.ceil(self.duration_s / KNOT_S) + 1)
         path = np.stack([np.interp(knots_s, passed_s, c) for c in corners.T], axis=1)

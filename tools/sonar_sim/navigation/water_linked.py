@@ -181,7 +181,7 @@ def _line(fields: dict[str, Any]) -> bytes:
 
 
 DEAD_RECKONING_S = 0.2
-FARTHEST_M = 50.0
+MAX_ALTITUDE_M = 50.0
 """A DVL of this kind loses the bottom beyond."""
 
 BEAM_TILT_RAD = math.radians(22.5)
@@ -221,7 +221,7 @@ class _Dvl:
         interval_ms = 0.0 if self._last_s is None else 1e3 * (fix.boot_s - self._last_s)
         self._last_s = fix.boot_s
         validity_us, transmission_us = fix.valid_ns // 1000, fix.sent_ns // 1000
-        if fix.altitude_m is None or fix.altitude_m > FARTHEST_M:
+        if fix.altitude_m is None or fix.altitude_m > MAX_ALTITUDE_M:
             return VelocityReport(
                 interval_ms=interval_ms,
                 valid=False,

@@ -9,7 +9,7 @@ import numpy as np
 
 from sonar_sim.errors import SceneError
 
-SLOWEST_MPS, FASTEST_MPS = 1300.0, 1700.0
+MIN_SPEED_MPS, MAX_SPEED_MPS = 1300.0, 1700.0
 """Of any water that a vehicle dives in."""
 
 
@@ -48,10 +48,10 @@ class Water:
             raise SceneError("a profile of sound speed needs at least one depth")
         if any(above[0] >= below[0] for above, below in itertools.pairwise(self.profile)):
             raise SceneError("the depths of a profile of sound speed must increase")
-        if not all(SLOWEST_MPS <= speed_mps <= FASTEST_MPS for _, speed_mps in self.profile):
+        if not all(MIN_SPEED_MPS <= speed_mps <= MAX_SPEED_MPS for _, speed_mps in self.profile):
             raise SceneError(
-                f"a profile of sound speed holds a speed outside of {SLOWEST_MPS:g} to "
-                f"{FASTEST_MPS:g} m/s: outside the range of water"
+                f"a profile of sound speed holds a speed outside of {MIN_SPEED_MPS:g} to "
+                f"{MAX_SPEED_MPS:g} m/s: outside the range of water"
             )
 
     @property

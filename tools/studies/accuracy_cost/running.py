@@ -77,7 +77,7 @@ def _git(root: Path, *words: str) -> str:
 
 JOBS_EACH = 20
 """After them a process is replaced: what a library keeps must not slow the next ones."""
-LONGEST_S = 900.0
+JOB_TIMEOUT_S = 900.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,9 @@ def perform(job: Job) -> Outcome:
         return Outcome(job, failure=f"{type(error).__name__}: {text}")
 
 
-def outcomes(jobs: Iterable[Job], workers: int, longest_s: float = LONGEST_S) -> Generator[Outcome]:
+def outcomes(
+    jobs: Iterable[Job], workers: int, longest_s: float = JOB_TIMEOUT_S
+) -> Generator[Outcome]:
     """Do jobs in processes, and yield what came of each as it comes."""
     context = multiprocessing.get_context("spawn")
     waiting, busy = deque(jobs), list[_Worker]()

@@ -29,7 +29,7 @@ from mapperd.config.tree import (
     PositionConfig,
 )
 from mapperd.geometry.frames import Pose as BasePose
-from mapperd.localization.levelling import yaw_of
+from mapperd.localization.scan import yaw_of
 from mapperd.localization.session import begun
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import OdometryPoses
@@ -294,15 +294,15 @@ def course(recording: Path, config: Config, path: Trajectory) -> PassCourse:
     rows, updates = [], 0
     with open_recording(recording) as chunks:
         for _ in chain(replay.run(chunks), [None]):  # its end settles the last pings
-            facts = stage.facts()
-            if facts.updates == updates or facts.odom is None or facts.pose is None:
+            snapshot = stage.snapshot()
+            if snapshot.updates == updates or snapshot.odom is None or snapshot.pose is None:
                 continue
-            updates = facts.updates
-            time_s = ((facts.stamp_ns or 0) - EPOCH_NS) / 1e9
+            updates = snapshot.updates
+            time_s = ((snapshot.stamp_ns or 0) - EPOCH_NS) / 1e9
             true = path.pose(time_s)
             at = (
                 _planar(true.position_m, true.quaternion),
-                *map(_of_base, (facts.pose, facts.odom)),
+                *map(_of_base, (snapshot.pose, snapshot.odom)),
             )
             rows.append([time_s, *np.concatenate(at)])
     table = np.array(rows)

@@ -20,11 +20,11 @@ from mapperd.client.changes import MapChanged
 from mapperd.wire.messages import Want
 from studies.stream.relay import Relay
 
-PATIENCE_S = 180.0
+COMPLETE_TIMEOUT_S = 180.0
 MAP: tuple[Want, ...] = ("map",)
 CUT_EVERY_S = 12.0
 STALL_EVERY_S = 15.0
-LONGEST_STALL_S = 8.0
+MAX_STALL_S = 8.0
 
 
 async def one(
@@ -46,7 +46,7 @@ async def one(
             await asyncio.gather(*tasks, return_exceptions=True)
             relay.go_on()
             await asyncio.shield(settled)
-            await client.complete(PATIENCE_S)
+            await client.complete(COMPLETE_TIMEOUT_S)
             following.cancel()
             await asyncio.gather(following, return_exceptions=True)
             mirror = client.mirror
@@ -75,7 +75,7 @@ async def _stalls(relay: Relay, mischief: random.Random) -> None:
     while True:
         await asyncio.sleep(mischief.expovariate(1 / STALL_EVERY_S))
         relay.stall()
-        await asyncio.sleep(mischief.uniform(0.5, LONGEST_STALL_S))
+        await asyncio.sleep(mischief.uniform(0.5, MAX_STALL_S))
         relay.go_on()
 
 

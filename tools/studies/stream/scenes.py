@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 
-NEAREST_M, FURTHEST_M = 30.0, 42.0
+MIN_DISTANCE_M, MAX_DISTANCE_M = 30.0, 42.0
 DEPTH_M, HEIGHT_M, WAVE_M = -8.0, 1.5, 7.0
 WATER_M = 1.2
 OCCUPIED, FREE = 3.0, -4.0
@@ -50,10 +50,10 @@ def write_far_map(path: Path, config: Config) -> None:
     """
     sonar_map = SonarMap(config)
     step_m = sonar_map.resolution_m
-    axis = np.arange(-FURTHEST_M, FURTHEST_M, step_m) + step_m / 2
+    axis = np.arange(-MAX_DISTANCE_M, MAX_DISTANCE_M, step_m) + step_m / 2
     x, y = (each.ravel() for each in np.meshgrid(axis, axis))
     away_m = np.hypot(x, y)
-    ring = (away_m > NEAREST_M) & (away_m < FURTHEST_M)
+    ring = (away_m > MIN_DISTANCE_M) & (away_m < MAX_DISTANCE_M)
     x, y = x[ring], y[ring]
     dice = np.random.default_rng(1)
     z = DEPTH_M + HEIGHT_M * np.sin(x / WAVE_M) * np.cos(y / WAVE_M)

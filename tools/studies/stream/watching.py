@@ -23,7 +23,7 @@ from mapperd.wire.messages import WANTS, PoseMessage, Want
 
 __all__ = ["WatchLog", "read_log"]
 
-PATIENCE_S = 240.0
+COMPLETE_TIMEOUT_S = 240.0
 MAP_AND_POSE: tuple[Want, ...] = ("map", "pose")
 
 
@@ -94,7 +94,7 @@ async def watch(args: argparse.Namespace, log: WatchLog) -> None:
         following = asyncio.create_task(_follow(client, log, written=not args.everything))
         await stop.wait()
         if args.until_complete:
-            await client.complete(PATIENCE_S)
+            await client.complete(COMPLETE_TIMEOUT_S)
         following.cancel()
         await asyncio.gather(following, return_exceptions=True)
         if client.mirror is not None:

@@ -13,7 +13,7 @@ from sonar_sim.scene_file.schema import PathSection
 Tree = dict[str, Any]
 
 DEPTH_M = 30.0
-LONGEST_WAVE_M, SHORTEST_WAVE_M = 200.0, 8.0
+MAX_WAVE_M, MIN_WAVE_M = 200.0, 8.0
 RELIEF_M = 0.6
 CELL_M = 2.0
 """Of the floor's triangles; a quarter of the shortest wave."""
@@ -49,8 +49,8 @@ def seabed(x_m: tuple[float, float], y_m: tuple[float, float], seed: int) -> Tre
                 "kind": "procedural",
                 "depth_m": DEPTH_M,
                 "relief_m": RELIEF_M,
-                "longest_m": LONGEST_WAVE_M,
-                "shortest_m": SHORTEST_WAVE_M,
+                "longest_m": MAX_WAVE_M,
+                "shortest_m": MIN_WAVE_M,
                 "seed": seed,
             },
             "x_m": list(x_m),

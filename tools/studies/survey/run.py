@@ -40,7 +40,7 @@ MEMORY = "1GiB"
 KILL_EVERY_S = {"full": 60.0, "small": 6.0}
 """Mean time between two kills, at least."""
 
-LONGEST_TASKS = 2.0
+MIN_TASK_LENGTHS = 2.0
 """The longest task would be done as often between two kills, of which every other hits its worker.
 So about one time in five it is lost, and practically never as often in a row as ends a run."""
 
@@ -112,7 +112,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def kill_every_s(tasks: Sequence[TaskTime], min_s: float) -> float:
     """Mean time between two kills of a worker with which the run comes to its end."""
-    return max(min_s, LONGEST_TASKS * max(task.cpu_s for task in tasks))
+    return max(min_s, MIN_TASK_LENGTHS * max(task.cpu_s for task in tasks))
 
 
 def _judged(

@@ -15,7 +15,7 @@ from mapperd.config.loader import config_of
 from mapperd.localization.report import localization_report, localization_summary
 from tests.mapperd.cli.mapperctl.conftest import Running
 from tests.mapperd.cli.mapperctl.test_commands import Terminal
-from tests.mapperd.localization.believed import facts
+from tests.mapperd.localization.believed import snapshot
 from tests.support.control_server import refusal
 
 pytestmark = pytest.mark.net
@@ -122,7 +122,7 @@ def test_watch_goes_on_until_interrupted(running: Running) -> None:
 
 
 def lines(**more: Any) -> list[str]:
-    return list(localization_lines(localization_report(facts(**more), CONFIG, 0)))
+    return list(localization_lines(localization_report(snapshot(**more), CONFIG, 0)))
 
 
 def test_lines_report_where_and_how_sure() -> None:
@@ -152,6 +152,6 @@ def test_lines_before_there_is_anything() -> None:
 
 
 def test_status_has_a_line_of_it() -> None:
-    output = {"localization": localization_summary(facts(0.0), CONFIG)}
+    output = {"localization": localization_summary(snapshot(0.0), CONFIG)}
     _, line = status_lines(output, None)
     assert line == "localization  localized on tank.yaml, x 1.00 m, y 2.00 m, yaw 28.6°"
