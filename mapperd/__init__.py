@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from mapperd.compat.sonar_to_3d import SonarTo3DMapper
     from mapperd.geometry.gaussian import PlanarGaussian
     from mapperd.imaging.filter_chain import CrosstalkFilter
-    from mapperd.localization.grid_map import GridMap
     from mapperd.localization.localizer import Localizer
     from mapperd.localization.map_filter import MapFilter
+    from mapperd.localization.maps import GridMap
     from mapperd.localization.scan import scan_of_ranges
     from mapperd.mapping.queries import MemoryStats
 
@@ -56,7 +56,7 @@ __all__ = [
 __version__ = "0.2.0"
 
 _MODULES = {
-    "GridMap": "mapperd.localization.grid_map",
+    "GridMap": "mapperd.localization.maps",
     "Localizer": "mapperd.localization.localizer",
     "MapFilter": "mapperd.localization.map_filter",
     "PlanarGaussian": "mapperd.geometry.gaussian",

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapperd.compat.flat_config import config_from_flat
 from mapperd.compat.parameters import UPDATES, UpdateHandlers
-from mapperd.config.changes import with_values
+from mapperd.config.live import with_values
 from mapperd.config.paths import MAP_NAME, map_path
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, MapError, StoreError

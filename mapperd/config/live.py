@@ -1,24 +1,95 @@
 """The settings in force, and the one way to change them while the program runs.
 
 Commands, the broker and signals all change settings through `apply` or `reload`. A change holds
-as a whole or not at all, and only if everything that it concerns follows it.
+as a whole or not at all, and only if everything that it concerns follows it. Differences between
+two trees of settings, and settings as plain values, are here too.
 """
 
 import difflib
 import threading
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mapperd.config.aliases import IGNORED, change_renamed, restored_changes
-from mapperd.config.catalog import parameters, value_of
-from mapperd.config.changes import with_values
+import msgspec
+
+from mapperd.config.aliases import ALIASES, IGNORED, change_renamed, restored_changes
+from mapperd.config.catalog import Parameter, parameters, value_of
 from mapperd.config.layers import DEFAULT, Layered
-from mapperd.config.loader import check_value
+from mapperd.config.loader import check_value, config_of
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 
-__all__ = ["Applied", "ConfigStore", "Refused", "Reloaded", "SettingChange"]
+__all__ = [
+    "Applied",
+    "ConfigStore",
+    "Refused",
+    "Reloaded",
+    "SettingChange",
+    "changes_between",
+    "chosen",
+    "facts_of",
+    "with_values",
+]
+
+
+def changes_between(before: Config, after: Config) -> dict[str, Any]:
+    """Plain values, by name, of the settings that are other than before."""
+    return {
+        name: value
+        for name in parameters()
+        if (value := value_of(after, name)) != value_of(before, name)
+    }
+
+
+def with_values(config: Config, values: Mapping[str, object]) -> Config:
+    """Settings of which some have other values, by name or by another name of the setting.
+
+    Raises:
+        ConfigError: they are not allowed.
+    """
+    tree = msgspec.to_builtins(config)
+    for name, value in values.items():
+        *sections, leaf = ALIASES.get(name, name).split(".")
+        section = tree
+        for part in sections:
+            section = section[part]
+        section[leaf] = value
+    return config_of(tree, "")
+
+
+def facts_of(
+    config: Config, origin_of: Callable[[str], str], names: Sequence[str]
+) -> dict[str, dict[str, Any]]:
+    """Value, default, unit, limits, origin and meaning of settings, by name.
+
+    Args:
+        config: the settings.
+        origin_of: returns where a value comes from.
+        names: settings or sections; none is all.
+    """
+    return {
+        parameter.name: {
+            "value": value_of(config, parameter.name),
+            "default": parameter.default,
+            "unit": parameter.unit,
+            "allowed": parameter.allowed,
+            "dynamic": parameter.dynamic,
+            "origin": origin_of(parameter.name),
+            "description": parameter.description,
+        }
+        for parameter in chosen(names)
+    }
+
+
+def chosen(names: Sequence[str]) -> list[Parameter]:
+    """The settings of these names and sections, in the order of the tree; of none, all."""
+    return [
+        parameter
+        for name, parameter in parameters().items()
+        if not names or any(name == one or name.startswith(f"{one}.") for one in names)
+    ]
+
 
 RESTART = "cannot change while running; needs a restart"
 UNFOLLOWED = "nothing that runs follows this setting; needs a restart"

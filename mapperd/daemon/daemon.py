@@ -10,9 +10,8 @@ from typing import Any
 
 from mapperd import _core
 from mapperd.api import OperationError, PoseRequest
-from mapperd.config.changes import changes_between
 from mapperd.config.layers import Layered
-from mapperd.config.live import Applied, ConfigStore, Refused
+from mapperd.config.live import Applied, ConfigStore, Refused, changes_between
 from mapperd.config.tree import Config
 from mapperd.daemon.localization_service import LocalizationRequests
 from mapperd.daemon.map_folder import MapFolder

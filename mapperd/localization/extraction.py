@@ -25,8 +25,7 @@ from mapperd.localization.detector import (
     first_returns,
     levels_db,
 )
-from mapperd.localization.levelling import fan_points, level_T_base
-from mapperd.localization.scan import Scan, heard_aperture_rad
+from mapperd.localization.scan import Scan, fan_points, heard_aperture_rad, level_T_base
 from mapperd.mapping.sonar_map import mounting
 from mapperd.odometry.fusion import FusedPose
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from mapperd.config.tree import Config
 from mapperd.errors import MapError, StoreError
-from mapperd.localization.grid_map import GridMap
 from mapperd.localization.map_io import read_nav2_map
 from mapperd.localization.maps import (
+    GridMap,
     LocalizationMap,
     VolumeMap,
     depth_slice,

@@ -27,10 +27,9 @@ from mapperd.config.tree import AmclConfig, Config
 from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose
 from mapperd.geometry.gaussian import Belief, GaussianState, PlanarGaussian
-from mapperd.localization.levelling import yaw_of
 from mapperd.localization.maps import LocalizationMap
 from mapperd.localization.odom_correction import MapFromOdom, map_from_odom
-from mapperd.localization.scan import Scan, decimated
+from mapperd.localization.scan import Scan, decimated, yaw_of
 from mapperd.localization.update_gate import PlanarPose, UpdateGate
 
 __all__ = [

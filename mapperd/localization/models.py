@@ -4,8 +4,7 @@ import numpy as np
 
 from mapperd.config.tree import AmclConfig, Config
 from mapperd.errors import ConfigError
-from mapperd.localization.grid_map import GridMap
-from mapperd.localization.maps import LocalizationMap, VolumeMap
+from mapperd.localization.maps import GridMap, LocalizationMap, VolumeMap
 from mapperd.localization.particle_filter import (
     BeamModel,
     FilterRule,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mapperd.geometry.frames import Pose, quaternion_product
 from mapperd.geometry.gaussian import PlanarGaussian, wrapped
-from mapperd.localization.levelling import yaw_of
+from mapperd.localization.scan import yaw_of
 from mapperd.odometry.fusion import FusedPose
 
 __all__ = ["MapFromOdom", "map_from_odom", "placed"]

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.config.tree import Config
-from mapperd.localization.grid_map import GridMap
 from mapperd.localization.hypothesis import hit_share
-from mapperd.localization.maps import LocalizationMap, VolumeMap
+from mapperd.localization.maps import GridMap, LocalizationMap, VolumeMap
 from mapperd.localization.models import beam_model, core_grid, field_of, filter_rule, hit_model
 from mapperd.localization.particle_filter import (
     Beams,

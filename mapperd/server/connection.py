@@ -9,8 +9,7 @@ import msgspec
 
 from mapperd.api import DaemonApi, OperationError
 from mapperd.config.catalog import value_of
-from mapperd.config.changes import chosen, facts_of
-from mapperd.config.live import ConfigStore, Refused
+from mapperd.config.live import ConfigStore, Refused, chosen, facts_of
 from mapperd.events import EventLog, Severity
 from mapperd.server.pacer import tcp_state
 from mapperd.server.session import ClientSession, ResumeState

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 from mapperd import _core
-from mapperd.config.changes import with_values
+from mapperd.config.live import with_values
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, MapError, os_reason
 from mapperd.geometry.geodesy import Origin

@@ -18,7 +18,7 @@ from mapperd.geometry.frames import (
     quaternion_to_matrix,
     rotation_from_rpy,
 )
-from mapperd.localization.levelling import level_T_base, yaw_of
+from mapperd.localization.scan import level_T_base, yaw_of
 from mapperd.odometry.fusion import Fusion
 from mapperd.odometry.levelling import Levelling
 from mapperd.odometry.native import NativeRecord, odometry_of

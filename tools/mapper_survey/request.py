@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from mapper_survey.errors import SurveyError
 from mapper_survey.export import check_products
 from mapperd.config.catalog import parameters
-from mapperd.config.changes import with_values
 from mapperd.config.layers import load_files
+from mapperd.config.live import with_values
 from mapperd.config.loader import MAX_FILE_BYTES, YamlProblem, parse_yaml
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError

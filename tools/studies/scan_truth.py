@@ -23,8 +23,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import Reject
 from mapperd.imaging.ping_image import PingImage, ping_image_of_array
 from mapperd.localization.extraction import ScanContext, floor_gate_m, scan_of
-from mapperd.localization.levelling import level_T_base
-from mapperd.localization.scan import Scan
+from mapperd.localization.scan import Scan, level_T_base
 from studies.scan_picture import draw_scan, write_picture
 
 Floats = NDArray[np.float64]

@@ -13,8 +13,8 @@ from mapperd.cli.mapperctl.arguments import parser
 from mapperd.cli.mapperctl.connection import CtlError, CtlExit, DaemonTarget
 from mapperd.cli.mapperctl.remote import run
 from mapperd.cli.mapperctl.views import params_lines
-from mapperd.config.changes import facts_of
 from mapperd.config.layers import Layered, load_settings, user_folder
+from mapperd.config.live import facts_of
 from mapperd.config.paths import socket_places
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError

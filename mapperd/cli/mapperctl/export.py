@@ -28,7 +28,7 @@ from mapperd.client import (
     StreamError,
     Want,
 )
-from mapperd.config.changes import with_values
+from mapperd.config.live import with_values
 from mapperd.config.tree import Config
 from mapperd.errors import ExportError, MapError, os_reason
 from mapperd.export.calibration import ProbabilityCalibration, load_calibration

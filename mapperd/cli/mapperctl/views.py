@@ -264,7 +264,7 @@ def params_lines(facts: Mapping[str, Mapping[str, Any]], *, origin: bool) -> Ite
     """A line for each setting: name, value, unit, and where the value comes from.
 
     Args:
-        facts: from `mapperd.config.changes.facts_of`.
+        facts: from `mapperd.config.live.facts_of`.
         origin: include where the value comes from.
     """
     for name, fact in facts.items():

@@ -12,9 +12,8 @@ from config_docs.schema import json_schema
 from mapperd.config.aliases import ALIASES, IGNORED, change_renamed, restored_changes
 from mapperd.config.amcl import CORRECTED
 from mapperd.config.catalog import parameters
-from mapperd.config.changes import with_values
 from mapperd.config.layers import Layered
-from mapperd.config.live import Applied, ConfigStore, Refused
+from mapperd.config.live import Applied, ConfigStore, Refused, with_values
 from mapperd.config.loader import config_from_text, config_of
 from mapperd.config.tree import AmclConfig, Config
 from mapperd.errors import ConfigError

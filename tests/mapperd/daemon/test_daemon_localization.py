@@ -17,8 +17,8 @@ from mapperd.config.loader import config_of
 from mapperd.daemon.daemon import Daemon
 from mapperd.daemon.session import Live, host_clock
 from mapperd.events import EventLog
-from mapperd.localization.grid_map import FREE, OCCUPIED, GridMap
 from mapperd.localization.map_io import write_nav2_map
+from mapperd.localization.maps import FREE, OCCUPIED, GridMap
 from mapperd.localization.session import begun
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import OdometryPoses

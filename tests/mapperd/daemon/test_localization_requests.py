@@ -16,8 +16,8 @@ from mapperd.config.tree import Config
 from mapperd.daemon.session import Live
 from mapperd.errors import CheckpointError, MapError, Reject
 from mapperd.geometry.gaussian import PlanarGaussian
-from mapperd.localization.grid_map import GridMap
 from mapperd.localization.map_io import write_nav2_map
+from mapperd.localization.maps import GridMap
 from mapperd.localization.models import check_localization
 from mapperd.localization.session import LocalizationSession, begun
 from mapperd.mapping.sonar_map import SonarMap

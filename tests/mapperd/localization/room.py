@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.localization.grid_map import FREE, OCCUPIED, GridMap
 from mapperd.localization.map_io import write_nav2_map
+from mapperd.localization.maps import FREE, OCCUPIED, GridMap
 from mapperd.localization.models import core_grid
 from mapperd.localization.particle_filter import RangeMap
 from tests.mapperd.conftest import make_odometry, make_ping

@@ -6,8 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from mapperd.localization.levelling import level_T_base
-from mapperd.localization.scan import Scan
+from mapperd.localization.scan import Scan, level_T_base
 from mapperd.localization.weighting import elevation_fan_rad, ends_on_cones
 
 

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from mapperd.geometry.frames import rigid_transform, rotation_from_rpy
 from mapperd.localization.extraction import floor_gate_m
-from mapperd.localization.levelling import beam_directions
+from mapperd.localization.scan import beam_directions
 
 APERTURE = math.radians(20)
 AHEAD = np.array([0.0])

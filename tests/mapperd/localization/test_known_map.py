@@ -9,10 +9,9 @@ from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.errors import MapError
 from mapperd.localization import known_map
-from mapperd.localization.grid_map import FREE, OCCUPIED, GridMap
 from mapperd.localization.known_map import MAX_SIDE, load_known_map
 from mapperd.localization.map_io import write_nav2_map
-from mapperd.localization.maps import VolumeMap
+from mapperd.localization.maps import FREE, OCCUPIED, GridMap, VolumeMap
 from mapperd.localization.session import begun
 from mapperd.mapping.sonar_map import SonarMap
 from tests.mapperd.localization.room import room, write_room

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapperd.geometry.frames import rotation_from_rpy
-from mapperd.localization.levelling import beam_directions, fan_points, level_T_base, yaw_of
+from mapperd.localization.scan import beam_directions, fan_points, level_T_base, yaw_of
 
 
 @pytest.mark.parametrize("rpy", [(0, 0, 0), (10, -20, 170), (-30, 40, -90), (0, 80, 33)])

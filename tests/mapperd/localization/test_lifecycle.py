@@ -6,8 +6,8 @@ import pytest
 from mapperd.config.tree import AmclConfig
 from mapperd.errors import Reject
 from mapperd.geometry.gaussian import PlanarGaussian
-from mapperd.localization.grid_map import GridMap
 from mapperd.localization.localizer import Lifecycle, Start, parameter_pose
+from mapperd.localization.maps import GridMap
 
 GRID = GridMap(np.zeros((3, 3), dtype=np.int8), 1.0)
 OTHER = GridMap(np.zeros((4, 4), dtype=np.int8), 1.0)

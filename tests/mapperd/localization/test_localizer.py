@@ -8,9 +8,8 @@ from mapperd.config.loader import config_from_text
 from mapperd.config.tree import AmclConfig, Config
 from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
-from mapperd.localization.grid_map import GridMap
 from mapperd.localization.localizer import Localizer
-from mapperd.localization.maps import LocalizationMap
+from mapperd.localization.maps import GridMap, LocalizationMap
 from mapperd.localization.scan import Scan
 from mapperd.localization.update_gate import PlanarPose
 

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
-from mapperd.localization.grid_map import GridMap
 from mapperd.localization.localizer import Localizer
 from mapperd.localization.map_filter import MapFilter
-from mapperd.localization.maps import VolumeMap, volume_map
+from mapperd.localization.maps import GridMap, VolumeMap, volume_map
 from mapperd.localization.scan import Scan
 from mapperd.localization.update_gate import PlanarPose
 from mapperd.mapping.queries import MapQueries

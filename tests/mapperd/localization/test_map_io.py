@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mapperd.errors import ExportError, MapError
-from mapperd.localization.grid_map import FREE, OCCUPIED, UNKNOWN, GridMap
 from mapperd.localization.map_io import Mode, pgm_bytes, pgm_pixels, read_nav2_map, write_nav2_map
+from mapperd.localization.maps import FREE, OCCUPIED, UNKNOWN, GridMap
 
 YAML = """\
 image: map.pgm

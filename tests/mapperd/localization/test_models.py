@@ -7,7 +7,7 @@ import pytest
 
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import AmclConfig
-from mapperd.localization.grid_map import GridMap
+from mapperd.localization.maps import GridMap
 from mapperd.localization.models import beam_model, field_of
 
 SET = (

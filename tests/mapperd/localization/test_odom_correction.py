@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.geometry.gaussian import PlanarGaussian, wrapped
-from mapperd.localization.levelling import yaw_of
 from mapperd.localization.odom_correction import map_from_odom
+from mapperd.localization.scan import yaw_of
 
 NUMBERS = st.floats(-1e3, 1e3)
 TILTS = st.floats(-80, 80)

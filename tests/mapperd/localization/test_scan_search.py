@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mapperd.localization.grid_map import GridMap
+from mapperd.localization.maps import GridMap
 from mapperd.localization.models import core_grid, field_of
 from mapperd.localization.particle_filter import (
     Endpoints,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
-from mapperd.localization.grid_map import GridMap
 from mapperd.localization.hypothesis import FitWatch
 from mapperd.localization.map_filter import FilterState, MapFilter
+from mapperd.localization.maps import GridMap
 from mapperd.localization.models import core_grid
 from mapperd.localization.particle_filter import RangeMap
 from mapperd.localization.scan import Scan, scan_of_ranges

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.config.changes import with_values
+from mapperd.config.live import with_values
 from mapperd.config.tree import Config
 from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("viser", reason="the extra `topside` is not installed")
 
 from mapperd.cli.mapperctl.view import open_page
-from mapperd.config.changes import facts_of
+from mapperd.config.live import facts_of
 from mapperd.config.tree import Config
 from mapperd.server.state_feed import SettingLog
 from mapperd.viewer import sonar_panel

@@ -6,7 +6,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from mapperd.config.changes import facts_of
+from mapperd.config.live import facts_of
 from mapperd.config.tree import Config
 from mapperd.viewer.chunks import Chunks, Filter, drawn_of
 from mapperd.viewer.colours import Scale, colours_of, legend_of, shaded, values_of

@@ -19,7 +19,7 @@ from mapperd.client import (
     MapReset,
 )
 from mapperd.client.mirror import MapMirror
-from mapperd.config.changes import facts_of
+from mapperd.config.live import facts_of
 from mapperd.config.tree import Config
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
 from mapperd.wire.messages import Interest, MapFacts, PoseMessage, SettingsMessage, WelcomeMessage

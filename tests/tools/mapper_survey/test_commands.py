@@ -15,7 +15,7 @@ from mapper_survey.command import main
 from mapper_survey.errors import SurveyError
 from mapper_survey.request import read_survey
 
-from mapperd.config.changes import with_values
+from mapperd.config.live import with_values
 from mapperd.config.tree import Config
 from mapperd.geometry.geodesy import Origin as GeodeticOrigin
 from tests.tools.mapper_survey.maps import map_of, store_of

@@ -27,9 +27,8 @@ from mapperd.config.tree import Config
 from mapperd.errors import Reject
 from mapperd.imaging.ping_image import ping_image_of_array
 from mapperd.localization.extraction import ScanContext, scan_of
-from mapperd.localization.levelling import level_T_base
 from mapperd.localization.maps import VolumeMap
-from mapperd.localization.scan import Scan
+from mapperd.localization.scan import Scan, level_T_base
 from studies.localization.runs import FilterUpdate, LocalizationDive, dive, settings
 from studies.localization.world import WORLDS, DiveWorld
 

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from sonar_sim.geometry.pose import rotation_of
 
 from mapperd.localization.extraction import floor_gate_m
-from mapperd.localization.levelling import fan_points
-from mapperd.localization.scan import Scan
+from mapperd.localization.scan import Scan, fan_points
 from studies.localization.world import DiveWorld
 
 __all__ = ["Shares", "cast_scan"]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.config.changes import with_values
+from mapperd.config.live import with_values
 from mapperd.config.tree import Config
 from mapperd.errors import MapperdError
 from mapperd.events import EventLog

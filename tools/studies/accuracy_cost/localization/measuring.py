@@ -15,9 +15,9 @@ from mapperd.config.tree import Config
 from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.geometry.gaussian import wrapped
 from mapperd.localization.known_map import load_known_map
-from mapperd.localization.levelling import yaw_of
 from mapperd.localization.localizer import Localized, Localizer
 from mapperd.localization.map_filter import MapFilter
+from mapperd.localization.scan import yaw_of
 from studies.accuracy_cost.localization.dives import (
     DIVES,
     PLANS,
