@@ -151,7 +151,7 @@ class FaceTable:
         objects: NDArray[np.uint32],
         materials: NDArray[np.int32],
         smooth: NDArray[np.int32],
-        bent: NDArray[np.float64],
+        curved_normal: NDArray[np.float64],
         table: NDArray[np.float64],
     ) -> None:
         """Keep the arrays.
@@ -160,8 +160,8 @@ class FaceTable:
             planes: normal n and offset, n.p = offset, (F, 4), in the frame of the face's object.
             objects: key of each face's object, (F,); scatterers belong to it.
             materials: index into the table, (F,).
-            smooth: index into `bent`, or -1 for a flat face, (F,).
-            bent: rows of G | g, whose G p + g is a round surface's normal at p, (S, 12).
+            smooth: index into `curved_normal`, or -1 for a flat face, (F,).
+            curved_normal: rows of G | g, whose G p + g is a round surface's normal at p, (S, 12).
             table: mu, squared reflection, roughness in m, slope in rad, (M, 4).
         """
 
@@ -195,7 +195,7 @@ class Rays:
         """
 
 class Setting:
-    """Cells, receiver and laws of scattering."""
+    """Cells, receiver and scattering model."""
 
     def __init__(
         self,
@@ -241,7 +241,7 @@ def edges(
     column: NDArray[np.int32],
     normals: NDArray[np.float32],
     smooth: NDArray[np.int32],
-    bent: float,
+    max_slope: float,
     min_step_m: float,
     turned: float,
 ) -> NDArray[np.int64]:
@@ -255,7 +255,7 @@ def edges(
         column: of the fan, (N,).
         normals: of the faces, (F, 3).
         smooth: of the faces, not negative where round, (F,).
-        bent: slope by which one neighbour may leave the other's plane.
+        max_slope: slope by which one neighbour may leave the other's plane.
         min_step_m: by which it may in any case.
         turned: least cosine between the normals on a round surface.
     """

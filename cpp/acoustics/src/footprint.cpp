@@ -66,7 +66,7 @@ bool footprint_of(const Echoes& echoes, std::size_t hit, Footprint& patch) {
       !(patch.height_m * patch.receive_height_m > 0.0)) {
     return false;
   }
-  patch.min_facing = std::fabs(facing) / kFarthest;
+  patch.min_facing = std::fabs(facing) / kMaxRangeFactor;
   patch.min_m = hits.span_m[2 * hit];
   patch.max_m = hits.span_m[2 * hit + 1];
   std::array<double, 4> range_m;
@@ -76,13 +76,13 @@ bool footprint_of(const Echoes& echoes, std::size_t hit, Footprint& patch) {
   return true;
 }
 
-Strength::Strength(const ScatterModel& laws, const Material& material, double step_rad)
-    : mu_(material.mu), lambert_(laws.lambert) {
-  if (!laws.specular || material.reflection_power <= 0.0) {
+Strength::Strength(const ScatterModel& model, const Material& material, double step_rad)
+    : mu_(material.mu), lambert_(model.lambert) {
+  if (!model.specular || material.reflection_power <= 0.0) {
     return;
   }
   const double slope2 = material.slope_rad * material.slope_rad + 0.25 * step_rad * step_rad;
-  const double wavenumber = 2.0 * kPi * laws.turns_per_m;
+  const double wavenumber = 2.0 * kPi * model.turns_per_m;
   lobe_ = material.reflection_power / (8.0 * kPi * slope2);
   steepness_ = 0.5 / slope2;
   smoothness_ = 4.0 * wavenumber * wavenumber * material.roughness_m * material.roughness_m;
@@ -95,19 +95,19 @@ double Strength::lobe(double half) const {
   return fall < kFaintest ? lobe_ * std::exp(-fall) / (cos2 * cos2) : 0.0;
 }
 
-double turn_per_m(const double* bent) {
+double turn_per_m(const double* curved_normal) {
   double squares = 0.0;
   for (std::size_t row = 0; row < 3; ++row) {
-    const double* g = bent + 4 * row;
+    const double* g = curved_normal + 4 * row;
     squares += g[0] * g[0] + g[1] * g[1] + g[2] * g[2];
   }
   return std::sqrt(squares);
 }
 
-Vector bent_normal(const double* bent, const Vector& point_m) {
+Vector curved_normal_at(const double* curved_normal, const Vector& point_m) {
   Vector normal;
   for (std::size_t row = 0; row < 3; ++row) {
-    const double* g = bent + 4 * row;
+    const double* g = curved_normal + 4 * row;
     normal[row] = g[0] * point_m[0] + g[1] * point_m[1] + g[2] * point_m[2] + g[3];
   }
   const double length = std::sqrt(std::max(dot(normal, normal), 1e-30));

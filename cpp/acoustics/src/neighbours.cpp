@@ -25,7 +25,7 @@ bool differ(const Traced& rays, std::size_t low, const float* normals, const std
   }
   const float* below = normals + 3 * rays.face[low];
   const float* above = normals + 3 * rays.face[high];
-  const float allowed = same.bent * std::sqrt(dot3(step, step)) + same.min_step_m;
+  const float allowed = same.max_slope * std::sqrt(dot3(step, step)) + same.min_step_m;
   if (std::fabs(dot3(below, step)) > allowed || std::fabs(dot3(above, step)) > allowed) {
     return true;
   }

@@ -111,10 +111,10 @@ MAPPERD_VECTORISED void hear(const Echoes& e, const Leg& receive, const Sights& 
   const double d1 = receive.drift_m[1] * rows_per_m;
   const double d2 = receive.drift_m[2] * rows_per_m;
   const auto last_row = static_cast<double>(grid.rows - 1);
-  const double turns_per_m = e.laws.turns_per_m;
+  const double turns_per_m = e.model.turns_per_m;
   const auto first_sine = static_cast<float>(grid.first_sine);
   const auto columns_per_sine = static_cast<float>(1.0 / grid.sine_pitch);
-  const bool spreading = e.laws.spreading;
+  const bool spreading = e.model.spreading;
   for (std::size_t i = 0; i < count; ++i) {
     const double both_m = out.range_m[i] + back.range_m[i];
     const double drift = d0 * out.way[0][i] + d1 * out.way[1][i] + d2 * out.way[2][i];
@@ -157,41 +157,42 @@ MAPPERD_VECTORISED void weigh(const float* __restrict there, const float* __rest
 
 }  // namespace
 
-void ScattererKernel::strengths(const Company& company, const Nodes& nodes, const Sights& back) {
+void ScattererKernel::strengths(const SharedTraits& traits, const Nodes& nodes,
+                                const Sights& back) {
   const float* receive = cosine_[1];
-  if (company.round) {
+  if (traits.round) {
     round_cosines(nodes, out_, back, cosine_, area_);
   } else {
     flat_cosines(nodes.height_m[0], out_, nodes.count, cosine_[0]);
-    if (company.same_leg()) {
+    if (traits.same_leg()) {
       receive = cosine_[0];
     } else {
       flat_cosines(nodes.height_m[1], back, nodes.count, cosine_[1]);
     }
   }
-  diffuse(nodes, e_.laws.lambert, cosine_[0], receive, section_);
-  if (company.lobe) {
+  diffuse(nodes, e_.model.lambert, cosine_[0], receive, section_);
+  if (traits.lobe) {
     const float* half = cosine_[0];
-    if (!company.same_leg()) {
+    if (!traits.same_leg()) {
       half_cosines(nodes, out_, back, cosine_[2]);
       half = cosine_[2];
     }
     add_lobe(nodes, half, section_);
   }
-  if (company.round) {
+  if (traits.round) {
     times(area_, nodes.count, section_);
   }
 }
 
-const HeardNodes& ScattererKernel::heard(const Company& company, const Nodes& nodes) {
-  look(*company.transmit, nodes, nodes.count, out_);
-  const bool same = company.same_leg();
+const HeardNodes& ScattererKernel::heard(const SharedTraits& traits, const Nodes& nodes) {
+  look(*traits.transmit, nodes, nodes.count, out_);
+  const bool same = traits.same_leg();
   if (!same) {
-    look(*company.receive, nodes, nodes.count, back_);
+    look(*traits.receive, nodes, nodes.count, back_);
   }
   const Sights& back = same ? out_ : back_;
-  strengths(company, nodes, back);
-  hear(e_, *company.receive, out_, back, nodes, section_, heard_);
+  strengths(traits, nodes, back);
+  hear(e_, *traits.receive, out_, back, nodes, section_, heard_);
   pattern(e_.response, out_.w, nodes.count, there_);
   if (!same) {
     pattern(e_.response, back_.w, nodes.count, here_);

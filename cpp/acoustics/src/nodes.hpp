@@ -16,7 +16,7 @@ constexpr std::size_t kNodes = 512;
 constexpr std::size_t kLanes = 8;
 
 // What nodes that are worked on together share.
-struct Company {
+struct SharedTraits {
   const Leg* transmit;
   const Leg* receive;
   bool round;  // the surface
@@ -25,7 +25,7 @@ struct Company {
   [[nodiscard]] bool same_leg() const { return transmit == receive; }
 };
 
-inline bool operator==(const Company& a, const Company& b) {
+inline bool operator==(const SharedTraits& a, const SharedTraits& b) {
   return a.transmit == b.transmit && a.receive == b.receive && a.round == b.round &&
          a.lobe == b.lobe;
 }
@@ -37,7 +37,7 @@ struct PatchModel {
   double offset;  // of the plane n.p
   Lattice lattice;
   double first_i, first_j;                     // from which its nodes are counted
-  const double* bent;                          // of a round surface, or null
+  const double* curved_normal;                 // of a round surface, or null
   double transmit_height_m, receive_height_m;  // of the plane over the legs' origins
   float gain;                                  // of pressure, the node's area included
   Strength strength;
@@ -83,7 +83,7 @@ struct Lines {
 void scan(const Outline& outline, std::size_t from, Lines& lines);
 
 // Works out what belongs to a patch for its nodes, those from `first` on.
-void place(const PatchModel& patch, const Company& company, std::size_t first, Nodes& nodes);
+void place(const PatchModel& patch, const SharedTraits& traits, std::size_t first, Nodes& nodes);
 
 // The nodes as a leg has them.
 struct Sights {
@@ -104,10 +104,10 @@ struct HeardNodes {
 class ScattererKernel {
  public:
   explicit ScattererKernel(const Echoes& echoes) : e_(echoes) {}
-  const HeardNodes& heard(const Company& company, const Nodes& nodes);
+  const HeardNodes& heard(const SharedTraits& traits, const Nodes& nodes);
 
  private:
-  void strengths(const Company& company, const Nodes& nodes, const Sights& back);
+  void strengths(const SharedTraits& traits, const Nodes& nodes, const Sights& back);
 
   const Echoes& e_;
   Sights out_, back_;

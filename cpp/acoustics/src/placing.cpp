@@ -58,14 +58,15 @@ MAPPERD_VECTORISED void points(const PatchModel& patch, std::size_t first, std::
   }
 }
 
-MAPPERD_VECTORISED void round_normals(const double* bent, std::size_t first, std::size_t count,
-                                      Nodes& nodes) {
+MAPPERD_VECTORISED void round_normals(const double* curved_normal, std::size_t first,
+                                      std::size_t count, Nodes& nodes) {
   const double* __restrict x = nodes.point_m[0] + first;
   const double* __restrict y = nodes.point_m[1] + first;
   const double* __restrict z = nodes.point_m[2] + first;
   for (std::size_t axis = 0; axis < 3; ++axis) {
-    const double gx = bent[4 * axis], gy = bent[4 * axis + 1], gz = bent[4 * axis + 2];
-    const double g = bent[4 * axis + 3];
+    const double gx = curved_normal[4 * axis], gy = curved_normal[4 * axis + 1],
+                 gz = curved_normal[4 * axis + 2];
+    const double g = curved_normal[4 * axis + 3];
     double* __restrict to = nodes.normal[axis] + first;
     for (std::size_t start = 0; start < count; start += kLanes) {
       for (std::size_t i = start; i < start + kLanes; ++i) {
@@ -84,25 +85,25 @@ MAPPERD_INLINE void repeat(Number value, std::size_t count, Number* to) {
 
 }  // namespace
 
-void place(const PatchModel& patch, const Company& company, std::size_t first, Nodes& nodes) {
+void place(const PatchModel& patch, const SharedTraits& traits, std::size_t first, Nodes& nodes) {
   const std::size_t count = nodes.count - first;
   points(patch, first, count, nodes);
   repeat(static_cast<float>(patch.transmit_height_m), count, nodes.height_m[0] + first);
   repeat(patch.gain, count, nodes.gain + first);
   repeat(patch.strength.mu(), count, nodes.mu + first);
-  if (!company.same_leg()) {
+  if (!traits.same_leg()) {
     repeat(static_cast<float>(patch.receive_height_m), count, nodes.height_m[1] + first);
   }
-  if (company.round) {
-    round_normals(patch.bent, first, count, nodes);
+  if (traits.round) {
+    round_normals(patch.curved_normal, first, count, nodes);
   }
-  if (!company.lobe) {
+  if (!traits.lobe) {
     return;
   }
   repeat(patch.strength.lobe_height(), count, nodes.lobe_height + first);
   repeat(patch.strength.steepness(), count, nodes.steepness + first);
   repeat(patch.strength.smoothness(), count, nodes.smoothness + first);
-  for (std::size_t axis = 0; axis < 3 && !company.round; ++axis) {
+  for (std::size_t axis = 0; axis < 3 && !traits.round; ++axis) {
     repeat(patch.normal[axis], count, nodes.normal[axis] + first);
   }
 }

@@ -11,11 +11,11 @@ namespace mapperd::acoustics {
 
 namespace {
 
-constexpr float kLargest = 1e18F;  // its square is still a float
+constexpr float kMaxPressure = 1e18F;  // its square is still a float
 
 MAPPERD_INLINE float tame(float value) {
   // A comparison with what is not a number fails.
-  return value > 0.0F ? (value < kLargest ? value : kLargest) : 0.0F;
+  return value > 0.0F ? (value < kMaxPressure ? value : kMaxPressure) : 0.0F;
 }
 
 MAPPERD_VECTORISED void complex_row(const float* from, std::size_t count, float gain, float* to) {
@@ -91,7 +91,7 @@ void amplitudes(const float* beams, std::size_t parts, std::size_t rows, std::si
 void curved(const float* amplitude, std::size_t count, const Receiver& receiver, float* out,
             unsigned threads) {
   constexpr std::size_t kBlock = 1024;
-  const float top = receiver.clip ? 1.0F : kLargest;
+  const float top = receiver.clip ? 1.0F : kMaxPressure;
   const float gamma = receiver.gamma;
   in_row_bands((count + kBlock - 1) / kBlock, threads, [=](std::size_t block, std::size_t last) {
     for (; block < last; ++block) {

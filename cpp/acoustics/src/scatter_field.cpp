@@ -26,7 +26,7 @@ class Speckler {
   Speckler(const Echoes& echoes, const Band& band, std::complex<float>* field)
       : e_(echoes),
         deposit_(echoes.response, echoes.grid.rows, band.column, band.columns, field),
-        works_(echoes) {}
+        kernel_(echoes) {}
 
   void add(std::size_t hit) {
     if (e_.hits.face[hit] < 0 || !footprint_of(e_, hit, footprint_)) {
@@ -45,7 +45,8 @@ class Speckler {
     const double wide = static_cast<double>(cell[1] - cell[0]) / e_.grid.sine_pitch;
     const double cells =
         std::max((footprint_.far_m - footprint_.near_m) / row_m, 1.0) * std::max(wide, 1.0);
-    const Lattice lattice = lattice_at(hit, axes, shadow / (e_.laws.nodes_per_cell * cells), row_m);
+    const Lattice lattice =
+        lattice_at(hit, axes, shadow / (e_.model.nodes_per_cell * cells), row_m);
     begin(hit, axes, lattice);
     fill();
     placed();
@@ -72,7 +73,7 @@ class Speckler {
     const double along_m =
         std::min(std::sqrt(node_m2), kRowsApart * row_m / std::max(std::sqrt(u * u + v * v), 1e-9));
     const int along = level_of(along_m);
-    return lattice_of(e_.laws.key, e_.faces.objects[e_.hits.face[hit]],
+    return lattice_of(e_.model.key, e_.faces.objects[e_.hits.face[hit]],
                       {axes, along, level_of(node_m2 / step_of(along)), turn_of(u, v)});
   }
 
@@ -80,17 +81,18 @@ class Speckler {
     const Hits& hits = e_.hits;
     const int face = hits.face[hit];
     const std::int32_t smooth = e_.faces.smooth[face];
-    const double* bent = smooth < 0 ? nullptr : e_.faces.bent + 12 * smooth;
-    const double turn = e_.laws.specular && bent != nullptr ? turn_per_m(bent) : 0.0;
+    const double* curved_normal = smooth < 0 ? nullptr : e_.faces.curved_normal + 12 * smooth;
+    const double turn =
+        e_.model.specular && curved_normal != nullptr ? turn_per_m(curved_normal) : 0.0;
     const double step_m = std::max(lattice.along_m, lattice.across_m);
-    const Strength strength(e_.laws, e_.faces.table[e_.faces.materials[face]],
+    const Strength strength(e_.model, e_.faces.table[e_.faces.materials[face]],
                             step_m * (turn + 1.0 / std::max(footprint_.near_m, 1e-3)));
     const Leg& transmit = hits.legs[hits.transmit[hit]];
     const Leg& receive = hits.legs[hits.receive[hit]];
-    const Company company{&transmit, &receive, bent != nullptr, strength.has_lobe()};
-    if (!(company == company_)) {
+    const SharedTraits traits{&transmit, &receive, curved_normal != nullptr, strength.has_lobe()};
+    if (!(traits == traits_)) {
       work();
-      company_ = company;
+      traits_ = traits;
     }
     const double area_m2 =
         lattice.along_m * lattice.across_m / std::fabs(footprint_.normal[axes.c]);
@@ -101,7 +103,7 @@ class Speckler {
               lattice,
               0.0,
               0.0,
-              bent,
+              curved_normal,
               std::fabs(footprint_.transmit_height_m),
               std::fabs(footprint_.receive_height_m),
               static_cast<float>(gain),
@@ -149,14 +151,14 @@ class Speckler {
   // Done with what belongs to the patch, for its nodes so far.
   void placed() {
     if (placed_ < nodes_.count) {
-      place(patch_, company_, placed_, nodes_);
+      place(patch_, traits_, placed_, nodes_);
       placed_ = nodes_.count;
     }
   }
 
   void work() {
     if (nodes_.count > 0) {
-      const HeardNodes& heard = works_.heard(company_, nodes_);
+      const HeardNodes& heard = kernel_.heard(traits_, nodes_);
       deposit_.add(
           {nodes_.count, heard.pressure, heard.turns, nodes_.bits, heard.row, heard.column});
     }
@@ -166,11 +168,11 @@ class Speckler {
 
   const Echoes& e_;
   Deposit deposit_;
-  ScattererKernel works_;
+  ScattererKernel kernel_;
   Footprint footprint_{};
   PatchModel patch_{
       {}, {}, 0.0, {}, 0.0, 0.0, nullptr, 0.0, 0.0, 0.0F, {ScatterModel{}, Material{}, 0.0}};
-  Company company_{};  // of the nodes
+  SharedTraits traits_{};  // of the nodes
   Nodes nodes_{};
   Lines lines_{};
   std::size_t placed_ = 0;
@@ -183,8 +185,8 @@ void fetch(const Echoes& echoes, std::size_t hit) {
   __builtin_prefetch(echoes.faces.planes + 4 * face);
   const std::int32_t smooth = echoes.faces.smooth[face];
   if (smooth >= 0) {
-    __builtin_prefetch(echoes.faces.bent + 12 * smooth);
-    __builtin_prefetch(echoes.faces.bent + 12 * smooth + 8);
+    __builtin_prefetch(echoes.faces.curved_normal + 12 * smooth);
+    __builtin_prefetch(echoes.faces.curved_normal + 12 * smooth + 8);
   }
 #endif
 }

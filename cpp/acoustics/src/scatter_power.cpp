@@ -53,7 +53,8 @@ class Averager {
 
   [[nodiscard]] double pieces(double extent_m) const {
     const double rows = std::ceil(extent_m / (kRowsPerPiece * e_.grid.row_m));
-    return std::clamp(rows, bent_ != nullptr || strength_.has_lobe() ? 8.0 : 4.0, kMaxPieces);
+    return std::clamp(rows, curved_normal_ != nullptr || strength_.has_lobe() ? 8.0 : 4.0,
+                      kMaxPieces);
   }
 
   void begin(std::size_t hit) {
@@ -64,9 +65,11 @@ class Averager {
     receive_ = &hits.legs[hits.receive[hit]];
     const float* cell = hits.cell + 4 * hit;
     const double step_rad = 0.125 * std::max(cell[1] - cell[0], cell[3] - cell[2]);
-    bent_ = e_.faces.smooth[face] < 0 ? nullptr : e_.faces.bent + 12 * e_.faces.smooth[face];
-    const double turn = bent_ != nullptr ? 1.0 + turn_per_m(bent_) * patch_.far_m : 1.0;
-    strength_ = Strength(e_.laws, e_.faces.table[e_.faces.materials[face]], step_rad * turn);
+    curved_normal_ =
+        e_.faces.smooth[face] < 0 ? nullptr : e_.faces.curved_normal + 12 * e_.faces.smooth[face];
+    const double turn =
+        curved_normal_ != nullptr ? 1.0 + turn_per_m(curved_normal_) * patch_.far_m : 1.0;
+    strength_ = Strength(e_.model, e_.faces.table[e_.faces.materials[face]], step_rad * turn);
     gain_ = hits.gain[hit] * transmit_->gain * receive_->gain;
     const auto& m = seen_->rotation;
     const Vector& n = patch_.normal;
@@ -121,8 +124,10 @@ class Averager {
     for (std::size_t axis = 0; axis < 3; ++axis) {
       point_m[axis] = seen_->origin_m[axis] + range_m * d[axis];
     }
-    const Vector normal = bent_ != nullptr ? bent_normal(bent_, point_m) : patch_.normal;
-    const double cosine = std::max(std::fabs(dot(normal, d)), bent_ != nullptr ? kMinCosine : 0.0);
+    const Vector normal =
+        curved_normal_ != nullptr ? curved_normal_at(curved_normal_, point_m) : patch_.normal;
+    const double cosine =
+        std::max(std::fabs(dot(normal, d)), curved_normal_ != nullptr ? kMinCosine : 0.0);
     const double area_m2 = range_m * range_m * bearing.angle_rad * w_width / cosine;
     const Sight seen{range_m, s, w, d};
     const Sight out = transmit_ == seen_ ? seen : sight_of(*transmit_, point_m);
@@ -150,7 +155,7 @@ class Averager {
     const double beam = static_cast<double>(vertical_at(e_.response, out.w)) *
                         static_cast<double>(vertical_at(e_.response, back.w)) * gain_;
     double power = section_m2 * beam * beam;
-    if (e_.laws.spreading) {
+    if (e_.model.spreading) {
       power /= out.range_m * out.range_m * back.range_m * back.range_m;
     }
     over_rows(power, apparent_m / grid.row_m, std::max(extent_m / grid.row_m, 1e-6), column,
@@ -183,7 +188,7 @@ class Averager {
   const Leg* seen_ = nullptr;
   const Leg* transmit_ = nullptr;
   const Leg* receive_ = nullptr;
-  const double* bent_ = nullptr;
+  const double* curved_normal_ = nullptr;
   Vector normal_{};  // sonar's frame
   double gain_ = 0.0;
 };

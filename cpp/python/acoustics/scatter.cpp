@@ -16,7 +16,7 @@ namespace {
 
 // Keeps the arrays that its view points into.
 struct FaceTable {
-  Array<double> planes, bent, table;
+  Array<double> planes, curved_normal, table;
   Array<std::uint32_t> objects;
   Array<std::int32_t> materials, smooth;
 
@@ -26,32 +26,33 @@ struct FaceTable {
             objects.data(),
             materials.data(),
             smooth.data(),
-            bent.data(),
+            curved_normal.data(),
             reinterpret_cast<const acoustics::Material*>(table.data())};
   }
 };
 
 FaceTable face_table(Array<double> planes, Array<std::uint32_t> objects,
-                     Array<std::int32_t> materials, Array<std::int32_t> smooth, Array<double> bent,
-                     Array<double> table) {
+                     Array<std::int32_t> materials, Array<std::int32_t> smooth,
+                     Array<double> curved_normal, Array<double> table) {
   require(planes.ndim() == 2 && planes.shape(1) == 4, "planes must be (F, 4)");
   const py::ssize_t count = planes.shape(0);
   require(objects.size() == count && materials.size() == count && smooth.size() == count,
           "objects, materials and smooth must be (F,)");
-  require(bent.ndim() == 2 && bent.shape(1) == 12, "bent must be (S, 12)");
+  require(curved_normal.ndim() == 2 && curved_normal.shape(1) == 12,
+          "curved_normal must be (S, 12)");
   require(table.ndim() == 2 && table.shape(1) == 4, "table must be (M, 4)");
   for (py::ssize_t i = 0; i < count; ++i) {
     require(materials.data()[i] >= 0 && materials.data()[i] < table.shape(0),
             "materials out of the table");
-    require(smooth.data()[i] < bent.shape(0), "smooth beyond bent");
+    require(smooth.data()[i] < curved_normal.shape(0), "smooth beyond curved_normal");
   }
-  return {planes, bent, table, objects, materials, smooth};
+  return {planes, curved_normal, table, objects, materials, smooth};
 }
 
 struct Setting {
   Array<float> loss, vertical, taps;
   acoustics::EchoGrid grid{};
-  acoustics::ScatterModel laws{};
+  acoustics::ScatterModel model{};
 };
 
 Setting setting(Array<float> loss, Array<float> vertical, Array<float> taps, py::ssize_t columns,
@@ -102,7 +103,7 @@ acoustics::Echoes echoes_of(const FaceTable& faces, const Rays& rays, const Sett
       s.grid,
       {s.loss.data(), s.vertical.data(), static_cast<std::size_t>(s.vertical.size()), s.taps.data(),
        static_cast<std::size_t>(s.taps.shape(0)), static_cast<std::size_t>(s.taps.shape(1))},
-      s.laws};
+      s.model};
 }
 
 template <typename T>
@@ -140,7 +141,7 @@ void bind_scatter(py::module_& module) {
   using py::arg;
   py::class_<FaceTable>(module, "FaceTable")
       .def(py::init(&face_table), arg("planes"), arg("objects"), arg("materials"), arg("smooth"),
-           arg("bent"), arg("table"));
+           arg("curved_normal"), arg("table"));
   py::class_<Rays>(module, "Rays")
       .def(py::init(&rays_of), arg("face"), arg("seen"), arg("transmit"), arg("receive"),
            arg("cell"), arg("span_m"), arg("gain"), arg("legs"));

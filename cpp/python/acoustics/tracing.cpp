@@ -25,7 +25,8 @@ void check_faces(const Array<std::int32_t>& face, py::ssize_t all) {
 py::array edges(const Array<float>& direction, const Array<float>& range_m,
                 const Array<std::int32_t>& face, const Array<std::int32_t>& group,
                 const Array<std::int32_t>& column, const Array<float>& normals,
-                const Array<std::int32_t>& smooth, float bent, float min_step_m, float turned) {
+                const Array<std::int32_t>& smooth, float max_slope, float min_step_m,
+                float turned) {
   const py::ssize_t count = face.size();
   require(direction.size() == 3 * count && range_m.size() == count && group.size() == count &&
               column.size() == count,
@@ -37,7 +38,7 @@ py::array edges(const Array<float>& direction, const Array<float>& range_m,
     const py::gil_scoped_release unlocked;
     found = acoustics::edges({static_cast<std::size_t>(count), direction.data(), range_m.data(),
                               face.data(), group.data(), column.data()},
-                             normals.data(), smooth.data(), {bent, min_step_m, turned});
+                             normals.data(), smooth.data(), {max_slope, min_step_m, turned});
   }
   return Array<std::int64_t>(static_cast<py::ssize_t>(found.size()), found.data());
 }
@@ -102,7 +103,7 @@ py::array inserted(const py::array& rows, const Array<std::int64_t>& after, cons
 void bind_tracing(py::module_& module) {
   using py::arg;
   module.def("edges", &edges, arg("direction"), arg("range_m"), arg("face"), arg("group"),
-             arg("column"), arg("normals"), arg("smooth"), arg("bent"), arg("min_step_m"),
+             arg("column"), arg("normals"), arg("smooth"), arg("max_slope"), arg("min_step_m"),
              arg("turned"));
   module.def("spans", &spans, arg("range_m"), arg("face"), arg("column"), arg("up"), arg("surface"),
              arg("size_m"));

@@ -84,7 +84,7 @@ def _turn(
     round_ = np.flatnonzero(place >= 0)
     if len(round_) == 0:
         return turn
-    gradient = scene.bent[place[round_]].reshape(-1, 3, 4)[:, :, :3]
+    gradient = scene.curved_normals[place[round_]].reshape(-1, 3, 4)[:, :, :3]
     squares = np.einsum("nij,nij->n", gradient, gradient)
     trace = np.einsum("nii->n", gradient)
     local = _turned_back(scene, tangent[round_], group[round_], time_s)
@@ -124,9 +124,9 @@ def _normals(
         for number, pose in enumerate(poses):
             of_it = its == number
             local_m[of_it] = (point_m[round_[of_it]] - pose.position_m) @ pose.rotation
-        table = scene.bent[place[round_]].reshape(-1, 3, 4)
-        bent = np.einsum("nij,nj->ni", table[:, :, :3], local_m) + table[:, :, 3]
-        normal[round_] = bent / np.maximum(np.linalg.norm(bent, axis=1, keepdims=True), 1e-30)
+        table = scene.curved_normals[place[round_]].reshape(-1, 3, 4)
+        normals = np.einsum("nij,nj->ni", table[:, :, :3], local_m) + table[:, :, 3]
+        normal[round_] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     for number, pose in enumerate(poses):
         if not np.array_equal(pose.rotation, np.eye(3)):
             its = group == number

@@ -69,8 +69,8 @@ class Meshes:
         size_m: longest edge of each face, (F,); the sea has no edge.
         surface: of each face, by place in the scene, or `SEA`, (F,).
         material: of each face, index into the kernels' table, (F,).
-        smooth: of each face that is round, its place in `bent`, else -1, (F,).
-        bent: rows of G | g: a round face's normal at a point p is along G p + g, (B, 12).
+        smooth: of each face that is round, its place in `curved_normals`, else -1, (F,).
+        curved_normals: rows of G | g: a round face's normal at a point p is along G p + g, (B, 12).
         strengths: mu, squared reflection, roughness and slope of each material, (M, 4).
         faces: the kernels' table.
     """
@@ -91,12 +91,12 @@ class Meshes:
         self.size_m = np.concatenate(sizes).astype(np.float32)
         self.normals = self.planes[:, :3].astype(np.float32)
         self.surface = np.concatenate([*(part.surface for part in parts), [SEA]]).astype(np.int32)
-        bent = [part.bent for part in parts]
+        curved = [part.curved_normals for part in parts]
         smooth = np.full(len(self.planes), -1, dtype=np.int32)
-        is_bent = np.concatenate([*(part.is_bent for part in parts), [False]])
-        smooth[is_bent] = np.arange(np.count_nonzero(is_bent))
+        is_curved = np.concatenate([*(part.is_curved for part in parts), [False]])
+        smooth[is_curved] = np.arange(np.count_nonzero(is_curved))
         self.material = np.where(self.surface == SEA, len(scene.surfaces), self.surface)
-        self.bent = np.concatenate([np.empty((0, 12)), *bent])
+        self.curved_normals = np.concatenate([np.empty((0, 12)), *curved])
         self.smooth = smooth
         self.strengths = _materials(scene)
         self.faces = _core.FaceTable(
@@ -104,7 +104,7 @@ class Meshes:
             (self.material + 1).astype(np.uint32),
             self.material.astype(np.int32),
             smooth,
-            self.bent,
+            self.curved_normals,
             self.strengths,
         )
 
@@ -232,15 +232,15 @@ class _Part:
         if not np.isfinite(corners).all():
             raise SceneError(f"surface {surfaces[0].name!r} or one beside it: a vertex not finite")
         counts = [len(s.faces) for s in surfaces]
-        bent = [_bent_normals(s) if s.smooth else np.empty((0, 12)) for s in surfaces]
-        is_bent = np.repeat([s.smooth for s in surfaces], counts)
+        curved = [_curved_normals(s) if s.smooth else np.empty((0, 12)) for s in surfaces]
+        is_curved = np.repeat([s.smooth for s in surfaces], counts)
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(cross, axis=1)
         extent = np.ptp(corners.reshape(-1, 3), axis=0).max() if len(corners) else 0.0
         keep = length > MIN_AREA * extent**2
         self.surface = np.repeat(members, counts)[keep]
-        self.bent = np.concatenate(bent)[keep[is_bent]]
-        self.is_bent = is_bent[keep]
+        self.curved_normals = np.concatenate(curved)[keep[is_curved]]
+        self.is_curved = is_curved[keep]
         self._corners = corners[keep]
         normal = cross[keep] / length[keep, None]
         edges = self._corners - np.roll(self._corners, 1, axis=1)
@@ -273,7 +273,7 @@ def _materials(scene: Scene) -> NDArray[np.float64]:
     return np.array([*rows, (sea_mu, 0.0, 0.0, 1.0)], dtype=np.float64)
 
 
-def _bent_normals(surface: Surface) -> NDArray[np.float64]:
+def _curved_normals(surface: Surface) -> NDArray[np.float64]:
     """Rows of G | g for each face: the vertices' normals, linear over the face, (F, 12)."""
     corners = surface.vertices_m[surface.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

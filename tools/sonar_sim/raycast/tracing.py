@@ -21,10 +21,10 @@ from sonar_sim.raycast.meshes import NOTHING, Hits, Meshes
 
 Number = TypeVar("Number", np.float32, np.int32)
 
-BENT = 0.15
+MAX_SLOPE = 0.15
 """Neighbours met one surface if neither leaves the other's plane by more than this slope."""
 MIN_STEP_M = 0.02
-TURNED = 0.995
+MIN_COSINE = 0.995
 """Neighbours on a round surface stand for each other up to this cosine between their normals: a
 mirror's glint on it is found by its normals."""
 FINER_SHARE = 16
@@ -104,9 +104,9 @@ def edges_of(
         fan.column,
         meshes.normals,
         meshes.smooth,
-        BENT,
+        MAX_SLOPE,
         MIN_STEP_M,
-        TURNED,
+        MIN_COSINE,
     )
     most = len(direction) // FINER_SHARE
     if len(edges) > most:

@@ -53,7 +53,7 @@ struct Footprint {
 };
 
 /// A grazing plane is followed out to this many times the range at which it was met.
-constexpr double kFarthest = 1.6;
+constexpr double kMaxRangeFactor = 1.6;
 
 /// A round surface leans away no more than this.
 constexpr double kMinCosine = 0.05;
@@ -68,7 +68,7 @@ constexpr double kFaintest = 25.0;
 class Strength {
  public:
   /// `step_rad`: how far apart the directions are that will be asked for.
-  Strength(const ScatterModel& laws, const Material& material, double step_rad);
+  Strength(const ScatterModel& model, const Material& material, double step_rad);
   [[nodiscard]] bool has_lobe() const { return lobe_ > 0.0; }
 
   /// Of the cosines to the transmitter, to the receiver, and of the half-way direction.
@@ -99,9 +99,9 @@ inline double half_cosine(const Vector& normal, const Vector& a, const Vector& b
 }
 
 /// How much a round surface's normal turns per metre, at most.
-double turn_per_m(const double* bent);
+double turn_per_m(const double* curved_normal);
 
 /// The normal of a round surface at a point of one of its faces.
-Vector bent_normal(const double* bent, const Vector& point_m);
+Vector curved_normal_at(const double* curved_normal, const Vector& point_m);
 
 }  // namespace mapperd::acoustics

@@ -24,7 +24,7 @@ struct Traced {
 
 /// Tolerances within which two neighbouring hits lie on the same surface.
 struct Sameness {
-  float bent;        ///< slope by which one may leave the other's plane
+  float max_slope;   ///< slope by which one may leave the other's plane
   float min_step_m;  ///< by which it may in any case
   float turned;      ///< least cosine between the normals on a round surface
 };

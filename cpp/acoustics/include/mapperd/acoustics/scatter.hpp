@@ -34,8 +34,8 @@ struct Faces {
   const double* planes;           ///< (count, 4): n, offset
   const std::uint32_t* objects;   ///< key of the object
   const std::int32_t* materials;  ///< index
-  const std::int32_t* smooth;     ///< index into the bent normals, or -1
-  const double* bent;  ///< (S, 12): normal of a round surface at p is G p + g, rows of G|g
+  const std::int32_t* smooth;     ///< index into the curved_normal normals, or -1
+  const double* curved_normal;  ///< (S, 12): normal of a round surface at p is G p + g, rows of G|g
   const Material* table;
 };
 
@@ -86,7 +86,7 @@ struct Echoes {
   Hits hits;
   EchoGrid grid;
   Hearing response;
-  ScatterModel laws;
+  ScatterModel model;
 };
 
 /// Adds the echoes of random scatterers on the surfaces to a complex field (rows, columns), in
