@@ -58,7 +58,7 @@ class FullPing:
 
 
 def decode_full_ping(message: Message) -> FullPing | Reject:
-    """Return the full ping in a message, or why it is none."""
+    """Return the full ping in a message, or why the message is not one."""
     data, layout = message.data, FULL_PING_RESULT
     if message.message_id != MessageId.FULL_PING_RESULT:
         return Reject("not_a_ping", f"message {message.message_id:#04x}", message.offset)

@@ -291,7 +291,7 @@ def _above(edges: dict[str, str], frame: str) -> Iterator[str]:
 
 
 def _pose_of(transform: Any) -> Pose | None:  # noqa: ANN401 made at run time
-    """Return a transform as the pose of the child; None if it is none."""
+    """Return a transform as the pose of the child; None if it is not a rigid transform."""
     place, turn = transform.translation, transform.rotation
     wxyz = np.array([turn.w, turn.x, turn.y, turn.z])
     norm = math.hypot(*wxyz.tolist())

@@ -253,7 +253,7 @@ def _enu(names: tuple[str, ...], numbers: list[float]) -> list[float]:
 
 
 def _nanoseconds(text: str) -> int | None:
-    """Return a decimal number of Unix seconds in ns, exactly; None if it is none, or too large."""
+    """Convert decimal Unix seconds to ns, exactly; None if not a number or too large."""
     whole, _, part = text.partition(".")
     if whole.isdecimal() and len(whole) < MAX_DIGITS and (part.isdecimal() or not part):
         return int(whole) * NS + int(f"{part[:9]:0<9}")

@@ -251,15 +251,15 @@ class TileStore:
         self.write(self.take())
 
     def save_part(self) -> int:
-        """Put as much of what changed into the file as there is space; the rest is lost in it.
+        """Write as many changed bricks as there is space for; the file loses the rest.
 
-        The position says that the map is complete, and the lost bricks are on record.
+        The position counts the map as complete and lists the lost bricks.
 
         Returns:
-            bricks that are not in the file; they stay in memory.
+            number of bricks that are not in the file; they stay in memory.
 
         Raises:
-            StoreError: not even the position can be written; the file is as before.
+            StoreError: not even the position can be written; the file is unchanged.
         """
         snapshot = self.take()
         bricks = list(snapshot.bricks)

@@ -66,7 +66,7 @@ def read_viewpoint_log(file: BinaryIO, size: int, progress: Progress) -> Iterato
 
 
 def is_ros_bag(path: Path) -> bool:
-    """Return whether an SQLite file is a ROS 2 bag; a file that cannot be read is none."""
+    """Return whether an SQLite file is a ROS 2 bag; false if it cannot be read."""
     import sqlite3  # noqa: PLC0415 - only these files need it
 
     try:

@@ -181,7 +181,7 @@ class ReplayView:
 
     Attributes:
         put: takes the results of pings.
-        line: says where the page is.
+        line: text with the address of the page.
     """
 
     def __init__(self, port: int, sonar_map: SonarMap, what: str) -> None:

@@ -134,7 +134,7 @@ def test_formats_for_messages_keep_those_of_the_first_sonar(
     done = convert(dive, target, kind)
     assert set(done.left_out) == {"other_link", "no_message"}
     assert done.left_out["no_message"] == 907
-    assert done.damage is None  # the gap is none
+    assert done.damage is None  # a gap is not damage
     first = [ping for ping in described(dive).ping_list if ping.link == "left"]
     info = described(target)
     assert [ping.id for ping in info.ping_list] == [ping.id for ping in first]
