@@ -22,7 +22,7 @@ unexport PYTHONDONTWRITEBYTECODE
 demo: $(STAMP)
 	$(TOOL) demo --out out/demo
 
-# Everything that decides whether a change lands, in less than ten minutes of two cores: static checks,
+# What decides whether a change lands, in about ten minutes of two cores: static checks,
 # the C++ tests, and all Python tests but the slow ones, with a short series of kills. The Python tests
 # run alone: some of them have time limits.
 test: test-prerequisites $(STAMP)
