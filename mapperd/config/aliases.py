@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from mapperd.config.catalog import parameters
-from mapperd.config.tree import AmclConfig
+from mapperd.config.tree import AmclConfig, Config
 from mapperd.errors import ConfigError
 
 __all__ = [
@@ -87,11 +87,17 @@ IGNORED = MappingProxyType(
         "amcl.map_service": "maps come from localization.map_path and `mapperctl set_map`",
         "amcl.laser_z_max": NO_MAX_RANGE,
         "amcl.z_max": NO_MAX_RANGE,
+        "topics.sonar": "set device.address",
+        "topics.odometry": "set odometry.sources",
+        "topics.pointcloud": "the map stream and `mapperctl export` give the map",
         "topics.marker": "the map stream shows the map",
         "visualization.pointcloud_publish_rate": "set stream.rate",
+        "visualization.show_opencv_visualization": "`mapperctl view` shows the sonar's image",
     }
 )
 """Settings of the programs this one replaces that have no effect here, and why; any value loads."""
+
+IGNORED_SECTIONS = {name.partition(".")[0] for name in IGNORED} - {*Config.__struct_fields__}
 
 REPLACED = MappingProxyType({"mapping.integrator": ("projective", "evidence_grid")})
 """Value of an earlier version and the one that replaces it, by setting."""
@@ -178,7 +184,9 @@ def tree_updated(tree: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ..
         elif fields[field] == REPLACED[name][0]:
             updated[section] = fields | {field: REPLACED[name][1]}
             phrases.append("{}: {} is now {}".format(name, *REPLACED[name]))
-    return updated, tuple(phrases)
+    empty = [name for name in IGNORED_SECTIONS if name in updated and not updated[name]]
+    kept = {name: value for name, value in updated.items() if name not in empty}
+    return kept, tuple(phrases)
 
 
 def _rename_former(tree: dict[str, Any], phrases: list[str]) -> None:

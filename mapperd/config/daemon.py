@@ -1,8 +1,7 @@
 """Settings of the daemon: its service, the map on disk, exports, names of frames.
 
-The sections `frames`, `topics` and `visualization` come from a ROS node. Here they name frames in
-telemetry and topics in bags, and draw debug pictures. Topics that only a ROS node could subscribe
-to load with their defaults; any other value is an error that names the setting to use instead.
+The sections `frames` and `visualization` come from a ROS node. Here they name frames in telemetry
+and bags, and pace the saves of the map.
 """
 
 from typing import Annotated
@@ -21,7 +20,6 @@ __all__ = [
     "ServerConfig",
     "ServiceConfig",
     "StreamConfig",
-    "TopicsConfig",
     "VisualizationConfig",
 ]
 
@@ -227,15 +225,6 @@ class ExportConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 FRAME_PATTERN = "[A-Za-z0-9][A-Za-z0-9_/-]{0,63}"
 
-NO_NODE = "this is no ROS node; the map's files and mapperctl show it"
-
-INSTEAD = {
-    "sonar": ("/sensor/sonar/oculus/m750d/image", "set device.address: the sonar itself"),
-    "odometry": ("/fast_lio/odometry", "set odometry.sources"),
-    "pointcloud": ("/sonar_3d_map", NO_NODE),
-}
-"""Topics with their default, and what to use instead of another value."""
-
 
 class FramesConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """What telemetry, and bags of ROS 2, call the frames of reference."""
@@ -252,36 +241,9 @@ class FramesConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ] = True
 
 
-class TopicsConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """Topics of ROS, which bags have: their defaults load, and nothing listens there."""
-
-    sonar: Annotated[
-        str, rule("Images of the sonar; instead: `device.address`.", "the default")
-    ] = INSTEAD["sonar"][0]
-    odometry: Annotated[str, rule("Odometry; instead: `odometry.sources`.", "the default")] = (
-        INSTEAD["odometry"][0]
-    )
-    pointcloud: Annotated[str, rule("The map as a cloud of points.", "the default")] = INSTEAD[
-        "pointcloud"
-    ][0]
-
-    def __post_init__(self) -> None:
-        """Refuse what would be waited for in vain."""
-        for name, (default, instead) in INSTEAD.items():
-            if getattr(self, name) != default:
-                raise ValueError(f"{name} can only be {default}: {instead}")
-
-
 class VisualizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """What is shown while mapping."""
+    """How often the map is saved while mapping."""
 
-    show_opencv_visualization: Annotated[
-        bool,
-        rule(
-            "Once a second, draw the filtered pings into `debug` in the state folder.",
-            live=True,
-        ),
-    ] = False
     tile_save_interval: Annotated[
         float,
         rule("Interval between saves of the map on disk.", "s", live=True, gt=0, le=3600),

@@ -22,7 +22,6 @@ from mapperd.config.daemon import (
     ServerConfig,
     ServiceConfig,
     StreamConfig,
-    TopicsConfig,
     VisualizationConfig,
 )
 from mapperd.config.device import DeviceConfig, WaterConfig
@@ -66,7 +65,6 @@ __all__ = [
     "SonarConfig",
     "TerrainDetectionConfig",
     "TimeSyncConfig",
-    "TopicsConfig",
     "VisualizationConfig",
     "WaterConfig",
     "WorldInitConfig",
@@ -345,7 +343,6 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     export: ExportConfig = ExportConfig()
     frames: FramesConfig = FramesConfig()
     visualization: VisualizationConfig = VisualizationConfig()
-    topics: TopicsConfig = TopicsConfig()
 
     def __post_init__(self) -> None:
         """Check what no single section can."""

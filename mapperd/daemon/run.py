@@ -78,6 +78,10 @@ class LiveRun:
     trajectory: TrajectoryWriter
 
 
+FOLLOWS = ("visualization.tile_save_interval",)
+"""Live settings of the map on disk."""
+
+
 def map_live(run: LiveRun) -> tuple[MapContent, dict[str, Any]]:
     """Map until SIGINT, SIGTERM or the end of the time; return the map, open, and the summary.
 
@@ -99,6 +103,7 @@ async def _map(run: LiveRun) -> tuple[MapContent, dict[str, Any]]:
     to_journal = goes_to_journal(os.environ, STDERR)
     events.listen(Journal(sys.stderr, time.monotonic, priorities=to_journal).write)
     session = secrets.token_hex(8)
+    run.settings.follow(FOLLOWS, lambda _: None)  # looked up at every save
     # The end of a session that was cut short may be long.
     with run.notifier.patience(process_progress):
         opened = await asyncio.to_thread(

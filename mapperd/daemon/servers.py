@@ -1,4 +1,4 @@
-"""What runs beside the mapping: map stream, control, telemetry, debug pictures."""
+"""What runs beside the mapping: map stream, control, telemetry."""
 
 import asyncio
 import contextlib
@@ -13,7 +13,6 @@ from mapperd.config.daemon import ServerConfig
 from mapperd.config.paths import socket_path
 from mapperd.config.tree import Config
 from mapperd.daemon.daemon import Daemon
-from mapperd.daemon.debug_pictures import draw_pictures
 from mapperd.daemon.session import Live
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog, Severity
@@ -30,7 +29,6 @@ from mapperd.server.state_feed import StateFeed
 from mapperd.server.stream_server import StreamServer
 from mapperd.telemetry.telemetry import Telemetry
 from mapperd.wire.auth import CREDENTIALS, read_token, token_file
-from oculus_driver.ping import Ping
 
 __all__ = [
     "FOLLOWS",
@@ -55,24 +53,11 @@ async def serving(
     Raises:
         ConfigError: the settings name a broker that cannot be talked to.
     """
-
-    def newest() -> Ping | None:
-        result = daemon.live.mapping.newest
-        return None if result is None else result.posed.ping
-
     tasks = []
     if daemon.settings.current.mqtt.host:
         telemetry = Telemetry(daemon, (folder,), environment, clock)
         daemon.servers["mqtt"] = telemetry.status
         tasks.append(asyncio.create_task(telemetry.run()))
-    pictures = draw_pictures(
-        newest,
-        daemon.settings,
-        daemon.events,
-        folder / "debug",
-        lambda: daemon.live.mapping.snapshot.localization,
-    )
-    tasks.append(asyncio.create_task(pictures))
     try:
         yield
     finally:

@@ -200,6 +200,11 @@ class Messages:
 
 Storage = Literal["mcap", "sqlite3"]
 
+SONAR_TOPIC = "/sensor/sonar/oculus/m750d/image"
+ODOMETRY_TOPIC = "/fast_lio/odometry"
+CLOUD_TOPIC = "/sonar_3d_map"
+"""Names of the ROS node that mapperd replaces."""
+
 GRID_TOPIC = "/map"
 """Where Nav2 looks for one."""
 
@@ -208,11 +213,11 @@ VERSION: Literal[8] = 8
 
 
 class Bag:
-    """Topics by the names of the settings; stamps are Unix nanoseconds.
+    """Messages by topic; stamps are Unix nanoseconds.
 
     Args:
         writer: of rosbags, open.
-        config: names of topics and frames.
+        config: names of frames.
 
     Attributes:
         config: as given.
@@ -232,7 +237,7 @@ class Bag:
     def image(self, stamp_ns: int, image: NDArray[Any]) -> None:
         """A ping's image."""
         message = self._messages.image(stamp_ns, self.config.frames.sonar, image)
-        self._write(self.config.topics.sonar, stamp_ns, message)
+        self._write(SONAR_TOPIC, stamp_ns, message)
 
     def odometry(self, stamp_ns: int, fused: FusedPose) -> None:
         """The vehicle in the odometry's frame."""
@@ -240,7 +245,7 @@ class Bag:
         message = self._messages.odometry(
             stamp_ns, config.amcl.odom_frame_id, config.frames.base, fused
         )
-        self._write(config.topics.odometry, stamp_ns, message)
+        self._write(ODOMETRY_TOPIC, stamp_ns, message)
 
     def transforms(self, stamp_ns: int, turned: Iterable[Turned], *, static: bool = False) -> None:
         """Write transforms; static ones are latched."""
@@ -251,7 +256,7 @@ class Bag:
         """The occupied voxels."""
         voxels = sonar_map.occupied()
         message = self._messages.cloud(stamp_ns, self.config.frames.map, voxels)
-        self._write(self.config.topics.pointcloud, stamp_ns, message, keep=True)
+        self._write(CLOUD_TOPIC, stamp_ns, message, keep=True)
 
     def grid(self, stamp_ns: int, sonar_map: MapContent) -> None:
         """The map from above, between the heights of the settings; nothing of an empty one.

@@ -1,5 +1,6 @@
 """Tools of each browser: camera, distance measurement, screenshots."""
 
+import io
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -8,7 +9,6 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapperd.export.png import png_bytes
 from mapperd.viewer.camera import VIEWS, CameraMode
 from mapperd.viewer.chunks import Drawn
 
@@ -224,5 +224,9 @@ class Tools:
         except (RuntimeError, TimeoutError) as error:
             client.add_notification("No picture", str(error), color="red")
             return
+        from PIL import Image  # noqa: PLC0415 an extra
+
+        picture = io.BytesIO()
+        Image.fromarray(np.ascontiguousarray(image[..., :3])).save(picture, "png")
         name = time.strftime("map-%Y%m%d-%H%M%S.png")
-        client.send_file_download(name, png_bytes(image[..., :3]), save_immediately=True)
+        client.send_file_download(name, picture.getvalue(), save_immediately=True)

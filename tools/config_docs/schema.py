@@ -26,8 +26,12 @@ def json_schema() -> dict[str, Any]:
 
 
 def _fields(schema: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return the properties of a setting's section."""
-    section = schema["$defs"]["Config"]["properties"][name.partition(".")[0]]
+    """Return the properties of a setting's section, which may have ignored settings only."""
+    ignored = {"type": "object", "properties": {}, "additionalProperties": False}
+    sections = schema["$defs"]["Config"]["properties"]
+    section = sections.setdefault(name.partition(".")[0], ignored | {"deprecated": True})
+    if "$ref" not in section:
+        return section["properties"]  # type: ignore[no-any-return]
     properties: dict[str, Any] = schema["$defs"][_last(section["$ref"], "/")]["properties"]
     return properties
 

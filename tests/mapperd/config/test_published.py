@@ -9,7 +9,9 @@ from mapperd.config.catalog import Parameter, parameters, value_of
 from mapperd.config.layers import Layered, load_files
 from mapperd.config.live import Applied, ConfigStore
 from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
 from mapperd.daemon.map_folder import MapFolder
+from mapperd.daemon.run import FOLLOWS as SAVES
 from mapperd.daemon.sonar_control import SonarControl
 from mapperd.errors import ConfigError
 from mapperd.imaging.filter_chain import check_filters
@@ -70,10 +72,6 @@ PUBLISHED: dict[str, tuple[Any, str, tuple[float | None, float | None], bool]] =
     "frames.base": ("base_link", "a name", ANY, False),
     "frames.map": ("map", "a name", ANY, False),
     "frames.publish_tf": (True, "", ANY, False),
-    "topics.sonar": ("/sensor/sonar/oculus/m750d/image", "the default", ANY, False),
-    "topics.odometry": ("/fast_lio/odometry", "the default", ANY, False),
-    "topics.pointcloud": ("/sonar_3d_map", "the default", ANY, False),
-    "visualization.show_opencv_visualization": (False, "", ANY, True),
     "visualization.tile_save_interval": (5.0, "s", (0, 3600), True),
 }
 """Default, unit, limits, live; where the published page gives no limits or unit, they are ours."""
@@ -121,22 +119,37 @@ def test_published_live_parameter_changes_while_running(name: str) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("topics: {odometry: /my/odometry}", r"topics.*odometry can only be.*odometry\.sources"),
-        ("topics: {sonar: /my/sonar}", r"set device\.address"),
+        (
+            "topics: {odometry: /my/odometry}",
+            "odometry has no effect and is ignored (set odo",
+        ),
+        ("topics: {sonar: /my/sonar}", "(set device.address)"),
+        ("visualization: {show_opencv_visualization: true}", "(`mapperctl view` shows"),
     ],
 )
-def test_published_name_without_an_effect_reports_what_to_do_instead(text: str, words: str) -> None:
-    with pytest.raises(ConfigError, match=words):
-        config_from_text(text)
+def test_published_name_without_an_effect_reports_what_to_do_instead(
+    tmp_path: Path, text: str, words: str
+) -> None:
+    path = tmp_path / "mapper.yaml"
+    path.write_text(text, encoding="utf-8")
+    layered = load_files([path])
+    assert layered.config == Config()
+    assert words in layered.notice
 
 
-def test_published_defaults_load() -> None:
-    assert config_from_text("topics: {odometry: /fast_lio/odometry}").topics.sonar
+@pytest.mark.parametrize("text", ["topics: {}", "topics:", "topics: {marker: /m}"])
+def test_a_section_of_ignored_settings_may_be_empty(text: str) -> None:
+    assert config_from_text(text) == Config()
+
+
+def test_a_mistake_beside_ignored_settings_is_named() -> None:
+    with pytest.raises(ConfigError, match="topics"):
+        config_from_text("topics: {sonar: /my/sonar, sonars: /my/sonar}")
 
 
 def test_every_live_setting_has_a_follower() -> None:
     ours = (*PingExecutor.FOLLOWS, *Telemetry.FOLLOWS, *MapFolder.FOLLOWS, *MapWorker.FOLLOWS)
-    followed = (*ours, *SonarControl.FOLLOWS, "visualization")
+    followed = (*ours, *SonarControl.FOLLOWS, *SAVES)
     live = [name for name, one in parameters().items() if one.dynamic]
     assert [name for name in live if not name.startswith(followed)] == []
 

@@ -53,7 +53,7 @@ def test_a_dead_broker_is_in_the_status_and_the_daemon_goes_on(tmp_path: Path) -
             async with asyncio.timeout(60):
                 while not daemon.status()["servers"]["mqtt"]["lost"]:  # noqa: ASYNC110
                     await asyncio.sleep(0.01)
-            changes = {"mqtt.pose_rate": 1.0, "visualization.show_opencv_visualization": True}
+            changes = {"mqtt.pose_rate": 1.0}
             assert isinstance(daemon.settings.apply(changes, "test"), Applied)
         assert daemon.status()["servers"]["mqtt"]["phase"] == "closed"
 
