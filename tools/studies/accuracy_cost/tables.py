@@ -33,12 +33,10 @@ def remarks(study: Study, results: StudyResults) -> list[str]:
 
 
 PROMISE = """\
-What was promised beside the published settings: at equal error 10 times less time, and in equal
-time half the error. Equal error is reached by the cheapest of all settings above with no more
-error, equal time by the one of least error in no more time. Why it is not kept: most of the error
-is the echo's elevation, which no ping measures, and `rays` looks at a part of the ping alone
-([mapping.md](../concepts/mapping.md#three-profiles)). Below it, how far the log-odds of each
-integrator are off from those of the converged map, in natural units."""
+The aim against the published settings: at equal error a tenth of the time, and in equal time half
+the error. It is missed because most of the error is the echo's elevation, which no ping measures,
+and `rays` uses only a part of the ping ([mapping.md](../concepts/mapping.md#three-profiles)). The
+second table has the error of each integrator's log-odds against the converged map's."""
 
 
 IMAGES = "../images/accuracy-cost"

@@ -130,10 +130,8 @@ KNOBS = (
         ),
         "100 to 5000",
         MARGIN,
-        "A vehicle that is followed needs some hundred, which a number that follows the cloud's "
-        "spread gives; 300 always are less exact in small places. What the most may be changes "
-        "little here; with 5000, alternatives that are thinly drawn take over now and then in half an "
-        "hour's dives (docs/guides/localization.md).",
+        "A followed vehicle needs some hundred; a constant 300 are less exact in small places. "
+        "With at most 5000, sparse alternatives take over at times (docs/guides/localization.md).",
     ),
     Knob(
         "fewest-particles",
@@ -141,7 +139,7 @@ KNOBS = (
         _turned("amcl.min_particles", "500", 50, 100, 200, 500, 1000, 2000),
         "100",
         MARGIN,
-        "Hardly moves error or time per ping: what costs is finding a place, not keeping it.",
+        "Hardly matters: finding a place costs, keeping it does not.",
     ),
     Knob(
         "beams",
@@ -149,8 +147,8 @@ KNOBS = (
         _turned("amcl.max_beams", "60", 5, 10, 20, 30, 60, 120),
         "60",
         MARGIN,
-        "Leave it. Below 30 a vehicle that is lost is found less often, and the large cloud that "
-        "looks for it costs more than the beams save.",
+        "Leave it. Below 30 a lost vehicle is found less often, and the search costs more than "
+        "the beams save.",
         quick=True,
     ),
     Knob(
@@ -159,8 +157,7 @@ KNOBS = (
         _scaled("scale.cells", 1.0, 1.5, 2.0, 3.0, 5.0),
         None,
         MARGIN,
-        "Larger cells cost precision; twice as large they save a third of the time, and memory by "
-        "their cube.",
+        "Cells twice as large save a third of the time, and memory by their cube.",
     ),
     Knob(
         "model",
@@ -174,8 +171,8 @@ KNOBS = (
         ),
         "likelihood_field",
         MARGIN,
-        "The product over a field; the sum of cubes can neither be tempered nor show when it is "
-        "lost, and rays on a planar map hardly find who is.",
+        "The sum of cubes can neither be tempered nor show that it is lost; rays on a planar map "
+        "hardly find a lost vehicle.",
         quick=True,
     ),
     Knob(
@@ -184,8 +181,8 @@ KNOBS = (
         _turned("localization.tempering", "0.1", 0.02, 0.05, 0.1, 0.2, 0.4, 1.0),
         "1.0",
         MARGIN,
-        "Costs no time. Beams that overlap are not as many votes; with 1 the cloud is sure of "
-        "itself where it is wrong, three times as often.",
+        "Costs no time. Overlapping beams are not independent: with 1 the cloud is sure of a "
+        "wrong place three times as often.",
         quick=True,
     ),
     Knob(
@@ -194,7 +191,7 @@ KNOBS = (
         _turned("localization.geometry", "3d", "2d", "3d"),
         "2d",
         MARGIN,
-        "A slice saves memory and the elevations; it is right where walls are upright.",
+        "A slice saves memory; it suits upright walls.",
     ),
     Knob(
         "elevations",
@@ -202,7 +199,7 @@ KNOBS = (
         _turned("localization.elevations", "15", 1, 5, 9, 15, 25),
         None,
         MARGIN,
-        "Too few lose the vehicle among things that stand above and below each other.",
+        "Too few lose the vehicle among objects above each other.",
     ),
     Knob(
         "resampling",
@@ -215,7 +212,7 @@ KNOBS = (
         ),
         "every second update",
         MARGIN,
-        "Hardly costs time; drawing only when half of the effective particles are lost keeps them.",
+        "Hardly costs time.",
     ),
     Knob(
         "step",
@@ -223,8 +220,7 @@ KNOBS = (
         _scaled("scale.step", 0.5, 1.0, 2.0, 4.0, 8.0),
         None,
         MARGIN,
-        "Fewer updates save no time: odometry drifts between them, and the cloud that spreads "
-        "needs more particles.",
+        "Fewer updates save no time: the cloud spreads between them and needs more particles.",
     ),
     Knob(
         "cloud-error",
@@ -232,7 +228,7 @@ KNOBS = (
         _turned("amcl.pf_err", "0.05", 0.01, 0.02, 0.05, 0.1, 0.2),
         "0.05",
         MARGIN,
-        "Matters while the cloud is spread, at a start that is not known.",
+        "Matters at an unknown start.",
     ),
     Knob(
         "search",
@@ -240,7 +236,7 @@ KNOBS = (
         _turned("localization.search_poses", "300000", 0, 30000, 100000, 300000, 1000000),
         "0",
         MARGIN,
-        "Paid once, at a start that is not known; without it hardly any such start succeeds.",
+        "Paid once, at an unknown start; without it hardly any such start succeeds.",
     ),
     Knob(
         "rivals",
@@ -251,9 +247,8 @@ KNOBS = (
         ),
         "never",
         MARGIN,
-        "The first to turn on a weak computer where the start is known: a followed dive takes a "
-        "sixth to a third of the time without. A vehicle that was carried off, or began at a "
-        "wrong place, is found by it.",
+        "The first to turn on a weak computer with a known start: without it a dive takes a sixth "
+        "to a third of the time, but a vehicle at a wrong place is not found.",
     ),
     Knob(
         "sharpness",
@@ -261,7 +256,7 @@ KNOBS = (
         _scaled("scale.sigma", 0.5, 1.0, 2.0, 4.0),
         None,
         MARGIN,
-        "Sharper or blunter, the cloud takes longer to settle, and time with it.",
+        "Sharper or blunter, the cloud takes longer to converge.",
     ),
     Knob(
         "drawing",
@@ -269,7 +264,7 @@ KNOBS = (
         _turned("localization.draw_exponent", "0.5", 0.25, 0.5, 0.75, 1.0),
         "1.0",
         MARGIN,
-        "Costs no time; below 1 light modes stay alive.",
+        "Costs no time; below 1 weak modes survive.",
     ),
 )
 

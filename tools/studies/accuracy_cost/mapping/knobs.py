@@ -203,8 +203,8 @@ KNOBS = (
         "voxel-size",
         "Voxel size",
         _values("octree.voxel_resolution", (0.05, 0.075, 0.1, 0.15, 0.2, 0.4), 0.05, " m"),
-        "The first to turn: 0.1 m instead of 0.05 m takes a third of the time and a fifth of the "
-        "memory, and moves surfaces by 1 to 2 cm; from 0.2 m on there is little more to save.",
+        "The first to turn: 0.1 m instead of 0.05 m moves surfaces by 1 to 2 cm; beyond 0.2 m "
+        "little more is saved.",
         published="0.05 m",
     ),
     _knob(
@@ -234,16 +234,15 @@ KNOBS = (
             ("evidence_grid, 0.1 m", {"octree.voxel_resolution": 0.1}),
             ("rays, 0.1 m", {"octree.voxel_resolution": 0.1, "mapping.integrator": "rays"}),
         ],
-        "Rays are cheap because they look at every second beam, at some of the aperture and at 50 "
-        "rows behind the first return; what they leave out is missing, false surface too, and the "
-        "log-odds of the rest are off by hundreds of times as much.",
+        "Rays use every second beam, a part of the aperture and 50 rows behind the first return; "
+        "the rest is missing.",
         published="rays",
     ),
     _knob(
         "detail",
         "Detail of the evidence grid",
         _values("mapping.detail", (0.25, 0.5, 1.0, 2.0, 4.0, 8.0), 1.0),
-        "A finer grid takes more time and gives voxels the evidence of the image more exactly.",
+        "A finer grid takes more time and is more exact.",
     ),
     _knob(
         "beams",
@@ -254,8 +253,8 @@ KNOBS = (
             ("128", {"study.beams": 4}),
             ("64", {"study.beams": 8}),
         ],
-        "The sonar's own setting (`device.beams`), here by leaving out columns: half of them save "
-        "an eighth of the time at 0.05 m and a third at 0.2 m, and surfaces hardly move.",
+        "Half of the beams save an eighth of the time at 0.05 m and a third at 0.2 m; surfaces "
+        "hardly move.",
         published="256",
     ),
     _knob(
@@ -267,16 +266,13 @@ KNOBS = (
             ("every 4", {"study.rows": 4}),
             ("every 8", {"study.rows": 8}),
         ],
-        "Rows put together, as loud as the loudest of them, save no time: what is thick in range "
-        "fills more voxels. Surfaces thicken, and less of them is missing.",
+        "Merged rows save no time: surfaces thicken and fill more voxels.",
     ),
     _knob(
         "elevation",
         "Vertical aperture that an echo is spread over",
         _values("sonar.vertical_aperture", (5.0, 10.0, 14.0, 17.0, 20.0, 25.0), 14.0, "°"),
-        "What an echo may be anywhere in. The data sheet's 20° are one way; an echo goes both, and "
-        "half its power is left at 14°: sharper and cheaper looking ahead. Looking down, 20° see a "
-        "little more, and below 14° ever more goes missing.",
+        "The data sheet's 20° are one way; both ways half the power is left at 14°.",
         published="20.0°",
         margin=APERTURE_MARGIN,
     ),
@@ -285,9 +281,7 @@ KNOBS = (
             "within-ping-motion",
             "Motion within the ping",
             [("true", {}), ("false", {"mapping.within_ping_motion": False})],
-            "Costs a third to a half more time and moves no surface up to 10 m: it shows in "
-            "the evidence of voxels, and in surfaces at 30 m and fast turns "
-            "(docs/concepts/mapping.md).",
+            "Matters for surfaces at 30 m and in fast turns (docs/concepts/mapping.md).",
             published="false",
         )
     ),
@@ -296,7 +290,7 @@ KNOBS = (
             "pose-policy",
             "Pose of a ping",
             _values("time_sync.policy", ("interpolate", "nearest", "latest"), "interpolate"),
-            "Costs no time; the newest pose is the wrong one: it shows in the evidence of voxels.",
+            "Costs no time.",
             published="latest",
         )
     ),
@@ -304,7 +298,7 @@ KNOBS = (
         "frame-skip",
         "Frame skip",
         _values("processing.frame_skip", (1, 2, 3, 5, 10), 1),
-        "Time falls with every ping that is left out, and so does what has been seen.",
+        "Saves time in proportion, and maps less.",
         published="5",
     ),
     _knob(
@@ -315,23 +309,22 @@ KNOBS = (
             ("on", {"crosstalk.enabled": True}),
             ("on, notch too", {"crosstalk.enabled": True, "crosstalk.fft_enabled": True}),
         ],
-        "Costs little time; turn it on where another sonar draws stripes. The notch takes away "
-        "surface that is there.",
+        "Turn it on where another sonar draws stripes. The notch removes real surface.",
         published="off",
     ),
     _knob(
         "intensity-threshold",
         "Intensity threshold",
         _values("filtering.intensity_threshold", (15.0, 25.0, 35.0, 50.0, 70.0, 100.0), 35.0),
-        "Higher is cheaper and sharper until the floor falls silent, which is then carved away: it "
-        "belongs to the gain, and to the water.",
+        "Higher is cheaper and sharper until it carves away the floor; it depends on gain and "
+        "water.",
         published="35.0",
     ),
     _knob(
         "occupied-threshold",
         "Probability from which a voxel is occupied",
         _values("mapping.occupied_threshold", (0.5, 0.6, 0.7, 0.8, 0.9, 0.95), 0.7),
-        "Costs no time; higher is less surface, and less of it false.",
+        "Costs no time; higher gives less surface, and less false surface.",
         published="0.7",
     ),
     _knob(
@@ -357,8 +350,7 @@ KNOBS = (
         "sharpness",
         "Slope from intensity to weight",
         _values("iwlo.sharpness", (0.5, 1.5, 3.0, 6.0, 12.0), 3.0),
-        "Costs no time; above 3 weak echoes hardly count, so that a floor seen at an angle goes "
-        "missing.",
+        "Costs no time; above 3 a floor seen at an angle goes missing.",
         published="3.0",
     ),
     _knob(
@@ -372,7 +364,7 @@ KNOBS = (
         "min-alpha",
         "Lowest learning rate",
         _values("iwlo.min_alpha", (0.02, 0.05, 0.1, 0.2, 0.4), 0.1),
-        "Costs no time; it decides how long a change takes, which a short dive cannot show.",
+        "Costs no time; it sets how long a change takes to show.",
         published="0.1",
     ),
 )

@@ -43,11 +43,10 @@ QUICK = ("elevations",)
 """Knobs that every test run turns: what pays off on any scene."""
 ERROR_OF = {"speckle": GRAIN, "range_spread": ROWS}
 HINTS = {
-    "refraction": "Where it is called for, it is the first to turn off: bent paths cost some four "
-    "times a whole ping of straight ones.",
-    "speckle": "It saves time: pictures without it are taken at a finer walk over each patch.",
-    "bearing_table": "It saves time: beams at equal angles follow no column of rays.",
-    "multipath": "Each mirror is one more cast, and where there are mirrors its want shows.",
+    "refraction": "The first to turn off: refracted paths cost four times a ping of straight ones.",
+    "speckle": "Saves time: without it each patch is sampled more finely.",
+    "bearing_table": "Saves time: beams at equal angles follow no column of rays.",
+    "multipath": "Each mirror is one more cast.",
 }
 """What to do about effects whose cost shows; docs/reference/simulator-effects.md has them all."""
 
