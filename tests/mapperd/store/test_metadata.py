@@ -123,7 +123,7 @@ def make_version_1(path: Path) -> None:
 def test_a_file_of_version_1_is_read_and_gets_a_checksum_when_it_is_opened_to_be_written(
     path: Path,
 ) -> None:
-    assert VERSION == 2
+    assert VERSION > 1
     before = content(path)
     assert map_in(path, Config()).has_checksum
     make_version_1(path)
