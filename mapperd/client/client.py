@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import dataclasses
+import random
 import ssl
 import time
 from collections.abc import AsyncIterator, Callable, Collection, Iterator, Mapping
@@ -12,7 +13,6 @@ from typing import Any, Self
 from mapperd.client.change_queue import ChangeQueue
 from mapperd.client.changes import ClientChange, ConnectionStatus, LinkChanged, LinkState
 from mapperd.client.connect import (
-    RetryDelay,
     daemon_address,
     opened,
     read,
@@ -25,8 +25,13 @@ from mapperd.client.protocol import ClientProtocol, StreamOptions
 from mapperd.client.state import MAX_BLOCKS, ClientState, StateReader
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import AnswerMessage, Interest, Want
+from oculus_driver.back_off import BackOff, doubling_steps
 
 __all__ = ["DEFAULT_WANTS", "MapClient", "PendingRequests"]
+
+RETRY_DELAY_S, MAX_RETRY_DELAY_S = 0.2, 5.0
+SOUND_S = 2.0
+"""A connection that lasted this long was good: the next attempt follows soon."""
 
 UNDER_WAY = 8
 """Maximum requests at once; a daemon disconnects clients with more."""
@@ -129,7 +134,7 @@ class MapClient(StateReader):
         self._error: StreamError | None = None
         self._bytes = self._connects = self._faults = 0
         self._link = ConnectionStatus("connecting", str(self._place), "", time.monotonic())
-        self._retry = RetryDelay()
+        self._back_off = BackOff(doubling_steps(RETRY_DELAY_S, MAX_RETRY_DELAY_S), random.random)
 
     @property
     def link(self) -> ConnectionStatus:
@@ -273,7 +278,9 @@ class MapClient(StateReader):
                     return
                 reason = str(error)
             self._set_link("waiting", reason)
-            await self._retry.wait(time.monotonic() - began_s)
+            if time.monotonic() - began_s > SOUND_S:
+                self._back_off.succeeded()
+            await asyncio.sleep(self._back_off.failed())
 
     async def _connection(self) -> str:
         """Run one connection to its end; return why it ended.

@@ -1,8 +1,7 @@
-"""Addresses of daemons; opens connections and chooses the delay between attempts."""
+"""Addresses of daemons, and connections to them."""
 
 import asyncio
 import os
-import random
 import ssl
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,6 @@ from mapperd.client.protocol import ClientProtocol
 
 __all__ = [
     "DaemonAddress",
-    "RetryDelay",
     "daemon_address",
     "opened",
     "read",
@@ -77,10 +75,6 @@ READ_BYTES = 1 << 16
 CONNECT_S = 10.0
 SILENCE_S = 6.0
 """Timeout of a read; the daemon sends something every second."""
-
-RETRY_DELAY_S, MAX_RETRY_DELAY_S = 0.2, 5.0
-SOUND_S = 2.0
-"""A connection that lasted this long was good: the next attempt follows soon."""
 
 UNSENT_BYTES = 1 << 16
 """Unsent bytes from which on nothing is acknowledged, because the daemon does not read."""
@@ -159,22 +153,3 @@ def with_hint(
     if is_greeted or tls is not None or place.paths:
         return reason
     return f"{reason} without a greeting: it may require TLS"
-
-
-class RetryDelay:
-    """Delay between attempts: doubles each time until a connection is good."""
-
-    def __init__(self) -> None:
-        self._wait_s = RETRY_DELAY_S
-        self._jitter = random.Random()  # noqa: S311 not a secret
-
-    async def wait(self, lasted_s: float) -> None:
-        """Wait until the next attempt.
-
-        Args:
-            lasted_s: duration of the last connection.
-        """
-        if lasted_s > SOUND_S:
-            self._wait_s = RETRY_DELAY_S
-        await asyncio.sleep(self._wait_s * self._jitter.uniform(0.5, 1.0))
-        self._wait_s = min(MAX_RETRY_DELAY_S, 2 * self._wait_s)

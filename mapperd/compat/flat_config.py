@@ -1,4 +1,4 @@
-"""The published mapper's flat dictionary of settings, and `SonarMapperConfig`.
+"""sonar_3d_reconstruction's flat dictionary of settings, and `SonarMapperConfig`.
 
 Every key is one setting of `mapperd.config.tree` under its own name (those of `PREFIXED` carry
 their section: `adaptive_threshold`), so that ranges and defaults stand in one place. A key without
@@ -76,7 +76,7 @@ _ONLY = {
 
 
 def config_from_flat(flat: Mapping[str, Any]) -> Config:
-    """Settings from the published mapper's flat keys; what is not named has its default.
+    """Settings from sonar_3d_reconstruction's flat keys; what is not named has its default.
 
     An `occupied_threshold` below 0.5 takes `free_threshold` down with it, and a low
     `adaptive_max_ratio` `adaptive_min_ratio`, unless those are named.

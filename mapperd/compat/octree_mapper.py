@@ -1,7 +1,7 @@
 """`OctreeMapper`: occupancy by points and rays, with a probability for hit and for miss.
 
-The names and defaults are the published mapper's. The map beneath is the one of `SonarMap`; where
-their class had defects this one deliberately differs; the docstrings state where.
+Names and defaults are those of sonar_3d_reconstruction; the map is that of `SonarMap`. Where the
+original class had defects this one differs on purpose; the docstrings state where.
 """
 
 from os import PathLike
@@ -25,8 +25,8 @@ MAX_FILE_BYTES = 2**31
 class OctreeMapper:
     """A map that hits and misses are added to.
 
-    Points are metres in the map frame; lists or arrays of any real dtype. Whatever is refused
-    leaves the map as it was: the published mapper's batch calls dropped points that are not finite.
+    Points are in metres, map frame; lists or arrays of any real dtype. A refused call leaves the
+    map unchanged (batch calls of sonar_3d_reconstruction dropped points that are not finite).
 
     Args:
         resolution: edge of a voxel, metres.
@@ -114,8 +114,8 @@ class OctreeMapper:
             min_probability: 0 gives all observed voxels; negative means 0.5.
 
         Returns:
-            (N, 4): x, y, z of the voxel's CENTRE (the published mapper gave its lowest corner) and
-            the probability.
+            (N, 4): x, y, z of the voxel's CENTRE (sonar_3d_reconstruction gave its lowest corner)
+            and the probability.
 
         Raises:
             ValueError: above 1, or not a number.
@@ -163,7 +163,7 @@ class OctreeMapper:
     def set_occupancy_thresholds(self, min_thresh: float, max_thresh: float) -> None:
         """Set the probabilities that hits and misses stop at.
 
-        A voxel already beyond is not brought back. Unlike the published mapper's, max_thresh is
+        A voxel already beyond is not brought back. Unlike sonar_3d_reconstruction's, max_thresh is
         not also the threshold of being occupied, which called everything not saturated free.
 
         Raises:
@@ -214,7 +214,7 @@ class OctreeMapper:
     def load_from_file(self, filename: str | PathLike[str]) -> bool:
         """Replace the content by that of an OctoMap tree, `.bt` or `.ot`.
 
-        What was loaded answers all queries (the published mapper filled a tree that its queries
+        What was loaded answers all queries (sonar_3d_reconstruction filled a tree that its queries
         did not read). Counts become 1; a `.bt`, having classes alone, gives log-odds -2 and 3.5.
 
         Returns:

@@ -1,4 +1,4 @@
-"""The published mapper's way to declare, read and change parameters, over our settings.
+"""sonar_3d_reconstruction's way to declare, read and change parameters, over our settings.
 
 A node declares parameters, reads them, and has a callback that calls a handler of the mapper for
 each that changed. Here the node is a thin view of the store of settings: values, limits and
@@ -37,7 +37,7 @@ HANDLERS = {
     "mapping.angular_cone_width": "update_angular_cone",
     "processing.frame_skip": "update_frame_skip",
 }
-"""Methods that the published mapper has; other parameters are `update_` and their own name."""
+"""Methods that sonar_3d_reconstruction has; other parameters are `update_` and their own name."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
-"""`ProbabilityUpdater`: IWLO updates of points whose evidence somebody else has worked out.
+"""`ProbabilityUpdater`: IWLO updates of points whose evidence the caller has computed.
 
-The names and defaults are the published mapper's. The rule is applied by the
-core, in its one place. Deliberate differences carry the number of the defect that they avoid.
+Names and defaults are those of sonar_3d_reconstruction; the core applies the rule. Deliberate
+differences carry the number of the defect that they avoid.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ class ProbabilityUpdater:
     """
 
     def __init__(self, resolution: float = 0.05) -> None:
-        # The published mapper's own defaults of this class, not those of the settings.
+        # sonar_3d_reconstruction's own defaults of this class, not those of the settings.
         self._rule: dict[str, Any] = {"sharpness": 0.1, "min_alpha": 0.3}
         self._adaptive = True
         self._occupied_threshold = 0.7
@@ -64,7 +64,7 @@ class ProbabilityUpdater:
         """Set the protection of what is believed: on or off, probability (0..1], factor [0..1].
 
         Below `threshold` an occupied observation moves a voxel by at least `min_ratio` of the
-        largest step, L_occ w; 0 is the published rule, by which a voxel that was seen free five
+        largest step, L_occ w; 0 is the original rule, by which a voxel that was seen free five
         times stays so. None means 0.25, or `max_ratio` where that is less.
 
         Raises:
@@ -86,7 +86,7 @@ class ProbabilityUpdater:
     def set_clamping_thresholds(self, min_prob: float, max_prob: float) -> None:
         """Set the clamps as probabilities; the same clamps as L_min and L_max.
 
-        The published mapper clamped twice, here and to a fixed -10..10, and made max_prob the
+        sonar_3d_reconstruction clamped twice, here and to a fixed -10..10, and made max_prob the
         threshold of being occupied. Here is one pair of clamps, and what is set last holds.
 
         Raises:
@@ -142,10 +142,9 @@ class ProbabilityUpdater:
     ) -> None:
         """Add one observation a point, in their order; a voxel named twice is observed twice.
 
-        The flag decides between occupied and free; the published mapper ignored it and tested the
-        intensity
-        again. An occupied point that is not above the intensity threshold has weight 0: it counts
-        as an observation and moves nothing. A weight multiplies its point's step and plays no part
+        The flag decides between occupied and free (sonar_3d_reconstruction ignored it and tested
+        the intensity again). An occupied point that is not above the intensity threshold has weight
+        0: it counts as an observation and changes nothing. A weight multiplies its point's step and plays no part
         in the count; pass sample counts as weights only if the samples are independent.
 
         Args:
@@ -167,8 +166,8 @@ class ProbabilityUpdater:
         """Voxels above a probability; 0 gives all observed ones, negative means 0.5.
 
         Returns:
-            (N, 4): x, y, z of the voxel's CENTRE (the published mapper gave its lowest corner) and
-            the probability.
+            (N, 4): x, y, z of the voxel's CENTRE (sonar_3d_reconstruction gave its lowest corner)
+            and the probability.
 
         Raises:
             ValueError: above 1, or not a number.

@@ -1,7 +1,7 @@
 """`SonarTo3DMapper`: images of a sonar and poses of a robot become a 3D map.
 
-The names are the published mapper's. The map beneath is that of
-`mapperd.mapping.sonar_map.SonarMap`, in memory, or with `use_outofcore` in tiles of which some are.
+Names are those of sonar_3d_reconstruction. The map is a `mapperd.mapping.sonar_map.SonarMap`; with
+`use_outofcore` only some of its tiles are in memory.
 """
 
 import tempfile
@@ -120,7 +120,7 @@ class SonarTo3DMapper(UpdateHandlers):
     `terrain_detection_*` and `robot_detection_*`.
 
     Args:
-        config: the published mapper's flat keys, such as `voxel_resolution`, listed in
+        config: sonar_3d_reconstruction's flat keys, such as `voxel_resolution`, listed in
             docs/reference/library.md, and `max_range` in metres. Each key has a default.
         clock: seconds, for the processing times and the age of robots.
 
@@ -281,7 +281,7 @@ class SonarTo3DMapper(UpdateHandlers):
     ) -> FrameStats:
         """Add one image; with `frame_skip` N, the first of every N.
 
-        The whole of every beam is used (the published mapper left out every second beam of 512,
+        The whole of every beam is used (sonar_3d_reconstruction left out every second beam of 512,
         and free space between its samples).
 
         Args:
@@ -341,10 +341,10 @@ class SonarTo3DMapper(UpdateHandlers):
         return changed, len(robots)
 
     def get_point_cloud(self, include_free: bool = False) -> PointCloud:  # noqa: FBT001, FBT002
-        """Occupied voxels, and free ones if asked for (the published mapper only warned).
+        """Occupied voxels, and free ones if asked for (sonar_3d_reconstruction only warned).
 
         Occupied: above `occupied_threshold`. Free: observed and below `free_threshold`. Points are
-        voxel CENTRES (the published mapper's were the lowest corners).
+        voxel CENTRES (sonar_3d_reconstruction's were the lowest corners).
         """
         with self._whole() as whole:
             occupied = _together(whole.occupied().batches())
@@ -427,8 +427,8 @@ class SonarTo3DMapper(UpdateHandlers):
     def save_merged_octree(self, filename: str | PathLike[str]) -> bool:
         """Write the map as an OctoMap binary tree (`.bt`), whole or not at all.
 
-        Classes by the thresholds of the settings; the published mapper could not save this map, and
-        saved others with everything above 0.5 as occupied.
+        The thresholds of the settings decide the classes (sonar_3d_reconstruction could not save
+        this map and saved others with everything above 0.5 as occupied).
 
         Returns:
             True; failing is an exception.

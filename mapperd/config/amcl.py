@@ -1,9 +1,8 @@
-"""Settings of localization against a known map, under the names of the published AMCL node.
+"""Settings of localization against a known map, under the names of Beluga AMCL.
 
-Names and defaults are those of the published AMCL node that this filter's parameters come from,
-but for the defaults of `CORRECTED`: its document has them transposed or of another type than its
-formulas need. The node's other releases call some parameters otherwise; `mapperd.config.aliases`
-knows those names.
+Names and defaults are those of Beluga AMCL, except those in `CORRECTED`: its document has them
+transposed, or of another type than the formulas need. `mapperd.config.aliases` has the names
+that other releases use.
 """
 
 import math

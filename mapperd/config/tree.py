@@ -1,7 +1,6 @@
 """All settings: one immutable tree.
 
-Names and defaults are those of the published sonar mapper that this project grew from; a default
-that differs states why.
+Names and defaults are those of sonar_3d_reconstruction; a default that differs states why.
 Every field carries one sentence, its unit, its range, and whether it may change while the
 program runs. A parameter stands here only if it does something. Reading YAML is the business
 of `mapperd.config.loader`.

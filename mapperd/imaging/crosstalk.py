@@ -13,7 +13,7 @@ Everything else stays as it is, sample by sample: thin echoes because they do no
 floors seen flat because they are curved in range or thicker. What cannot be distinguished is a thin
 arc around the sonar itself, such as the wall of a round tank with the sonar in its middle.
 
-`without_stripes` does this. `notched` is the notch of the published mapper's later filter, for
+`without_stripes` does this. `notched` is the notch of sonar_3d_reconstruction's later filter, for
 stripes that are thicker than the kernel or do not span the fan. It weakens what is constant over
 the beams, where the image's spectrum has the frequency zero over them: stripes, but also all else
 that a row has in common. A floor seen flat loses as much as a stripe does.

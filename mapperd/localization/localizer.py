@@ -1,20 +1,20 @@
-"""Localization: maps, poses, requests and scans on their way to the filter.
+"""Localization: passes maps, poses, requests and scans to the filter.
 
 `Lifecycle` decides what maps, initial poses and requests do to the filter. It is a pure state
-machine: an event makes a new state and an action, or a refusal that leaves the state as it is. The
-rules are those of the published node:
+machine: an event gives a new state and an action, or a refusal that leaves the state unchanged. The
+rules are those of Beluga AMCL (`beluga_amcl`):
 
-- A new map begins at a waiting initial pose; else at the last estimate, or with
-  `always_reset_initial_pose` and `set_initial_pose` at the parameters' pose; else, where nothing is
-  known yet, at the configured pose if `set_initial_pose` is true.
-- `first_map_only` ignores maps once a filter is there.
-- A pose in another frame is refused. Without a map it waits, the newest of several.
-- The transform is published from the first pose, or request for global localization, on; a start
-  anywhere on the map that only a map caused does not publish it.
+- On a new map the filter starts at a pending initial pose, if any; otherwise at the last estimate,
+  or, with `always_reset_initial_pose` and `set_initial_pose`, at the configured pose. Without any
+  estimate it starts at the configured pose if `set_initial_pose` is true.
+- `first_map_only` ignores maps once the filter runs.
+- A pose in another frame is refused. Without a map the newest pose waits for one.
+- The transform is published from the first pose or request for global localization on. A start
+  anywhere that only a new map caused does not publish it.
 
-And ours, where nothing is known: the published node then begins anywhere on the map. Here mode
-`global` does so, as if it were requested; mode `track` waits for a pose. A map without
-a free cell is refused where the vehicle would have to be anywhere on it, and the old one stays.
+One rule differs. If nothing is known, Beluga AMCL starts anywhere on the map. Here mode `global`
+does so, as if it were requested, and mode `track` waits for a pose. If the filter would have to
+start anywhere on a map without a free cell, the map is refused and the old one stays.
 """
 
 from collections import Counter

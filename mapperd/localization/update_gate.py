@@ -1,9 +1,9 @@
-"""Which scans lead to an update: those after enough motion, and those that are asked for.
+"""Selects the scans that lead to an update: after enough motion, or on request.
 
-Motion is measured in the odometry's frame, as the distance and the angle from where motion last
-called for an update: both limits are strict. An update that was forced does not move that
-reference, as in the published node. After a new start the next scan's odometry is the reference,
-and nothing is moved by what the vehicle drove before it, as in Nav2's.
+Motion is the distance and the angle, in the odometry's frame, since the last update that motion
+triggered; both limits are strict. As in Beluga AMCL, a requested update does not move that
+reference. As in Nav2, the first scan after a new start sets the reference and earlier motion is
+ignored.
 """
 
 import math

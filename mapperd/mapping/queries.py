@@ -115,8 +115,8 @@ class MapQueries:
     ) -> NDArray[np.float64]:
         """Distance from each origin to where its ray enters the first occupied voxel.
 
-        Every voxel that the ray runs through is looked at (the published mapper's fixed steps miss
-        corners). Unknown space does not stop a ray.
+        Every voxel on the ray is tested (the fixed steps of sonar_3d_reconstruction miss corners).
+        Unknown space does not stop a ray.
 
         Args:
             origins: (N, 3).
@@ -207,7 +207,7 @@ def voxels_above(core: _core.VoxelMap, min_probability: float) -> NDArray[np.flo
 
 @dataclass(frozen=True, slots=True)
 class MemoryStats:
-    """The published mapper's fields, truthful: they counted 1/12 to 1/18 of the memory.
+    """sonar_3d_reconstruction's fields, truthful: they counted 1/12 to 1/18 of the memory.
 
     Attributes:
         num_nodes: observed voxels and the blocks that hold them.

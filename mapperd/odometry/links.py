@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NoReturn, Protocol, TypeVar
 
 from mapperd.config.link_address import LinkAddress, serial_path
 from mapperd.errors import ConfigError, missing_extra
+from oculus_driver.back_off import BackOff, doubling_steps
 
 if TYPE_CHECKING:
     from serial import Serial
@@ -171,7 +172,7 @@ SECOND_NS = 1_000_000_000
 SILENT_NS = 5 * SECOND_NS
 RECONNECT_NS = 15 * SECOND_NS
 """A connection that is silent for this time may be dead."""
-BACK_OFF_NS = tuple(round(s * SECOND_NS) for s in (0.5, 1.0, 2.0, 5.0))
+BACK_OFF_NS = doubling_steps(SECOND_NS // 2, 5 * SECOND_NS)
 
 
 class LinkPhase(StrEnum):
@@ -226,7 +227,7 @@ class OdometryLinkState:
         self._reason = "not started"
         self._heard_ns = 0
         self._bytes = self._opened = self._losses = 0
-        self._failures = 0
+        self._back_off = BackOff(BACK_OFF_NS)
 
     @property
     def status(self) -> OdometryLinkStatus:
@@ -258,7 +259,7 @@ class OdometryLinkState:
         """Bytes came."""
         self._bytes += size
         self._heard_ns = now_ns
-        self._failures = 0
+        self._back_off.succeeded()
         if self._phase is not LinkPhase.RECEIVING:
             self._enter(LinkPhase.RECEIVING, f"bytes come from {self._where}", now_ns)
 
@@ -277,11 +278,9 @@ class OdometryLinkState:
 
     def lost(self, reason: str, now_ns: int) -> int:
         """It was lost, or could not be opened; returns when to try again."""
-        pause_ns = BACK_OFF_NS[min(self._failures, len(BACK_OFF_NS) - 1)]
-        self._failures += 1
         self._losses += 1
         self._enter(LinkPhase.BACKING_OFF, reason, now_ns)
-        return now_ns + pause_ns
+        return now_ns + round(self._back_off.failed())
 
     def closed(self, now_ns: int) -> None:
         """It was closed on purpose."""

@@ -1,7 +1,7 @@
 """Payloads by topic, and the times at which they are due."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -15,7 +15,6 @@ from mapperd.telemetry.topics import Topics
 __all__ = [
     "LAYOUT",
     "SAMPLE",
-    "BackOff",
     "LocalizationReporter",
     "Throttle",
     "encoded",
@@ -133,36 +132,6 @@ class Throttle:
             return False
         self._next_s = max(self._next_s + self.period_s, now_s + self.period_s / 2)
         return True
-
-
-class BackOff:
-    """Random delays between attempts, so that a fleet does not reconnect at the same time.
-
-    Each delay lies between the minimum and three times the one before, limited to 30 s. A
-    connection that lasted at least 30 s resets the delay.
-
-    Args:
-        chance: returns random numbers from 0 to 1.
-    """
-
-    MIN_S = 1.0
-    MAX_S = 30.0
-
-    def __init__(self, chance: Callable[[], float]) -> None:
-        self._chance = chance
-        self._last_s = self.MIN_S
-
-    def after(self, connected_s: float) -> float:
-        """Return the delay after a connection or a failed attempt.
-
-        Args:
-            connected_s: duration of the connection; 0 after a failed attempt.
-        """
-        if connected_s >= self.MAX_S:
-            self._last_s = self.MIN_S
-        max_s = min(self.MAX_S, 3 * self._last_s)
-        self._last_s = self.MIN_S + self._chance() * (max_s - self.MIN_S)
-        return self._last_s
 
 
 CLOUD_S = 1.0

@@ -21,15 +21,19 @@ from mapperd.errors import ConfigError
 from mapperd.events import Severity
 from mapperd.telemetry.broker import check_telemetry, connection
 from mapperd.telemetry.outbox import Kind, Outbox, QueuedMessage
-from mapperd.telemetry.payloads import BackOff
 from mapperd.telemetry.publisher import Reporter, Vitals
 from mapperd.telemetry.requests import TelemetryRequests
 from mapperd.telemetry.topics import Topics
+from oculus_driver.back_off import BackOff, doubling_steps
 
 if TYPE_CHECKING:
     from aiomqtt import Client
 
 __all__ = ["Phase", "Telemetry"]
+
+RETRY_DELAY_S, MAX_RETRY_DELAY_S = 2.0, 30.0
+SOUND_S = 30.0
+"""A connection that lasted this long was good: the next attempt follows soon."""
 
 GOODBYE_S = 2.0
 """For the last messages, when the daemon ends."""
@@ -96,7 +100,7 @@ class Telemetry:
         vitals = Vitals(folders)
         self._reporter = Reporter(operations, self._topics, self._outbox, vitals, self.status)
         self._requests = TelemetryRequests(operations, self._topics, self._put)
-        self._back_off = BackOff(chance)
+        self._back_off = BackOff(doubling_steps(RETRY_DELAY_S, MAX_RETRY_DELAY_S), chance)
         self._news = [asyncio.Event() for _ in SENDERS]
         self.phase, self.reason = Phase.CLOSED, "not started"
         self.counts = dict.fromkeys(("connected", "lost", "published", "failed"), 0)
@@ -122,7 +126,9 @@ class Telemetry:
             while True:
                 connected_s = await self._one_connection()
                 _stop_if_cancelled()  # an error on the way out may have taken its place
-                pause_s = self._back_off.after(connected_s)
+                if connected_s >= SOUND_S:
+                    self._back_off.succeeded()
+                pause_s = self._back_off.failed()
                 self.phase = Phase.BACKING_OFF
                 await asyncio.sleep(pause_s)
         finally:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from oculus_driver.back_off import BackOff
 from oculus_driver.encode import encode_dummy
 from oculus_driver.link.state import (
     SECOND_NS,
@@ -66,7 +67,7 @@ class Link:
     ) -> None:
         self._settings = settings
         self._times = times or LinkTimeouts()
-        self._rng = rng
+        self._back_off = BackOff(self._times.back_off_ns, rng)
         self._discovers = address is None
         self._target = address  # last known address of the sonar
         self._address: str | None = None  # address of the connection
@@ -81,7 +82,6 @@ class Link:
         self._state = LinkState.CLOSED
         self._since_ns = 0
         self._reason = "not started"
-        self._failures = 0
         self._retry_ns = 0
         self._expected_since_ns: int | None = None  # None: no ping expected
         self._received_ns = 0
@@ -95,7 +95,12 @@ class Link:
         """The present status of the link."""
         address = self._address or self._target
         return LinkStatus(
-            self._state, self._since_ns, self._reason, address, self._version, self._failures
+            self._state,
+            self._since_ns,
+            self._reason,
+            address,
+            self._version,
+            self._back_off.failures,
         )
 
     @property
@@ -152,17 +157,16 @@ class Link:
         """Handle the end of the connection, or of a connection attempt."""
         if self._state is LinkState.CLOSED:
             return []
-        self._failures += 1
         if not self._proven:
             self._version = self._requested_version or _PREFERRED_VERSION
-        self._retry_ns = now_ns + self._times.retry_delay_ns(self._failures, self._rng())
+        self._retry_ns = now_ns + round(self._back_off.failed())
         self._enter(LinkState.BACKING_OFF, reason, now_ns)
         return []
 
     def message_received(self, message_id: int, now_ns: int) -> None:
         """Handle a complete message of any kind: a sign of life."""
         self._received_ns = now_ns
-        self._failures = 0
+        self._back_off.succeeded()
         self._dummies += message_id == MessageId.DUMMY
 
     def ping_received(self, now_ns: int) -> None:

@@ -41,7 +41,7 @@ class LinkTimeouts:
         reconnect_ns: without any message, until the link reconnects.
         fallback_ns: for the first ping, until the other fire version is tried.
         status_gone_ns: without a status, until the sonar counts as gone.
-        back_off_ns: delays between connection attempts; the last one repeats.
+        back_off_ns: steps of the `BackOff` between connection attempts.
     """
 
     connect_ns: int = 3 * SECOND_NS
@@ -52,19 +52,6 @@ class LinkTimeouts:
     fallback_ns: int = 5 * SECOND_NS
     status_gone_ns: int = 5 * SECOND_NS
     back_off_ns: tuple[int, ...] = (SECOND_NS // 2, *(s * SECOND_NS for s in (1, 2, 4, 5)))
-
-    def retry_delay_ns(self, failures: int, rng: float) -> int:
-        """Return the delay after a number of consecutive failures.
-
-        Random between half of the step and the whole step, so that hosts that lost the sonar at the
-        same time do not reconnect at the same time.
-
-        Args:
-            failures: consecutive failed attempts, at least 1.
-            rng: a random number from 0 to 1.
-        """
-        step_ns = self.back_off_ns[min(failures, len(self.back_off_ns)) - 1]
-        return round(step_ns * (1.0 - 0.5 * rng))
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,7 +73,7 @@ def test_a_free_step_is_exact_where_the_probability_rounds_to_one() -> None:
 
 @pytest.mark.slow
 def test_an_occupied_step_is_exact_where_the_probability_vanishes() -> None:
-    """At log-odds -127 p is 7e-56, and the published rule's step goes with it.
+    """At log-odds -127 p is 7e-56, and the original rule's step goes with it.
 
     Naively p is taken as 1 - (1 - p) in single precision: it is 0 from log-odds -17.4 on, and
     before that a step is off by two of the units that a voxel is held in.

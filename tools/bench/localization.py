@@ -1,6 +1,6 @@
 """How fast the particle filter is, and how many times faster than the reference's plain loops.
 
-The plain loops (cpp/localization/bench/plain.cpp) do what the published filter does, one particle
+The plain loops (cpp/localization/bench/plain.cpp) do what Beluga AMCL does, one particle
 after the other: three normal draws and a turn a particle, each end of a beam moved, floored and
 looked up, a standard line of cells a ray, a queue for the field, a binary search a sample. Both are
 one program, of the same flags, and take turns within one run, so that the ratio holds on any

@@ -243,7 +243,7 @@ def _export(args: argparse.Namespace) -> int:
 REPORT_FOLDER = "report"
 
 TOLERANCE_M = 0.2
-"""That of the published mapper's analyser."""
+"""That of sonar_3d_reconstruction's analyser."""
 
 
 def _add_report_arguments(parser: argparse.ArgumentParser) -> None:

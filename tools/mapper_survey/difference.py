@@ -1,9 +1,8 @@
-"""How far apart the maps of two dives are, both ways, where both have looked.
+"""Distances between the maps of two dives, in both directions, where both have observed.
 
-The numbers mean what those of the published mapper's analyser mean: of the occupied voxels of one
-map, how many have an occupied one of the other within a tolerance, from centre to centre. Beside
-all voxels, as there, those that the other dive has observed are counted for themselves: what it
-never looked at is no disagreement.
+The numbers are those of the analyser of sonar_3d_reconstruction: of the occupied voxels of one map,
+how many have an occupied voxel of the other within a tolerance, centre to centre. Voxels that the
+other dive has observed are also counted separately: unobserved space is no disagreement.
 """
 
 import math

@@ -46,7 +46,7 @@ __all__ = [
 VERSION = 1
 
 EXCELLENT, MODERATE = 0.1, 0.3
-"""Grades of the published mapper's analyser, by the share of voxels without a partner."""
+"""Grades of sonar_3d_reconstruction's analyser, by the share of voxels without a partner."""
 
 
 MIN_OVERLAP = 0.05

@@ -2,7 +2,7 @@
 
 Draws docs/images/adaptive-ratio.png and prints the tables of docs/reports/mapping.md, in about two
 minutes. The rule is the map's own, through `mapperd.ProbabilityUpdater`, with the defaults of the
-settings. The published rule's way back is computed in real numbers: the map holds log-odds in 16
+settings. The original rule's way back is computed in real numbers: the map holds log-odds in 16
 bits, and rounds most of its steps to nothing.
 
 Usage: python -m studies adaptive-ratio [--picture FILE]
@@ -82,7 +82,7 @@ def pings_to_occupied(min_ratio: float, free_before: int, intensity: float = MID
 
 @cache
 def published_pings_to_occupied(free_before: int, intensity: float = MIDDLE) -> int:
-    """The same by the published rule, in double precision."""
+    """The same by the original rule, in double precision."""
     iwlo, adaptive = DEFAULTS.iwlo, DEFAULTS.adaptive
     threshold = DEFAULTS.filtering.intensity_threshold
     share = (intensity - threshold) / (iwlo.intensity_max - threshold)
@@ -198,7 +198,7 @@ def noise_table(alarms: dict[float, list[FalseAlarms]]) -> list[str]:
 
 
 def noise_row(rate: float, alarms: Sequence[FalseAlarms]) -> str:
-    """One row of it: the published rule and ours."""
+    """One row of it: the original rule and ours."""
     shares = [*(alarm.ever for alarm in alarms), *(alarm.time for alarm in alarms)]
     return f"| {100 * rate:g} % | " + " | ".join(f"{100 * s:.3g} %" for s in shares) + " |"
 
@@ -225,7 +225,7 @@ def draw(path: Path, alarms: dict[float, list[FalseAlarms]]) -> None:
 def _draw_reach(axes: Axes) -> None:
     before = (1, 2, 3, 4, 5, 7, 10, 15, 20, 30, 50, 100, 200, 500, 1000)
     published = [published_pings_to_occupied(n) for n in before]
-    axes.loglog(before, published, "C3o-", markersize=4, label="free to occupied, published rule")
+    axes.loglog(before, published, "C3o-", markersize=4, label="free to occupied, original rule")
     now = [pings_to_occupied(DEFAULT, n) for n in before]
     name = f"free to occupied, min_ratio {DEFAULT:g}"
     axes.loglog(before, now, "C0o-", markersize=4, label=name)
@@ -259,7 +259,7 @@ def _draw_choice(axes: Axes) -> None:
 def _draw_cost(axes: Axes, alarms: dict[float, list[FalseAlarms]]) -> None:
     percent = 100 * np.array(NOISE)
     for ratio, colour in ((PUBLISHED, "C3"), (DEFAULT, "C0")):
-        name = f"min_ratio {ratio:g}" if ratio else "published rule (0)"
+        name = f"min_ratio {ratio:g}" if ratio else "original rule (0)"
         time = [100 * alarm.time for alarm in alarms[ratio]]
         ever = [100 * alarm.ever for alarm in alarms[ratio]]
         axes.plot(percent, time, f"{colour}-o", markersize=4)

@@ -18,7 +18,7 @@ using mapperd::map::IwloParams;
 using mapperd::map::IwloRule;
 using mapperd::map::Voxel;
 
-// The published rule: no floor.
+// The original rule: no floor.
 IwloParams set_a() {
   IwloParams p;
   p.adaptive_min_ratio = 0;

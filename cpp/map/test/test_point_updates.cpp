@@ -21,7 +21,7 @@ constexpr StepLimits kLimits{-2.0, 3.5};
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 TEST_CASE("the published vectors of the rule, through points with weights") {
-  // The published rule's test vectors, set A.
+  // The original rule's test vectors, set A.
   VoxelMap map(0.05, {});
   const double xyz[] = {0.01, 0.02, 0.03, 0.04, 0.02, 0.01, 0.0, 0.0, 0.0};  // all in one voxel
   const double intensity[] = {145, 0, 145};

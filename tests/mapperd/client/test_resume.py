@@ -8,7 +8,8 @@ from typing import Self
 import numpy as np
 import pytest
 
-from mapperd.client import MapChanged, MapClient, MapReset, connect
+from mapperd.client import MapChanged, MapClient, MapReset
+from mapperd.client import client as client_module
 from mapperd.server.stream_server import StreamServer
 from tests.mapperd.client.test_with_server import a_map, go, observe, served, until_equal
 
@@ -80,8 +81,8 @@ def test_a_link_that_breaks_all_the_time_brings_all_of_the_map(
     grows: bool,  # noqa: FBT001
     reports: bool,  # noqa: FBT001
 ) -> None:
-    monkeypatch.setattr(connect, "RETRY_DELAY_S", 0.02)
-    monkeypatch.setattr(connect, "MAX_RETRY_DELAY_S", 0.02)
+    monkeypatch.setattr(client_module, "RETRY_DELAY_S", 0.02)
+    monkeypatch.setattr(client_module, "MAX_RETRY_DELAY_S", 0.02)
     chance = np.random.default_rng(5)
     sonar_map = a_map()
     observe(sonar_map, chance, 1500)

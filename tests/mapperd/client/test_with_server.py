@@ -14,7 +14,8 @@ import pytest
 from studies.stream.sent_steps import sent_steps
 
 from mapperd import _core
-from mapperd.client import Interest, MapClient, connect
+from mapperd.client import Interest, MapClient
+from mapperd.client import client as client_module
 from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.listeners import open_unix_listener
@@ -104,7 +105,7 @@ def go(work: Callable[[AsyncExitStack], Awaitable[None]]) -> None:
 def test_mirrors_equal_the_map_through_restarts_and_breaks(
     short: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connect, "MAX_RETRY_DELAY_S", 0.2)
+    monkeypatch.setattr(client_module, "MAX_RETRY_DELAY_S", 0.2)
     chance = np.random.default_rng(3)
     breaks = random.Random(3)  # noqa: S311 a test
     sonar_map, path = a_map(), short / "map.sock"

@@ -86,7 +86,7 @@ def test_changed_voxel_comes_back_within_30_pings() -> None:
 
 
 def published_pings_back(free_pings: int, unit: float) -> int:
-    """Of the published rule, with steps of whole units; 0 if a step has no effect."""
+    """Of the original rule, with steps of whole units; 0 if a step has no effect."""
     value = 0.0
     for ping in range(free_pings + 10_000):
         p, alpha = 1 / (1 + math.exp(-value)), max(0.1, 1 / (1 + 0.1 * ping))

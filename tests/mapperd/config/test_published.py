@@ -1,4 +1,4 @@
-"""Every parameter of the published mapper: its name, default, unit, limits, and if it is live."""
+"""Every parameter of sonar_3d_reconstruction: name, default, unit, limits, and if it is live."""
 
 from pathlib import Path
 from typing import Any
@@ -194,7 +194,7 @@ sonar_3d_mapper:
     outofcore:
       use: false
 """
-"""The published mapper's own example."""
+"""sonar_3d_reconstruction's own example."""
 
 
 def test_parameter_file_of_a_node_loads(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from mapperd.events import Severity
 from mapperd.telemetry import broker
-from mapperd.telemetry.payloads import BackOff
+from mapperd.telemetry import telemetry as telemetry_module
 from mapperd.telemetry.telemetry import Phase, Telemetry
 from tests.mapperd.telemetry.conftest import FakeDaemon
 from tests.support.process import free_tcp_port
@@ -20,8 +20,8 @@ LONG_S = 30.0
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(BackOff, "MIN_S", 0.01)
-    monkeypatch.setattr(BackOff, "MAX_S", 0.02)
+    monkeypatch.setattr(telemetry_module, "RETRY_DELAY_S", 0.01)
+    monkeypatch.setattr(telemetry_module, "MAX_RETRY_DELAY_S", 0.02)
     monkeypatch.setattr(broker, "TIMEOUT_S", 0.2)
 
 

@@ -17,7 +17,7 @@ from aiomqtt import Client, MqttError
 
 from mapperd.events import Severity
 from mapperd.telemetry import broker
-from mapperd.telemetry.payloads import BackOff
+from mapperd.telemetry import telemetry as telemetry_module
 from mapperd.telemetry.telemetry import Phase, Telemetry
 from tests.mapperd.telemetry.conftest import POSE, ROBOT, ROOT, FakeDaemon
 from tests.support.peers.mosquitto import Cable, mosquitto_path, running_mosquitto
@@ -35,8 +35,8 @@ LONG_S = 60.0
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(BackOff, "MIN_S", 0.05)
-    monkeypatch.setattr(BackOff, "MAX_S", 0.1)
+    monkeypatch.setattr(telemetry_module, "RETRY_DELAY_S", 0.05)
+    monkeypatch.setattr(telemetry_module, "MAX_RETRY_DELAY_S", 0.1)
 
 
 async def until(true: Callable[[], object]) -> None:

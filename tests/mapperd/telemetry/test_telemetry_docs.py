@@ -7,9 +7,9 @@ from mapperd.config.loader import config_from_text
 from mapperd.events import Severity
 from mapperd.telemetry.broker import TIMEOUT_S
 from mapperd.telemetry.outbox import Kind, Outbox
-from mapperd.telemetry.payloads import BackOff
 from mapperd.telemetry.publisher import Reporter
 from mapperd.telemetry.requests import MAX_BYTES, MAX_ID, MAX_WAITING, REMEMBERED
+from mapperd.telemetry.telemetry import MAX_RETRY_DELAY_S, RETRY_DELAY_S
 from mapperd.telemetry.topics import MAX_NAME, Topics
 from tests.mapperd.localization.believed import snapshot
 from tests.mapperd.telemetry.conftest import POSE, ROBOT, T0_S, FakeDaemon, below
@@ -42,8 +42,8 @@ def test_numbers_are_those_of_the_code() -> None:
         f"more than {MAX_NAME} characters",
         f"more than {MAX_BYTES} bytes",
         f"{TIMEOUT_S:g} s without an answer",
-        f"random pause of {BackOff.MIN_S:g} to {3 * BackOff.MIN_S:g} s",
-        f"growing to {BackOff.MAX_S:g} s",
+        f"random pause of {RETRY_DELAY_S / 2:g} to {RETRY_DELAY_S:g} s",
+        f"growing to {MAX_RETRY_DELAY_S:g} s",
     ):
         assert words in text, words
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mapperd.client import Interest, MapClient, connect
+from mapperd.client import Interest, MapClient
+from mapperd.client import client as client_module
 from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.listeners import open_unix_listener
@@ -77,7 +78,7 @@ def browser() -> Iterator["Browser"]:
 def test_the_page_follows_a_daemon_through_a_restart(
     browser: "Browser", short: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connect, "MAX_RETRY_DELAY_S", 0.2)
+    monkeypatch.setattr(client_module, "MAX_RETRY_DELAY_S", 0.2)
     path = short / "map.sock"
     daemon = Daemon(path)
     daemon.build(0.0)

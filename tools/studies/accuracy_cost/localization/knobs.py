@@ -58,7 +58,7 @@ def config_for(place: DiveArea, overrides: Mapping[str, Value], seed: int) -> Co
 def published_overrides() -> dict[str, Value]:
     """What the profile sets, back at the defaults, which are the published ones; and a planar map.
 
-    Settings that the published filter does not have are off by their defaults.
+    Settings that Beluga AMCL does not have are off by their defaults.
     """
     profile = yaml.safe_load(PROFILE.read_text(encoding="utf-8"))
     defaults = msgspec.to_builtins(Config())

@@ -133,7 +133,7 @@ PUBLISHED_RULE: dict[str, Value] = {
     "adaptive.min_ratio": 0.0,
     "time_sync.policy": "latest",
 }
-"""The published sonar mapper: sampled sub-rays, one pose a ping, the newest, all of the aperture of
+"""sonar_3d_reconstruction: sampled sub-rays, one pose a ping, the newest, all of the aperture of
 the data sheet; its other constants are those of its page of parameters, which are our defaults."""
 
 PUBLISHED = Setting("published", PUBLISHED_RULE | {"processing.frame_skip": 5})

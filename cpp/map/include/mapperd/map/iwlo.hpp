@@ -30,7 +30,7 @@ struct IwloParams {
   double adaptive_threshold = 0.5;
   double adaptive_max_ratio = 0.3;
   /// Below the adaptive threshold, the lower limit of alpha times the scale for an occupied step. 0
-  /// is the published rule, by which a voxel seen free five times stays so for 210 000 pings; here
+  /// is the original rule, by which a voxel seen free five times stays so for 210 000 pings; here
   /// it stays so for ever, because steps below half a unit are lost.
   double adaptive_min_ratio = 0.25;
   bool protect_occupied = true;  ///< false: free steps are never scaled down

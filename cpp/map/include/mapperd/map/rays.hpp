@@ -1,5 +1,5 @@
 /// \file
-/// \brief Sampled sub-rays, as the published sonar mapper has them that this project grew from.
+/// \brief Sampled sub-rays, as in sonar_3d_reconstruction, the mapper that this project grew from.
 ///
 /// The baseline that the evidence grid is measured against, with that mapper's steps and
 /// quirks:
