@@ -144,8 +144,8 @@ class ProbabilityUpdater:
 
         The flag decides between occupied and free (sonar_3d_reconstruction ignored it and tested
         the intensity again). An occupied point that is not above the intensity threshold has weight
-        0: it counts as an observation and changes nothing. A weight multiplies its point's step and plays no part
-        in the count; pass sample counts as weights only if the samples are independent.
+        0: it counts as an observation and changes nothing. A weight multiplies its point's step and
+        does not enter the count; pass sample counts as weights only if the samples are independent.
 
         Args:
             points: (N, 3), metres, map frame.
