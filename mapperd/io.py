@@ -1,6 +1,7 @@
-"""Files that are either whole or not there."""
+"""Files that are either whole or not there, and locks between processes."""
 
 import contextlib
+import fcntl
 import os
 import tempfile
 from collections.abc import Iterator
@@ -9,7 +10,7 @@ from typing import BinaryIO
 
 from mapperd.errors import ExportError, os_reason
 
-__all__ = ["atomic_file", "make_folder", "remove", "sync_folder"]
+__all__ = ["atomic_file", "lock_file", "make_folder", "remove", "sync_folder"]
 
 
 def make_folder(folder: Path) -> None:
@@ -60,6 +61,33 @@ def sync_folder(folder: Path) -> None:
             os.fsync(handle)
         finally:
             os.close(handle)
+
+
+def lock_file(
+    path: Path, flags: int = os.O_RDWR | os.O_CREAT, mode: int = 0o600, *, wait: bool = False
+) -> int:
+    """Open a file or a folder, and lock it until the handle is closed or the process ends.
+
+    Args:
+        path: of the file.
+        flags: of `os.open`.
+        mode: of a file that is created.
+        wait: wait for another process that holds the lock.
+
+    Returns:
+        The handle; close it with `os.close`.
+
+    Raises:
+        BlockingIOError: another process holds the lock.
+        OSError: it cannot be opened or locked.
+    """
+    handle = os.open(path, flags | os.O_CLOEXEC, mode)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except OSError:
+        os.close(handle)
+        raise
+    return handle
 
 
 def remove(path: Path) -> None:

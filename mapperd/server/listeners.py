@@ -2,7 +2,6 @@
 
 import contextlib
 import errno
-import fcntl
 import ipaddress
 import os
 import re
@@ -15,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mapperd.errors import ConfigError, LiveError, os_reason
+from mapperd.io import lock_file
 
 __all__ = [
     "Listener",
@@ -199,14 +199,8 @@ def peer_of(connection: socket.socket, address: object) -> tuple[str, str]:
 
 def _lock(path: Path) -> int:
     """Lock the path of a socket until the handle is closed or the process ends."""
-    flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
-    handle = os.open(path.with_name(f".{path.name}.lock"), flags, 0o600)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(handle)
-        raise
-    return handle
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
+    return lock_file(path.with_name(f".{path.name}.lock"), flags)
 
 
 def _require_free(path: Path) -> None:

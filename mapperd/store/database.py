@@ -2,7 +2,6 @@
 
 import contextlib
 import errno
-import fcntl
 import os
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
@@ -10,6 +9,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from mapperd.errors import StoreError, os_reason
+from mapperd.io import lock_file
 
 __all__ = [
     "APPLICATION_ID",
@@ -267,15 +267,13 @@ def only_writer(path: Path) -> Iterator[None]:
     """
     lock = path.with_name(f"{path.name}.lock")
     try:
-        handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        handle = lock_file(lock, mode=0o644)
+    except BlockingIOError as error:
+        raise StoreError(f"{path}: another mapperd maps into it", "in_use") from error
     except OSError as error:
         reason = "disk_full" if error.errno == errno.ENOSPC else "read_only"
         raise StoreError(f"{lock}: cannot be made: {os_reason(error)}", reason) from error
     try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise StoreError(f"{path}: another mapperd maps into it", "in_use") from error
         yield
     finally:
         os.close(handle)

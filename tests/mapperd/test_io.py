@@ -1,9 +1,10 @@
+import os
 from pathlib import Path
 
 import pytest
 
 from mapperd.errors import ExportError
-from mapperd.io import atomic_file, make_folder
+from mapperd.io import atomic_file, lock_file, make_folder
 
 
 def test_file_appears_whole(tmp_path: Path) -> None:
@@ -45,3 +46,23 @@ def test_file_in_the_way_of_a_folder_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ExportError, match="file"):
         make_folder(tmp_path / "file")
+
+
+def test_a_lock_holds_until_its_handle_is_closed(tmp_path: Path) -> None:
+    path = tmp_path / "lock"
+    handle = lock_file(path, mode=0o640)
+    assert path.stat().st_mode & 0o777 == 0o640
+    open_handles = len(list(Path("/proc/self/fd").iterdir()))
+    with pytest.raises(BlockingIOError):
+        lock_file(path)
+    assert len(list(Path("/proc/self/fd").iterdir())) == open_handles
+    os.close(handle)
+    os.close(lock_file(path, wait=True))
+
+
+def test_a_folder_can_be_locked_and_a_link_refused(tmp_path: Path) -> None:
+    os.close(lock_file(tmp_path, os.O_RDONLY))
+    (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(OSError, match="link"):
+        lock_file(tmp_path / "link", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW)
+    assert not (tmp_path / "elsewhere").exists()

@@ -4,7 +4,6 @@ Files come into it whole or not at all: they are written elsewhere, then put.
 """
 
 import contextlib
-import fcntl
 import hashlib
 import os
 import shutil
@@ -21,6 +20,7 @@ import fsspec
 import msgspec
 
 from mapper_survey.errors import SurveyError
+from mapperd.io import lock_file
 
 __all__ = ["LOCK", "Folder", "crc_of", "held", "mark", "marked", "scratch", "this_system"]
 
@@ -47,9 +47,8 @@ def scratch() -> Iterator[Path]:
     prefix = f"{PREFIX}{machine}."
     _sweep(base, prefix)
     with tempfile.TemporaryDirectory(prefix=prefix, dir=base) as temporary:
-        handle = os.open(temporary, os.O_RDONLY)
+        handle = lock_file(Path(temporary), os.O_RDONLY, wait=True)
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX)
             yield Path(temporary)
         finally:
             os.close(handle)
@@ -61,9 +60,8 @@ def _sweep(base: Path, prefix: str) -> None:
         with contextlib.suppress(OSError):  # somebody else's, or removed meanwhile
             if path.stat().st_mtime > time.time() - YOUNG_S:
                 continue
-            handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            handle = lock_file(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 shutil.rmtree(path)
             finally:
                 os.close(handle)

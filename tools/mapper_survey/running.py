@@ -1,7 +1,7 @@
 """A survey from beginning to end: plan, tiles, merge. What is done already is not done again."""
 
 import contextlib
-import fcntl
+import os
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -21,6 +21,7 @@ from mapper_survey.run_record import dive_record, map_times, plan_times, recorde
 from mapper_survey.tiles import Scope, TileResult, TileStage, shard_mark
 from mapperd import __version__
 from mapperd.cli.progress import ProgressBar
+from mapperd.io import lock_file
 
 __all__ = [
     "DIVES",
@@ -255,15 +256,15 @@ def _alone(folder: Folder) -> Iterator[None]:
         return
     try:
         folder.local.mkdir(parents=True, exist_ok=True)
-        handle = (folder.local / ".lock").open("w")
+        handle = lock_file(folder.local / ".lock", mode=0o666)
     except PermissionError as error:
         raise SurveyError(f"{folder.url}: cannot be written into: {error.strerror}") from error
-    with handle:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise SurveyError(f"{folder.url}: another mapper-survey is at work") from error
+    except BlockingIOError as error:
+        raise SurveyError(f"{folder.url}: another mapper-survey is at work") from error
+    try:
         yield
+    finally:
+        os.close(handle)
 
 
 def _record_name(map_name: str) -> str:
