@@ -16,7 +16,7 @@ from mapperd import __version__
 from mapperd.cli.mapperctl.connection import ControlConnection, CtlError, DaemonTarget
 from mapperd.cli.mapperctl.views import status_lines
 from mapperd.config.layers import load_settings
-from mapperd.config.link_address import parse_address
+from mapperd.config.odometry import parse_address
 from mapperd.config.paths import socket_places
 from mapperd.config.tree import Config
 from mapperd.daemon.doctor import LinkEvidence, judge_link

@@ -17,7 +17,7 @@ from mapperd.daemon.map_folder import localization_summary, recording_facts, sum
 from mapperd.errors import ReplayError, os_reason
 from mapperd.export.trajectory import TrajectoryWriter
 from mapperd.geometry.frames import Pose
-from mapperd.mapping.content import MapContent
+from mapperd.mapping.queries import MapContent
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.persistence import MapPersistence, TilePersistence

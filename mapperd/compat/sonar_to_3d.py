@@ -29,8 +29,7 @@ from mapperd.imaging.filter_chain import check_filters, filter_ping_image
 from mapperd.imaging.ping_image import MAX_RANGE_M as MAX_RANGE_LIMIT_M
 from mapperd.imaging.ping_image import PingImage, ping_image_of_array
 from mapperd.imaging.robots import Sighting, Sightings
-from mapperd.mapping.content import MapContent
-from mapperd.mapping.queries import MapQueries, memory_stats
+from mapperd.mapping.queries import MapContent, MapQueries, memory_stats
 from mapperd.mapping.sonar_map import PingStats, SonarMap, Voxels
 from mapperd.store.stored_map import StoredMap
 from mapperd.store.tile_store import TileStore

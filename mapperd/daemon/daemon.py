@@ -24,7 +24,7 @@ from mapperd.geometry.geodesy import Origin
 from mapperd.imaging.filter_chain import check_filters
 from mapperd.localization.models import check_localization
 from mapperd.localization.report import localization_report
-from mapperd.mapping.content import MapContent
+from mapperd.mapping.queries import MapContent
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.executor import PingExecutor
 from mapperd.pipeline.pose_lookup import origin_of

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from mapperd.config.link_address import LinkAddress
+from mapperd.config.odometry import LinkAddress
 from mapperd.odometry.decoder import DecoderCounters
 from mapperd.odometry.links import LinkPhase, OdometryLinkStatus
 from oculus_driver.discovery.probe import Layer, Verdict

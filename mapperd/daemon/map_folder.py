@@ -26,7 +26,7 @@ from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.geometry.geodesy import Origin
 from mapperd.io import atomic_file, make_folder, remove
 from mapperd.localization.status import LocalizationSnapshot
-from mapperd.mapping.content import MapContent, VoxelCloud
+from mapperd.mapping.queries import MapContent, VoxelCloud
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.session.recordings import RecordedSession

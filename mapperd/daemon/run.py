@@ -34,7 +34,7 @@ from mapperd.localization.report import state_of
 from mapperd.localization.saved_pose import load_pose
 from mapperd.localization.session import LocalizationSession, begun
 from mapperd.localization.status import LocalizationSnapshot
-from mapperd.mapping.content import MapContent
+from mapperd.mapping.queries import MapContent
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.pipeline.watchdog import process_progress
 from mapperd.server.map_source import MapSource

@@ -13,8 +13,8 @@ from typing import Any, Never
 import msgspec
 
 from mapperd import __version__
-from mapperd.config.link_address import parse_address
 from mapperd.config.live import changes_between
+from mapperd.config.odometry import parse_address
 from mapperd.config.tree import Config
 from mapperd.daemon.localization_service import Requests
 from mapperd.daemon.sonar_control import SonarControl, fire_settings

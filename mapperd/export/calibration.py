@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from mapperd.config.loader import YamlProblem, parse_yaml
 from mapperd.errors import ConfigError, os_reason
-from mapperd.mapping.content import VoxelCloud
 from mapperd.mapping.probability import probabilities_of
+from mapperd.mapping.queries import VoxelCloud
 from mapperd.mapping.sonar_map import Voxels
 
 __all__ = ["ProbabilityCalibration", "load_calibration"]

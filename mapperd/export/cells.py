@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from mapperd import _core
 from mapperd.errors import ExportError
-from mapperd.mapping.content import MapContent
 from mapperd.mapping.probability import log_odds_of
+from mapperd.mapping.queries import MapContent
 
 __all__ = [
     "FREE",

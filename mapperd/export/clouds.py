@@ -5,8 +5,8 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.mapping.content import VoxelCloud
 from mapperd.mapping.difference import MapDifference
+from mapperd.mapping.queries import VoxelCloud
 
 __all__ = [
     "POINT",

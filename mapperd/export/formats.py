@@ -14,7 +14,7 @@ from mapperd.export.grids import nav2_yaml, write_ascii_grid, write_pgm
 from mapperd.export.las import write_las
 from mapperd.geometry.geodesy import Origin, local_projection, utm_zone
 from mapperd.io import atomic_file
-from mapperd.mapping.content import MapContent, VoxelCloud
+from mapperd.mapping.queries import MapContent, VoxelCloud
 from mapperd.mapping.sonar_map import SonarMap
 
 __all__ = ["FORMATS", "PROBABILITY_FORMATS", "check_calibration", "crs_of", "write_map"]

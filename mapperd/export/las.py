@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mapperd.errors import ExportError, missing_extra
 from mapperd.geometry.geodesy import Origin, utm_zone
-from mapperd.mapping.content import VoxelCloud
+from mapperd.mapping.queries import VoxelCloud
 from mapperd.mapping.sonar_map import Voxels
 
 __all__ = ["STEP_M", "las_cloud", "write_las"]

@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.mapping.content import VoxelCloud
+from mapperd.mapping.queries import VoxelCloud
 from mapperd.mapping.sonar_map import Voxels
 
 __all__ = ["MAX_PIXELS", "MapProjection", "can_draw", "project", "write_picture"]

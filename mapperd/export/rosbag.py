@@ -21,7 +21,7 @@ from mapperd.errors import ExportError, missing_extra
 from mapperd.export.cells import FREE, OCCUPIED, UNKNOWN, GridLayer, Heights, known_cells
 from mapperd.export.clouds import POINT
 from mapperd.geometry.frames import Pose, quaternion_to_matrix
-from mapperd.mapping.content import MapContent, VoxelCloud
+from mapperd.mapping.queries import MapContent, VoxelCloud
 from mapperd.odometry.fusion import FusedPose
 
 __all__ = ["GRID_TOPIC", "Bag", "Messages", "Storage", "Turned", "open_bag"]

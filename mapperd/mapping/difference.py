@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mapperd import _core
 from mapperd.errors import MapError
-from mapperd.mapping.content import MapContent
+from mapperd.mapping.queries import MapContent
 
 __all__ = [
     "MAX_REACH_VOXELS",

@@ -4,8 +4,7 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from mapperd.config.link_address import parse_address
-from mapperd.config.odometry import FormatSettings, OdometrySourceConfig
+from mapperd.config.odometry import FormatSettings, OdometrySourceConfig, parse_address
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, Reject
 from mapperd.odometry.decoder import Decoder

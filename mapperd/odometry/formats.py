@@ -2,8 +2,7 @@
 
 from importlib.util import find_spec
 
-from mapperd.config.link_address import parse_address
-from mapperd.config.odometry import NOBODY, FormatSettings, OdometryFusionConfig
+from mapperd.config.odometry import NOBODY, FormatSettings, OdometryFusionConfig, parse_address
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, missing_extra
 from mapperd.odometry.decoder import Decoder, LineDecoder, ReadLine

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, NoReturn, Protocol, TypeVar
 
-from mapperd.config.link_address import LinkAddress, serial_path
+from mapperd.config.odometry import LinkAddress, serial_path
 from mapperd.errors import ConfigError, missing_extra
 from oculus_driver.back_off import BackOff, doubling_steps
 

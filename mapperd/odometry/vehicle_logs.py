@@ -13,8 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mapperd.config.link_address import parse_address
-from mapperd.config.odometry import OdometrySourceConfig
+from mapperd.config.odometry import OdometrySourceConfig, parse_address
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, missing_extra
 from mapperd.geometry.frames import compass_quaternion

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
 from mapperd.localization.session import LocalizationSession
-from mapperd.mapping.content import MapContent
+from mapperd.mapping.queries import MapContent
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.decoder import SessionDecoder, Work
 from mapperd.pipeline.watchdog import Worker

@@ -13,7 +13,7 @@ from mapperd.config.live import with_values
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, MapError, os_reason
 from mapperd.geometry.geodesy import Origin
-from mapperd.mapping.content import MapContent
+from mapperd.mapping.queries import MapContent
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.position import position_in
 from mapperd.store.reader import StoreReader

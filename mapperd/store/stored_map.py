@@ -53,7 +53,7 @@ Columns = tuple[int, int, int]
 
 
 class StoredMap:
-    """One saved state of a map in its file; `mapperd.mapping.content.MapContent`.
+    """One saved state of a map in its file; `mapperd.mapping.queries.MapContent`.
 
     The file may be written meanwhile: this state is read until `close`.
 
@@ -319,7 +319,7 @@ class _Survey:
 
 @dataclass(frozen=True, slots=True)
 class _StoredVoxels:
-    """Occupied voxels; `mapperd.mapping.content.VoxelCloud`."""
+    """Occupied voxels; `mapperd.mapping.queries.VoxelCloud`."""
 
     parts: Callable[[], Iterator[SonarMap]]
     count: int

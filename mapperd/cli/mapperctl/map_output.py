@@ -11,7 +11,7 @@ from mapperd.export.calibration import ProbabilityCalibration
 from mapperd.export.cells import Heights
 from mapperd.export.formats import FORMATS, crs_of, write_map
 from mapperd.geometry.geodesy import Origin
-from mapperd.mapping.content import MapContent
+from mapperd.mapping.queries import MapContent
 
 __all__ = ["MapOutput", "check_suffix", "make_files", "missing", "origin_among", "without_checksum"]
 

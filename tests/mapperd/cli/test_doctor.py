@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from mapperd.cli.mapperd import main
-from mapperd.config.link_address import parse_address
+from mapperd.config.odometry import parse_address
 from mapperd.daemon.doctor import LAYERS, LinkEvidence, judge_link
 from mapperd.odometry.decoder import DecoderCounters
 from mapperd.odometry.links import LinkPhase, OdometryLinkStatus

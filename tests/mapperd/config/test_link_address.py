@@ -2,8 +2,14 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.config.link_address import LinkAddress, parse_address, serial_path
-from mapperd.config.odometry import OdometryFusionConfig, OdometrySourceConfig, OwnersConfig
+from mapperd.config.odometry import (
+    LinkAddress,
+    OdometryFusionConfig,
+    OdometrySourceConfig,
+    OwnersConfig,
+    parse_address,
+    serial_path,
+)
 
 
 @pytest.mark.parametrize(
@@ -52,7 +58,7 @@ def test_what_is_no_link_is_refused_in_one_sentence(text: str) -> None:
 def test_a_name_of_udev_is_looked_up_each_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mapperd.config.link_address.UDEV_FOLDERS", (tmp_path,))
+    monkeypatch.setattr("mapperd.config.odometry.UDEV_FOLDERS", (tmp_path,))
     with pytest.raises(FileNotFoundError, match="is it plugged in"):
         serial_path("usb-DVL")
     (tmp_path / "usb-DVL").symlink_to("/dev/null")

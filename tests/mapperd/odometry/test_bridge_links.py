@@ -15,8 +15,12 @@ from typing import Any
 
 import pytest
 
-from mapperd.config.link_address import parse_address
-from mapperd.config.odometry import FormatName, OdometryFusionConfig, OdometrySourceConfig
+from mapperd.config.odometry import (
+    FormatName,
+    OdometryFusionConfig,
+    OdometrySourceConfig,
+    parse_address,
+)
 from mapperd.config.tree import Config
 from mapperd.errors import Reject
 from mapperd.odometry.bridge import OdometryBridge
@@ -239,7 +243,7 @@ def to(writer: asyncio.StreamWriter) -> Send:
 def test_dvl_on_a_serial_line_is_unplugged_and_comes_back(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mapperd.config.link_address.UDEV_FOLDERS", (tmp_path,))
+    monkeypatch.setattr("mapperd.config.odometry.UDEV_FOLDERS", (tmp_path,))
     plug = tmp_path / "usb-DVL"
     bench = Bench("water_linked_serial", "serial:usb-DVL?baud=115200")
 

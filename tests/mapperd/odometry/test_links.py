@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.config.link_address import parse_address
+from mapperd.config.odometry import parse_address
 from mapperd.odometry.links import OdometryLink, OdometryLinkStatus
 
 pytestmark = pytest.mark.net
@@ -109,7 +109,7 @@ def test_a_serial_line_is_unplugged_and_plugged_in_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A pseudo terminal under a name of udev's; the second one is another device."""
-    monkeypatch.setattr("mapperd.config.link_address.UDEV_FOLDERS", (tmp_path,))
+    monkeypatch.setattr("mapperd.config.odometry.UDEV_FOLDERS", (tmp_path,))
     plug = tmp_path / "usb-DVL"
 
     def plug_in() -> tuple[int, int]:

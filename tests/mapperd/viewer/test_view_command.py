@@ -17,7 +17,7 @@ from mapperd.cli.mapperctl.connection import CtlError, CtlExit
 from mapperd.cli.mapperctl.view import _report_link, open_page, run_view, same_origin
 from mapperd.client import AskError, MapClient
 from mapperd.daemon.map_server import MapServer, saved_map
-from mapperd.mapping.content import MapContent
+from mapperd.mapping.queries import MapContent
 from mapperd.store.stored_map import StoredMap
 from tests.mapperd.store.dive import CONFIG, dive_on, open_store
 from tests.support.mapperctl import call
