@@ -1,8 +1,8 @@
-"""Pings that another sound source fills: in them most beams see what no ping before saw.
+"""Detects pings that another sound source fills: most of their returns are new.
 
-A ping is explained by another one if few of its returns differ from that one's by more than the
-vehicle can have moved. It is compared with the two before it: a burst is explained by neither, the
-ping after a burst by the one before it, and what really changed by its own repetition.
+A ping is explained by another one if few of its returns differ by more than the vehicle can have
+moved. Each ping is compared with the two before it. Neither explains a burst; the ping before a
+burst explains the one after it; a real change is explained by its repetition.
 """
 
 import math
@@ -17,11 +17,11 @@ __all__ = ["BurstState", "BurstWatch", "unexplained_share"]
 Floats = NDArray[np.float64]
 
 MIN_RETURNS = 16
-"""Fewer returns give no share."""
+"""Minimum number of returns for a share."""
 
 
 class BurstState(NamedTuple):
-    """State of a `BurstWatch`: its limits, and time, bearings and ranges of the last pings."""
+    """State of a `BurstWatch`: its limits, and times, bearings and ranges of the last pings."""
 
     max_speed_mps: float
     max_turn_radps: float
@@ -38,17 +38,17 @@ class _SeenScan:
 def unexplained_share(
     bearing_rad: Floats, range_m: Floats, before_m: Floats, *, moved_m: float, turned_rad: float
 ) -> float:
-    """Share of a ping's returns that another ping of the same beams does not explain.
+    """Return the share of a ping's returns that another ping does not explain.
 
-    A return is explained by one of a beam that a turn may have put in its place, at a range that
-    differs by no more than the vehicle may have moved.
+    Another return explains one if a turn can have moved its beam there and if the ranges differ by
+    no more than the vehicle can have moved.
 
     Args:
         bearing_rad: (beams,) increasing.
         range_m: (beams,), NaN where there is no return.
-        before_m: (beams,) of the other ping.
-        moved_m: at most, between the pings.
-        turned_rad: at most.
+        before_m: (beams,) ranges of the other ping.
+        moved_m: maximum motion between the pings.
+        turned_rad: maximum turn between the pings.
 
     Returns:
         0..1; 0 where there are no returns.
@@ -71,8 +71,8 @@ class BurstWatch:
     """Compares each ping with the two before it.
 
     Args:
-        max_speed_mps: of the vehicle.
-        max_turn_radps: of the vehicle.
+        max_speed_mps: maximum speed of the vehicle.
+        max_turn_radps: maximum turn rate of the vehicle.
     """
 
     def __init__(self, max_speed_mps: float, max_turn_radps: float) -> None:
@@ -81,25 +81,25 @@ class BurstWatch:
         self._last: tuple[_SeenScan, ...] = ()
 
     def state(self) -> BurstState:
-        """Everything that `restored` needs to continue exactly."""
+        """Return the state for `restored`."""
         last = [(one.stamp_ns, one.bearing_rad, one.range_m) for one in self._last]
         return BurstState(self._max_speed_mps, self._max_turn_radps, last)
 
     @classmethod
     def restored(cls, state: BurstState) -> "BurstWatch":
-        """The watch of which `state` was taken."""
+        """Return the watch that `state` was taken from."""
         watch = cls(state.max_speed_mps, state.max_turn_radps)
         watch._last = tuple(_SeenScan(*seen) for seen in state.last)
         return watch
 
     def share(self, stamp_ns: int, bearing_rad: Floats, range_m: Floats, cell_m: float) -> float:
-        """Share of the returns that no ping before explains, 0..1; the ping is then remembered.
+        """Return the share of returns that no earlier ping explains, 0..1; remember the ping.
 
         Args:
-            stamp_ns: of the ping, on any one clock.
+            stamp_ns: time of the ping, always on the same clock.
             bearing_rad: (beams,).
             range_m: (beams,), NaN where there is no return.
-            cell_m: by which ranges differ anyway.
+            cell_m: difference of ranges that always counts as equal.
         """
         seen = _SeenScan(stamp_ns, bearing_rad, range_m)
         shares = [self._share(seen, other, cell_m) for other in self._last]
@@ -108,7 +108,7 @@ class BurstWatch:
         return min((one for one in shares if one is not None), default=0.0) if enough else 0.0
 
     def _share(self, seen: _SeenScan, other: _SeenScan, cell_m: float) -> float | None:
-        """None for a ping of other beams: it cannot be compared."""
+        """Return the share against one ping; None if its beams differ."""
         if not np.array_equal(seen.bearing_rad, other.bearing_rad):
             return None
         passed_s = abs(seen.stamp_ns - other.stamp_ns) / 1e9

@@ -1,10 +1,10 @@
-"""The first return of each beam, from levels in decibels without the noise.
+"""Detects the first return of each beam in levels in decibels above the noise.
 
-A sample is part of a return where it stands above the mean level of the water before it (in
-decibels, so that one bright sample does not hide the next), above the noise, and not too far below
-the strongest echo at its range, whose side lobe it would be. The test looks towards the sonar only:
-what lies behind the first surface is its shadow or another surface, and contains no information
-about the water before it. A return begins with the first run of such samples.
+A sample belongs to a return if it exceeds the mean level of the water before it, exceeds the noise,
+and is not so far below the strongest echo at its range that it may be its side lobe. The mean is in
+decibels, so that one bright sample does not hide the next. Only samples nearer to the sonar are
+compared: beyond the first surface lie its shadow or other surfaces. A return begins with the first
+run of such samples.
 """
 
 import math
@@ -23,26 +23,26 @@ Levels = NDArray[np.float32]
 HALF_HEIGHT_DB = np.float32(20 * math.log10(2))
 MIN_BACKGROUND_ROWS = 4
 ROWS_BEFORE = 2
-"""A return's half height may lie before its first sample that passes the test."""
+"""Rows before the first sample that passes in which a return's half height may lie."""
 
 MIN_SPAN_ROWS = 4
 CELL_FRONT = 0.5
-"""An echo fills a cell, half of which lies before it: half height is reached so many rows early."""
+"""Rows by which half height is early, because an echo fills a cell and half of it lies before."""
 
 SIDE_LOBE_ROWS = 1
-"""A side lobe is on its echo's row, or beside it."""
+"""Rows beside an echo in which its side lobes may lie."""
 
 
 @dataclass(frozen=True, slots=True)
 class RangeLimits:
-    """Where returns are looked for, and the size of a row."""
+    """Range in which returns are searched, and the size of a row."""
 
     min_range_m: float
     max_range_m: float
     range_resolution_m: float
 
     def rows(self, of: int) -> slice:
-        """The rows, of so many, whose middle lies within."""
+        """Return the slice of rows whose middle lies within the range."""
         first = math.ceil(self.min_range_m / self.range_resolution_m - 0.5)
         end = math.floor(self.max_range_m / self.range_resolution_m + 0.5)
         return slice(min(max(first, 0), of), min(max(end, 0), of))
@@ -50,11 +50,11 @@ class RangeLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FirstReturns:
-    """Of each beam.
+    """First returns of all beams.
 
     Attributes:
         range_m: (beams,) float64; NaN where there is no return.
-        height_db: (beams,) float64, of the return's top over its background; NaN likewise.
+        height_db: (beams,) float64, peak of the return above its background; NaN likewise.
     """
 
     range_m: NDArray[np.float64]
@@ -64,13 +64,13 @@ class FirstReturns:
 def first_returns(
     levels: Levels, echo: PingImage, limits: RangeLimits, settings: ScanExtractionConfig
 ) -> FirstReturns:
-    """Find them.
+    """Find the first return of each beam.
 
     Args:
         levels: (rows, beams) float32 dB above noise.
         echo: the image, as displayed.
-        limits: where to look.
-        settings: of the tests.
+        limits: range to search.
+        settings: thresholds of the tests.
     """
     (rows, beams), intensity = levels.shape, echo.intensity
     nothing = np.full(beams, np.nan)
@@ -97,9 +97,9 @@ def first_returns(
 def _background(
     levels: Levels, look: slice, limits: RangeLimits, settings: ScanExtractionConfig
 ) -> Levels:
-    """Mean level of the window before each sample, the guard left out; of the rows to look in.
+    """Return the mean level of the window before each searched sample, without the guard.
 
-    Within a window's length of the nearest row it is what there is of the window.
+    Near the first row the window is shorter.
     """
     guard = max(1, round(settings.guard / limits.range_resolution_m))
     window = max(MIN_BACKGROUND_ROWS, round(settings.window / limits.range_resolution_m))
@@ -116,7 +116,7 @@ def _background(
 
 
 def _summed(levels: Levels) -> Levels:
-    """(rows + 1, beams) sums of all rows before. Row by row, nine times as fast as np.cumsum."""
+    """Return (rows + 1, beams) sums of all rows before; nine times as fast as np.cumsum."""
     summed = np.empty((len(levels) + 1, levels.shape[1]), dtype=np.float32)
     summed[0] = 0
     for row in range(len(levels)):
@@ -125,7 +125,7 @@ def _summed(levels: Levels) -> Levels:
 
 
 def _side_lobes(levels: Levels, settings: ScanExtractionConfig) -> Levels:
-    """(rows, 1): level up to which the strongest echo of a row, or beside it, has side lobes."""
+    """Return (rows, 1) the level up to which side lobes of nearby echoes reach."""
     strongest = levels.max(axis=1)
     near = np.pad(strongest, SIDE_LOBE_ROWS, mode="edge")
     widest = np.lib.stride_tricks.sliding_window_view(near, 2 * SIDE_LOBE_ROWS + 1).max(axis=1)
@@ -136,10 +136,10 @@ def _side_lobes(levels: Levels, settings: ScanExtractionConfig) -> Levels:
 def _edges(
     levels: Levels, first: NDArray[np.intp], beam: NDArray[np.intp], settings: ScanExtractionConfig
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Place of each return in rows from the sonar, fractional, and the level of its top.
+    """Return the position of each return in fractional rows, and the level of its peak.
 
-    A surface that is seen slantwise rises over the beam's footprint: its top is looked for over as
-    much range as the beam is wide.
+    A slanted surface rises over the beam's footprint, so the peak is searched over as much range
+    as the beam is wide.
     """
     footprint = np.radians(settings.beam_width) * (first + 0.5)
     span = np.maximum(MIN_SPAN_ROWS, np.ceil(footprint)).astype(np.intp)
@@ -161,23 +161,23 @@ def _edges(
 
 
 MIN_INTENSITY = 0.5
-"""Half a step of 8 bits stands for silence."""
+"""Intensity that stands for silence: half a step of 8 bits."""
 
 DB_PER_DECADE = 20.0
 LINEAR = (0, 255)
 """Header bytes of images without a gamma exponent."""
 
 EVERY = 8
-"""Noise is measured on every so many beams or rows."""
+"""Step of beams and rows on which noise is measured."""
 
 NOISE_BLOCK_M = 0.5
-"""Noise over range is smooth: a row that stands out of this much is no noise."""
+"""Length over which noise is smoothed in range; shorter peaks are not noise."""
 
 MAX_BEAM_GAIN_DB = 6.0
 
 
 def levels_db(intensity: Levels, gamma_byte: int = 255) -> Levels:
-    """Levels of an image's amplitudes.
+    """Return the levels of an image's amplitudes.
 
     Args:
         intensity: (rows, beams) float32, 0..255.
@@ -194,10 +194,11 @@ def levels_db(intensity: Levels, gamma_byte: int = 255) -> Levels:
 
 
 def equalised(levels: Levels, range_resolution_m: float) -> Levels:
-    """Levels above the noise, by what range and beam have of it.
+    """Return levels above the noise of their row and beam.
 
-    The noise of a row is the median over its beams, smoothed over range: a surface at one range in
-    all beams, as a round tank's wall is, stays. That of a beam is a low quantile over its rows.
+    The noise of a row is the median over its beams, smoothed over range, so that a surface at one
+    range in all beams (the wall of a round tank) is kept. The noise of a beam is a low quantile
+    over its rows.
 
     Args:
         levels: (rows, beams) float32 dB.

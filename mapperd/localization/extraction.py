@@ -1,11 +1,10 @@
 """From a ping to a scan.
 
-Where floor and surface may be, beam by beam.
+The range of floor and water surface for each beam.
 
-With the fan's plane tilted down by g and a vertical aperture B, a level floor h below the sonar
-comes into the aperture at slant range h / sin(g + B / 2), the surface d above it at
-d / sin(B / 2 - g). Rolled, each beam has a tilt of its own; here they are all taken from the beams'
-directions.
+If the fan's plane is tilted down by g and the vertical aperture is B, a level floor h below the
+sonar enters the aperture at slant range h / sin(g + B / 2), and the surface d above it at
+d / sin(B / 2 - g). With roll each beam has its own tilt, computed from its direction.
 """
 
 import math
@@ -42,14 +41,14 @@ def floor_gate_m(
     height_m: float | None,
     depth_m: float | None,
 ) -> Floats:
-    """Slant range (N,) from which on a return may be floor or surface; infinite where neither.
+    """Return the slant range (N,) beyond which a return may be floor or surface; else infinite.
 
     Args:
         bearing_rad: (N,), positive to starboard.
         level_T_sonar: (4, 4) rigid transform.
         vertical_aperture_rad: full.
-        height_m: of the sonar above the floor; None is unknown, and no gate.
-        depth_m: of the sonar below the surface; likewise.
+        height_m: height of the sonar above the floor; None, unknown, disables the gate.
+        depth_m: depth of the sonar below the surface; likewise.
     """
     lowest, highest = _steepest(bearing_rad, level_T_sonar[2, :3], vertical_aperture_rad / 2)
     gate = np.full(len(bearing_rad), np.inf)
@@ -62,10 +61,10 @@ def floor_gate_m(
 
 
 def _steepest(bearing_rad: Floats, up: Floats, half_rad: float) -> tuple[Floats, Floats]:
-    """Least and greatest sine of the level elevation that each beam's aperture reaches.
+    """Return the minimum and maximum sine of the level elevation within each beam's aperture.
 
-    A direction at elevation e has the height A cos e + B sin e; its extremes lie at the aperture's
-    edges, or at atan2(B, A) and opposite of it, where they are within.
+    A direction at elevation e has the height A cos e + B sin e. Its extremes are at the edges of
+    the aperture, or at atan2(B, A) and its opposite if these lie within.
     """
     along = up[0] * np.cos(bearing_rad) - up[1] * np.sin(bearing_rad)
     across = np.full_like(along, up[2])
@@ -81,18 +80,18 @@ def _steepest(bearing_rad: Floats, up: Floats, half_rad: float) -> tuple[Floats,
 
 
 EDGE_CELLS = 2
-"""Rows by which two looks at one surface differ: speckle moves its edge."""
+"""Rows by which two observations of a surface differ, because speckle moves its edge."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanContext:
-    """What else is known when a ping comes.
+    """Data of a scan apart from the image.
 
     Attributes:
         stamp_ns: when the sound met the middle of the image, on the clock of the odometry.
         level_T_sonar: (4, 4) rigid transform: attitude and mounting, without the heading.
-        height_m: of the sonar above the floor; None is unknown.
-        depth_m: of the sonar below the surface; None is unknown.
+        height_m: height of the sonar above the floor; None if unknown.
+        depth_m: depth of the sonar below the surface; None if unknown.
     """
 
     stamp_ns: int
@@ -104,13 +103,13 @@ class ScanContext:
 def scan_of(
     echo: PingImage, around: ScanContext, config: Config, watch: BurstWatch | None = None
 ) -> Scan | Reject:
-    """Take the first surface of each beam out of a ping.
+    """Extract the first surface of each beam from a ping.
 
     Args:
-        echo: intensities and geometry, without stripes where those are filtered.
-        around: what else is known.
+        echo: intensities and geometry, after the filters.
+        around: pose and depth.
         config: the settings.
-        watch: has seen the pings before; None takes the ping as it is.
+        watch: knows the pings before; None skips the test for bursts.
 
     Returns:
         The scan, possibly without returns, or a reject: `burst`.
@@ -135,7 +134,7 @@ def _placed(
     found: FirstReturns, echo: PingImage, around: ScanContext, config: Config, max_range_m: float
 ) -> Scan:
     settings = config.localization.scan
-    # A surface that rises slowly may have its edge outside the limits that its samples keep to.
+    # The edge of a slowly rising surface may lie outside of the limits for its samples.
     there = np.isfinite(found.range_m) & (found.range_m <= max_range_m)
     quality = found.height_db / np.maximum(found.height_db + settings.threshold, 1e-9)
     quality = np.clip(quality, 0.0, 1.0)
@@ -166,11 +165,11 @@ def _placed(
 
 
 UNNAMED = ("", "none")
-"""Owners of the depth that are no source."""
+"""Names of the depth's source that mean no source."""
 
 
 def burst_watch(config: Config) -> BurstWatch:
-    """Distinguishes bursts from changes by the vehicle's motion."""
+    """Return a watch that distinguishes bursts from changes by the vehicle's motion."""
     limits = config.odometry.limits
     return BurstWatch(limits.max_speed, math.radians(limits.max_turn_rate))
 
@@ -178,14 +177,14 @@ def burst_watch(config: Config) -> BurstWatch:
 def scan_at(
     image: PingImage, pose: FusedPose, t_ns: int, config: Config, watch: BurstWatch
 ) -> Scan | Reject:
-    """Take the first surface of each beam out of a ping whose pose is known.
+    """Extract the first surface of each beam from a ping with a pose.
 
     Args:
         image: the filtered image.
-        pose: of the base at its time; of it only attitude and depth count.
-        t_ns: that time.
+        pose: pose of the base at that time; only attitude and depth are used.
+        t_ns: time of the ping.
         config: the settings.
-        watch: has seen the pings before.
+        watch: knows the pings before.
 
     Returns:
         The scan, or a reject: `burst`.
@@ -194,7 +193,7 @@ def scan_at(
 
 
 def _around(pose: FusedPose, t_ns: int, config: Config) -> ScanContext:
-    """The surface is at height 0 where a source of depth has been named; the floor is unknown."""
+    """Return the context of a scan: surface at height 0 if a depth source is set, floor unknown."""
     level_T_sonar = level_T_base(pose.pose.map_q_base) @ mounting(config)  # noqa: N806 frames
     depth_m = None
     if config.odometry.owners.depth not in UNNAMED:

@@ -1,4 +1,4 @@
-"""A known map, and how it is loaded: Nav2's files, ours, our store's, OctoMap's."""
+"""Loads a known map: files of Nav2, of this project, of its store, and of OctoMap."""
 
 import hashlib
 import struct
@@ -28,12 +28,12 @@ __all__ = ["MAX_FILE_BYTES", "MAX_SIDE", "MAX_VOXELS", "KnownMap", "load_known_m
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownMap:
-    """A map as it was loaded.
+    """A loaded map.
 
     Attributes:
-        path: of its file.
-        sha256: of what the file held: equal for equal maps.
-        map: for the filter.
+        path: the file.
+        sha256: hash of the content; equal for equal maps.
+        map: the map for the filter.
     """
 
     path: str
@@ -42,37 +42,37 @@ class KnownMap:
 
     @property
     def grid(self) -> GridMap:
-        """The planar map, or the slice of it that the vehicle drives in; for pictures."""
+        """The planar map, or the slice of the vehicle's band; for pictures."""
         return self.map.grid if isinstance(self.map, VolumeMap) else self.map
 
 
 Floats = NDArray[np.float64]
 
 MAX_VOXELS = 1 << 26
-"""Of the box of a 3D map: 67 million distances and as many likelihoods, 512 MiB."""
+"""Maximum voxels in the box of a 3D map: distances and likelihoods take 512 MiB."""
 
 MAX_SIDE = 32000
-"""Cells along a side of a planar map, the filter's limit."""
+"""Maximum cells along a side of a planar map; the filter's limit."""
 
 MAX_FILE_BYTES = 1 << 30
-"""Of a map in one file."""
+"""Maximum size of a map in one file."""
 
 SQLITE = b"SQLite format 3\0"
 
 BAND_M = 0.5
-"""Height of the band that is chosen where the settings name none."""
+"""Height of the band if the settings name none."""
 
 
 def load_known_map(path: Path, config: Config) -> KnownMap:
-    """Load a map by its kind: `.yaml` of Nav2, `.bt`, `.ot`, a map's file on disk, else `.map`.
+    """Load a map by its kind: `.yaml` of Nav2, `.bt`, `.ot`, a store, else `.map`.
 
     Args:
-        path: of the file.
-        config: `localization.geometry` and `band_*`, the thresholds of `mapping`, and of maps with
+        path: the file.
+        config: `localization.geometry` and `band_*`, thresholds of `mapping`, and for maps with
             voxels the resolution.
 
     Raises:
-        MapError: it cannot be read, is not a map, or is too large to be localized on; one line.
+        MapError: it cannot be read, is not a map, or is too large; one line.
     """
     if path.suffix.lower() in (".yaml", ".yml"):
         grid = read_nav2_map(path)
@@ -94,10 +94,10 @@ def _fingerprint(grid: GridMap) -> str:
 
 
 def _voxels_in(path: Path, config: Config) -> SonarMap:
-    """All of a map with voxels, in memory."""
+    """Load a whole map with voxels into memory."""
     sonar_map = SonarMap(config)
     try:
-        if not path.is_file():  # a pipe would keep us waiting
+        if not path.is_file():  # a pipe would block
             raise MapError(f"{path}: there is no such file", "bad_map_file")
         if path.stat().st_size > MAX_FILE_BYTES:
             raise MapError(f"{path}: larger than {MAX_FILE_BYTES} bytes", "bad_map_file")
@@ -154,7 +154,7 @@ def _located(sonar_map: SonarMap, path: Path, config: Config) -> LocalizationMap
 
 
 def _band_m(free_m: Floats, config: Config, low: Floats, high: Floats) -> tuple[float, float]:
-    """Where the vehicle drives: as set, else about the height with most free voxels."""
+    """Return the band of heights of the vehicle: as set, else around the most free voxels."""
     ours = config.localization
     if ours.band_low < ours.band_high:
         return ours.band_low, ours.band_high

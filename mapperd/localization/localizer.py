@@ -48,13 +48,13 @@ Mode = Literal["off", "track", "global"]
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What the filter is to do.
+    """What the filter has to do.
 
     Attributes:
-        new_map: take the state's map first.
-        at: begin with particles around this pose; None with `anywhere` False leaves them.
-        anywhere: begin with particles anywhere on the map.
-        given: the pose was given; else it is the last estimate, no more certain than before.
+        new_map: use the state's map first.
+        at: start with particles around this pose; None with `anywhere` False keeps them.
+        anywhere: start with particles anywhere on the map.
+        given: the pose was given; otherwise it is the last estimate, as certain as before.
     """
 
     new_map: bool = False
@@ -76,9 +76,9 @@ class Lifecycle:
         mode: `localization.mode`.
         map: the map in use.
         running: the filter has particles.
-        publishing: the transform is published, if `tf_broadcast` is true.
+        publishing: the transform is published if `tf_broadcast` is true.
         waiting: an initial pose that waits for a map.
-        last: the last estimate, also one of before a restart.
+        last: the last estimate, possibly from before a restart.
     """
 
     mode: Mode = "track"
@@ -90,7 +90,7 @@ class Lifecycle:
 
     @property
     def name(self) -> str:
-        """Of the state, for people."""
+        """The state in words, for people."""
         if self.mode == "off":
             return "off"
         if self.map is None:
@@ -100,7 +100,7 @@ class Lifecycle:
     def take_map(
         self, new: LocalizationMap, amcl: AmclConfig
     ) -> "tuple[Lifecycle, Start] | Reject":
-        """A map has come."""
+        """Handle a new map."""
         if amcl.first_map_only and self.running:
             return Reject("first_map_only", "a map is in use and amcl.first_map_only holds it")
         at = self.waiting or self._pose_for_map(amcl)
@@ -114,11 +114,11 @@ class Lifecycle:
     def take_pose(
         self, pose: PlanarGaussian, frame: str, amcl: AmclConfig
     ) -> "tuple[Lifecycle, Start] | Reject":
-        """An initial pose has come.
+        """Handle an initial pose.
 
         Args:
             pose: mean and covariance.
-            frame: that it is in.
+            frame: its frame.
             amcl: the settings.
         """
         wrong = _wrong_frame(frame, amcl)
@@ -129,7 +129,7 @@ class Lifecycle:
         return self._at(pose, self.map, new_map=False)
 
     def localize_globally(self) -> "tuple[Lifecycle, Start] | Reject":
-        """Somebody asks for a start anywhere on the map."""
+        """Handle a request for a start anywhere on the map."""
         if self.map is None:
             return Reject("no_map", "there is no map to be found on")
         return self._anywhere(self.map, new_map=False, publishing=True)
@@ -137,7 +137,7 @@ class Lifecycle:
     def set_map(
         self, new: LocalizationMap, pose: PlanarGaussian, frame: str, amcl: AmclConfig
     ) -> "tuple[Lifecycle, Start] | Reject":
-        """Map and pose in one: both or neither. Needs a filter that runs."""
+        """Handle a map together with a pose: both or neither; the filter must run."""
         if not self.running:
             return Reject("no_filter", "no filter is there yet; a map or a pose comes first")
         wrong = _wrong_frame(frame, amcl)
@@ -146,11 +146,11 @@ class Lifecycle:
         return self._at(pose, new, new_map=True)
 
     def check_nomotion_update(self) -> Reject | None:
-        """Why an update without motion cannot be asked for; None where it can."""
+        """Return why an update without motion is refused; None if it is accepted."""
         return None if self.running else Reject("no_filter", "no filter is there yet")
 
     def estimated(self, estimate: PlanarGaussian) -> "Lifecycle":
-        """The filter has an estimate, or one was saved before a restart."""
+        """Whether there is an estimate, of the filter or from before a restart."""
         return replace(self, last=estimate)
 
     def _pose_for_map(self, amcl: AmclConfig) -> PlanarGaussian | None:
@@ -175,7 +175,7 @@ class Lifecycle:
 
 
 def parameter_pose(amcl: AmclConfig) -> PlanarGaussian:
-    """The initial pose of the settings."""
+    """Return the initial pose of the settings."""
     xx, yy, aa = amcl.initial_cov_xx, amcl.initial_cov_yy, amcl.initial_cov_aa
     xy, xa, ya = amcl.initial_cov_xy, amcl.initial_cov_xa, amcl.initial_cov_ya
     covariance = np.array([[xx, xy, xa], [xy, yy, ya], [xa, ya, aa]])
@@ -189,16 +189,16 @@ def _wrong_frame(frame: str, amcl: AmclConfig) -> Reject | None:
 
 
 class PoseFilter(Protocol):
-    """Particles on a map."""
+    """A particle filter on a map."""
 
     def reconfigure(self, config: Config) -> None:
-        """Take other settings; the particles are as they were."""
+        """Use other settings; the particles stay."""
 
     def take_map(self, known: LocalizationMap) -> None:
-        """Use another map from now on; the particles are as they were."""
+        """Use another map; the particles stay."""
 
     def start_at(self, pose: PlanarGaussian, *, given: bool = True) -> None:
-        """Draw new particles around a pose; averages and counters restart.
+        """Draw new particles around a pose; reset averages and counters.
 
         Args:
             pose: mean and covariance.
@@ -211,28 +211,28 @@ class PoseFilter(Protocol):
     def update(
         self, before: PlanarPose, now: PlanarPose, scan: Scan, base_height_m: float
     ) -> Belief:
-        """Move, weigh and, if it is due, resample the particles.
+        """Move, weigh and, if due, resample the particles.
 
         Args:
             before: odometry at the last update.
             now: odometry at the scan.
-            scan: what to weigh by; an empty one moves the particles only.
-            base_height_m: of the base in the map, from the depth.
+            scan: the scan; an empty one only moves the particles.
+            base_height_m: height of the base in the map, from the depth.
 
         Returns:
-            Where the vehicle is.
+            The belief.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class Localized:
-    """What became of a scan.
+    """Outcome of a scan.
 
     Attributes:
         reason: as `UpdateDecision.reason`, or `no_filter`.
-        belief: the filter's, if it took the scan.
-        transform: to be published; None before a pose is given or asked for, and from a new start
-            to the next update.
+        belief: the filter's belief, if the scan led to an update.
+        transform: to publish; None before a pose is given or requested, and between a new start
+            and the next update.
     """
 
     reason: str
@@ -241,18 +241,18 @@ class Localized:
 
     @property
     def estimate(self) -> PlanarGaussian | None:
-        """The best mode of the belief."""
+        """The best mode of the last belief."""
         return None if self.belief is None else self.belief.best
 
 
 class LocalizerState(NamedTuple):
-    """What a localizer knows.
+    """State of a localizer.
 
     Attributes:
-        mode, running, publishing, waiting, last: of the rules' state, as `Lifecycle`.
-        gate: of the updates.
-        transform: of the last update.
-        counts: of scans and refusals.
+        mode, running, publishing, waiting, last: as in `Lifecycle`.
+        gate: state of the update gate.
+        transform: transform of the last update.
+        counts: numbers of scans and refusals.
     """
 
     mode: Mode
@@ -271,11 +271,11 @@ class Localizer:
     Args:
         particles: the filter.
         config: the settings.
-        saved: the estimate of before a restart.
+        saved: the estimate from before a restart.
 
     Attributes:
-        life: the rules' state.
-        counts: of scans by `Localized.reason`, and of refusals by theirs.
+        life: state of the rules.
+        counts: numbers of scans by `Localized.reason`, and of refusals by reason.
     """
 
     def __init__(
@@ -290,24 +290,24 @@ class Localizer:
 
     @property
     def correction(self) -> MapFromOdom | None:
-        """The transform of the last update, if it may be used, published or not."""
+        """The transform of the last update if it is valid, published or not."""
         return self._transform if self.life.publishing else None
 
     def passed(self, reason: str) -> Localized:
-        """Count a ping that gave no scan."""
+        """Count a ping without a scan."""
         return self._counted(Localized(reason, transform=None))
 
     def reconfigure(self, config: Config) -> None:
-        """Take other settings from the next event on; the particles stay.
+        """Use other settings from the next event on; the particles stay.
 
         Raises:
-            ValueError: the filter refuses them; the settings are as before.
+            ValueError: the filter refuses them; the old ones stay.
         """
         self._filter.reconfigure(config)
         self._config = config
 
     def state(self) -> LocalizerState:
-        """All that changes, but for filter, map and settings."""
+        """Return the state, without filter, map and settings."""
         life = self.life
         return LocalizerState(
             life.mode,
@@ -321,11 +321,11 @@ class Localizer:
         )
 
     def restore(self, state: LocalizerState, known: LocalizationMap | None) -> None:
-        """Go on as the localizer that `state` was called of; the filter takes the map.
+        """Continue from a state; the filter gets the map.
 
         Args:
-            state: of it.
-            known: the map that it had.
+            state: what `state` returned.
+            known: the map at that time.
         """
         if known is not None:
             self._filter.take_map(known)
@@ -338,34 +338,34 @@ class Localizer:
         self.counts = Counter(state.counts)
 
     def take_map(self, known: LocalizationMap) -> Reject | None:
-        """As `Lifecycle.take_map`; returns why not."""
+        """Handle a map as `Lifecycle.take_map`; return why it was refused, or None."""
         return self._begin(self.life.take_map(known, self._config.amcl))
 
     def take_pose(self, pose: PlanarGaussian, frame: str) -> Reject | None:
-        """As `Lifecycle.take_pose`; returns why not."""
+        """Handle a pose as `Lifecycle.take_pose`; return why it was refused, or None."""
         return self._begin(self.life.take_pose(pose, frame, self._config.amcl))
 
     def localize_globally(self) -> Reject | None:
-        """As `Lifecycle.localize_globally`; returns why not."""
+        """Handle a request as `Lifecycle.localize_globally`; return why it was refused, or None."""
         return self._begin(self.life.localize_globally())
 
     def set_map(self, known: LocalizationMap, pose: PlanarGaussian, frame: str) -> Reject | None:
-        """As `Lifecycle.set_map`; returns why not."""
+        """Handle a request as `Lifecycle.set_map`; return why it was refused, or None."""
         return self._begin(self.life.set_map(known, pose, frame, self._config.amcl))
 
     def request_nomotion_update(self) -> Reject | None:
-        """Have the next scan lead to an update; returns why not."""
+        """Make the next scan lead to an update; return why that was refused, or None."""
         refused = self.life.check_nomotion_update()
         if refused is None:
             self._gate = self._gate.force()
         return refused
 
     def take_scan(self, scan: Scan, odom: Pose) -> Localized:
-        """Update by a scan, if one is due.
+        """Update with a scan if an update is due.
 
         Args:
-            scan: any, also one without returns.
-            odom: the base in the odometry's frame at the scan's time.
+            scan: the scan, possibly without returns.
+            odom: pose of the base in the odometry's frame at the scan's time.
         """
         if not self.life.running:
             return self._counted(Localized("no_filter"))
@@ -394,7 +394,7 @@ class Localizer:
         return belief
 
     def _published(self, stamp_ns: int) -> MapFromOdom | None:
-        """The last transform, stamped ahead of this scan."""
+        """Return the last transform, stamped ahead of this scan."""
         amcl = self._config.amcl
         if self._transform is None or not (self.life.publishing and amcl.tf_broadcast):
             return None

@@ -1,12 +1,11 @@
 """Maps in the files of Nav2's map server: a .yaml beside a .pgm, .png or .bmp image.
 
-How a pixel becomes a cell is that of the map server's documentation. Darkness is 1 - pixel / 255,
-or pixel / 255 with `negate`; of colours it is that of their mean. Row 0 of the image is the far
-end of y.
+Pixels become cells as the map server documents. Darkness is 1 - pixel / 255, or pixel / 255 with
+`negate`; colours use the mean of their channels. Row 0 of the image is at the largest y.
 
 - trinary: occupied where darkness is above `occupied_thresh`, free below `free_thresh`, else
   unknown; an alpha channel counts as another colour;
-- scale: the same two, and percent between them; pixels that are not opaque are unknown;
+- scale: the same, with percent in between; pixels that are not opaque are unknown;
 - raw: the pixel is the cell, above 100 unknown; `negate` and the thresholds are ignored.
 """
 
@@ -34,21 +33,21 @@ HEADER = re.compile(
     rb"P5(?:\s|#[^\n]{0,200}\n)+(\d{1,9})(?:\s|#[^\n]{0,200}\n)+(\d{1,9})"
     rb"(?:\s|#[^\n]{0,200}\n)+(\d{1,5})\s"
 )
-"""Magic, width, height, brightest; comments up to a line's end between them."""
+"""Magic, width, height, maximum; comments until the end of a line in between."""
 
 MAX_HEADER_BYTES = 4096
 BRIGHTEST = 255
 
 
 def pgm_pixels(data: bytes, name: str) -> NDArray[np.uint8]:
-    """The pixels of a whole file, (height, width), scaled so that white is 255.
+    """Return the pixels of a PGM file, (height, width), scaled so that white is 255.
 
     Args:
-        data: the file.
-        name: what to call it in messages.
+        data: content of the file.
+        name: its name in messages.
 
     Raises:
-        MapError: it is no such image, or not all of one (`bad_map_file`).
+        MapError: it is not such an image, or is incomplete (`bad_map_file`).
     """
     header = HEADER.match(data[:MAX_HEADER_BYTES])
     if header is None:
@@ -77,7 +76,7 @@ def pgm_pixels(data: bytes, name: str) -> NDArray[np.uint8]:
 
 
 def pgm_bytes(pixels: NDArray[np.uint8]) -> bytes:
-    """The file of pixels (height, width)."""
+    """Return the PGM file of pixels (height, width)."""
     height, width = pixels.shape
     return b"P5\n%d %d\n255\n" % (width, height) + np.ascontiguousarray(pixels).tobytes()
 
@@ -88,8 +87,8 @@ class _ImagePixels:
 
     Attributes:
         total: (height, width), sum of the channels.
-        channels: each of them up to 255.
-        alpha: (height, width) opacity up to 255; None without that channel.
+        channels: number of channels, each 0 to 255.
+        alpha: (height, width) opacity, 0 to 255; None without an alpha channel.
     """
 
     total: NDArray[np.unsignedinteger]
@@ -103,10 +102,10 @@ ALPHA_CHANNELS = 4
 
 
 def _pixels_of(data: bytes, name: str) -> _ImagePixels:
-    """The pixels of a whole file, by what it is and not by its suffix.
+    """Return the pixels of an image file; the content decides the format, not the suffix.
 
     Raises:
-        MapError: it is no such image, not all of one, or needs a library (`bad_map_file`).
+        MapError: it is not such an image, is incomplete, or needs a library (`bad_map_file`).
     """
     layout = next(
         (at for magic, at in ((PNG, PNG_SIZE), (BMP, BMP_SIZE)) if data[:8].startswith(magic)), None
@@ -146,13 +145,13 @@ UNKNOWN_PIXEL = {"trinary": 205, "raw": 255}
 FREE_PIXEL, OCCUPIED_PIXEL = 254, 0
 
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
-"""As map savers write: 205 is darkness 0.1961, which a higher free_thresh would call free."""
+"""Values that map savers write: 205 is darkness 0.1961, which a higher free_thresh makes free."""
 
 Share = Annotated[float, Meta(ge=0, le=1)]
 
 
 class _Description(Struct, frozen=True, forbid_unknown_fields=True):
-    """Contents of the .yaml."""
+    """Content of the .yaml."""
 
     image: Annotated[str, Meta(min_length=1, max_length=1000)]
     resolution: Annotated[float, Meta(gt=0, le=1000)]
@@ -174,11 +173,11 @@ def read_nav2_map(path: Path) -> GridMap:
     """Read a map.
 
     Args:
-        path: of the .yaml; the image path in it is relative to its folder.
+        path: the .yaml; the image path in it is relative to its folder.
 
     Raises:
-        MapError: a file cannot be read, or is not such a map; the text states which and why
-            (`bad_map_file`).
+        MapError: a file cannot be read or is not such a map; the text names the file and the
+            cause (`bad_map_file`).
     """
     about = _described(_read(path, MAX_YAML_BYTES), str(path))
     image = path.parent / about.image
@@ -190,21 +189,21 @@ def image_of(path: Path) -> str:
     """Return the image path in a .yaml without opening the image.
 
     Raises:
-        MapError: it cannot be read, or is no such map (`bad_map_file`).
+        MapError: it cannot be read, or is not such a map (`bad_map_file`).
     """
     return _described(_read(path, MAX_YAML_BYTES), str(path)).image
 
 
 def write_nav2_map(grid: GridMap, path: Path, mode: Mode = "trinary") -> None:
-    """Write a map: the .yaml, and beside it a .pgm of the same name. Each is whole or not there.
+    """Write a map: the .yaml and a .pgm of the same name, each atomically.
 
     Args:
         grid: in `trinary`, cells are free up to 19 % and occupied from 65 % on.
-        path: of the .yaml.
-        mode: how cells become pixels; `scale` keeps percents, to the nearest, and `raw` every cell.
+        path: the .yaml.
+        mode: how cells become pixels; `scale` keeps rounded percents, `raw` every cell.
 
     Raises:
-        MapError: `scale` and a cell is unknown, for which it has no pixel (`unknown_in_scale`).
+        MapError: a cell is unknown, which `scale` cannot represent (`unknown_in_scale`).
         ExportError: it cannot be written.
     """
     pixels = _pixels(grid.occupancy, mode)[::-1]
@@ -227,7 +226,7 @@ def write_nav2_map(grid: GridMap, path: Path, mode: Mode = "trinary") -> None:
 
 def _read(path: Path, max_bytes: int) -> bytes:
     try:
-        if path.exists() and not path.is_file():  # a pipe would keep us waiting
+        if path.exists() and not path.is_file():  # a pipe would block
             raise MapError(f"{path}: is no regular file", "bad_map_file")
         with path.open("rb") as file:
             data = file.read(max_bytes + 1)
@@ -249,7 +248,7 @@ def _described(data: bytes, name: str) -> _Description:
 
 
 def _cells(pixels: _ImagePixels, about: _Description) -> NDArray[np.int8]:
-    """Cells of all sums of channels there can be, looked up."""
+    """Return the cells by a table over all sums of channels."""
     total, channels = pixels.total, pixels.channels
     if pixels.alpha is not None and about.mode != "trinary":
         total, channels = total - pixels.alpha, channels - 1

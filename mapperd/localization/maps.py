@@ -1,17 +1,14 @@
-"""Maps to localize on: planar grids, and distances, slices and surfaces of a 3D map.
+"""Maps for localization: planar grids, and distances, slices and surfaces of a 3D map.
 
-The distances are those of the voxel map, truncated; the planar map beside them is its slice at the
+Distances are those of the voxel map, truncated. With them comes a planar map: the slice at the
 vehicle's height, from whose free cells particles are drawn.
 
-A planar map out of the 3D one: what a level beam can meet at a depth.
+Slices: a ping measures no elevation, so a beam detects the nearest structure anywhere in its
+vertical aperture. A cell of the slice is therefore occupied if any voxel of the covered band is.
 
-A ping knows no elevations: a beam hears the nearest structure anywhere in its vertical aperture. So
-a cell of the slice is occupied where any voxel of the band is that the beam covers.
-
-Surfaces without what lies behind them: an echo is longer than a wall is thick.
-
-A sonar's map holds a wall as deep as its echoes are long. A scan has the front, and a filter that
-finds all of the depth alike likely sits by half of it too near.
+Surfaces: an echo is longer than a wall is thick, so a sonar's map has walls as deep as its echoes.
+A scan has only the front. If the whole depth counted as surface, the estimate would be too near by
+half of it.
 """
 
 import math
@@ -49,7 +46,7 @@ FREE: Final = 0
 OCCUPIED: Final = 100
 
 MAX_CELLS = 1 << 27
-"""Of a map: 134 million, 1.1 km x 1.1 km of 0.1 m cells."""
+"""Maximum cells of a map: 134 million, 1.1 km x 1.1 km of 0.1 m cells."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,13 +56,13 @@ class GridMap:
     Its frame may be turned in the map.
 
     Attributes:
-        occupancy: (rows, columns) int8, read-only: -1 unknown, 0 free, 100 occupied; between them,
-            of maps that know it, percent.
+        occupancy: (rows, columns) int8, read-only: -1 unknown, 0 free, 100 occupied, percent in
+            between.
         resolution_m: edge of a cell.
         origin_x_m, origin_y_m, origin_yaw_rad: the outer corner of cell [0, 0] in the map frame.
 
     Raises:
-        ValueError: no cells or too many, other values, or numbers that are not finite.
+        ValueError: no or too many cells, invalid values, or numbers that are not finite.
     """
 
     occupancy: NDArray[np.int8]
@@ -75,7 +72,7 @@ class GridMap:
     origin_yaw_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        """Own the cells, so that nobody can change them afterwards."""
+        """Copy the cells and make them read-only."""
         cells = np.array(self.occupancy, dtype=np.int8, order="C")
         if cells.ndim != 2 or not 0 < cells.size <= MAX_CELLS:  # noqa: PLR2004 rows and columns
             raise ValueError(f"a map has rows and columns, at most {MAX_CELLS} cells")
@@ -97,14 +94,14 @@ class GridMap:
         return bool((self.occupancy == FREE).any())
 
     def centres_m(self, row: NDArray[np.integer], column: NDArray[np.integer]) -> Floats:
-        """(N, 2) centres of cells in the map frame."""
+        """Return the centres (N, 2) of cells in the map frame."""
         c, s = math.cos(self.origin_yaw_rad), math.sin(self.origin_yaw_rad)
         x = (np.asarray(column) + 0.5) * self.resolution_m
         y = (np.asarray(row) + 0.5) * self.resolution_m
         return np.stack([self.origin_x_m + c * x - s * y, self.origin_y_m + s * x + c * y], axis=-1)
 
     def cells_at(self, points_m: Floats) -> NDArray[np.int8]:
-        """Values (N,) at points (N, 2) of the map frame; unknown off the map and at NaN."""
+        """Return the values (N,) at points (N, 2), map frame; unknown outside and at NaN."""
         c, s = math.cos(self.origin_yaw_rad), math.sin(self.origin_yaw_rad)
         x, y = points_m[:, 0] - self.origin_x_m, points_m[:, 1] - self.origin_y_m
         column = np.floor((c * x + s * y) / self.resolution_m)
@@ -122,13 +119,13 @@ VOXELS_AT_ONCE = 1 << 24
 def beam_band_m(
     sonar_z_m: float, range_m: float, vertical_aperture_rad: float, tilt_down_rad: float = 0.0
 ) -> tuple[float, float]:
-    """Lowest and highest that a beam covers on its way to a range, map frame.
+    """Return the minimum and maximum height that a beam covers up to a range, map frame.
 
     Args:
         sonar_z_m: height of the sonar in the map.
-        range_m: slant.
-        vertical_aperture_rad: full.
-        tilt_down_rad: of the fan's plane, mounting and pitch together.
+        range_m: slant range.
+        vertical_aperture_rad: full aperture.
+        tilt_down_rad: tilt of the fan's plane, mounting and pitch together.
     """
     half = vertical_aperture_rad / 2
     sines = [math.sin(-tilt_down_rad + e) for e in (-half, half)]
@@ -137,9 +134,9 @@ def beam_band_m(
 
 
 def depth_slice(queries: MapQueries, low_m: Floats, high_m: Floats) -> GridMap:
-    """The union over a box's height.
+    """Project a box of the map to a planar map.
 
-    A cell is occupied where one of its voxels is, free where none is and one is free, else unknown.
+    A cell is occupied if one of its voxels is; otherwise free if one is free; otherwise unknown.
 
     Args:
         queries: to the 3D map.
@@ -174,7 +171,7 @@ def depth_slice(queries: MapQueries, low_m: Floats, high_m: Floats) -> GridMap:
 
 
 def _union(values: NDArray[np.int8]) -> NDArray[np.int8]:
-    """(nx, ny) of (nx, ny, nz): unknown < free < occupied, as numbers too."""
+    """Return the maximum over z, (nx, ny): unknown < free < occupied."""
     cells = np.full(values.shape[:2], UNKNOWN, dtype=np.int8)
     cells[(values == VOXEL_FREE).any(axis=2)] = FREE
     cells[(values == VOXEL_OCCUPIED).any(axis=2)] = OCCUPIED
@@ -186,7 +183,7 @@ class VolumeMap:
     """Distances in a box, and the free cells of one of its layers.
 
     Attributes:
-        grid: where a vehicle can be, map frame.
+        grid: free space of the vehicle, map frame.
         distances_m: (nx, ny, nz) float32, read-only, from voxel centres to the nearest occupied
             voxel's centre, truncated.
         first_centre_m: (3,) of voxel [0, 0, 0], map frame.
@@ -199,7 +196,7 @@ class VolumeMap:
     resolution_m: float
 
     def __post_init__(self) -> None:
-        """Keep anybody from changing the arrays."""
+        """Make the arrays read-only."""
         self.distances_m.setflags(write=False)
         self.first_centre_m.setflags(write=False)
 
@@ -219,15 +216,15 @@ def volume_map(
     vehicle_band_m: tuple[float, float],
     max_distance_m: float,
 ) -> VolumeMap:
-    """Take a box of the 3D map to be localized on.
+    """Extract a box of the 3D map for localization.
 
     Args:
         queries: to the map.
-        low_m: (3,) corner of the box, map frame: all that the sonar can see from where the vehicle
-            can be; beyond it nothing is known.
+        low_m: (3,) corner of the box, map frame: it must contain all that the sonar can see;
+            everything outside is unknown.
         high_m: (3,) corner.
-        vehicle_band_m: lowest and highest that the vehicle drives.
-        max_distance_m: where distances end, `amcl.laser_likelihood_max_dist`.
+        vehicle_band_m: minimum and maximum height of the vehicle.
+        max_distance_m: limit of distances, `amcl.laser_likelihood_max_dist`.
 
     Raises:
         MapError: invalid corners or band (`bad_slice`).
@@ -244,10 +241,10 @@ SIDES = np.concatenate([np.eye(3), -np.eye(3)])
 
 
 def keep_boundaries(sonar_map: SonarMap) -> int:
-    """Make occupied voxels with no free one at any of their six sides uncertain.
+    """Set occupied voxels without a free face neighbour to uncertain.
 
     Returns:
-        How many stay occupied.
+        Number of voxels that stay occupied.
     """
     mapping = sonar_map.config.mapping
     queries = MapQueries(

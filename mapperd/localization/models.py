@@ -1,4 +1,4 @@
-"""The settings of localization as the core's filter takes them, checked."""
+"""Converts the settings of localization to parameters of the core's filter, and checks them."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ __all__ = ["beam_model", "check_localization", "core_grid", "field_of", "filter_
 
 
 def filter_rule(config: Config, *, plain: bool = False) -> FilterRule:
-    """How the filter resamples and recovers; a plain one applies the likelihoods as they are."""
+    """Return the parameters of resampling and recovery; `plain` never weakens likelihoods."""
     amcl, ours = config.amcl, config.localization
     return FilterRule(
         min_particles=amcl.min_particles,
@@ -37,7 +37,7 @@ def filter_rule(config: Config, *, plain: bool = False) -> FilterRule:
 
 
 def hit_model(amcl: AmclConfig, sigma_m: float | None = None) -> HitModel:
-    """How likely a return is at a distance from the nearest surface; None is the settings'."""
+    """Return the likelihood of a return by its distance to a surface; None uses the settings."""
     return HitModel(
         z_hit=amcl.laser_z_hit,
         z_rand=amcl.laser_z_rand,
@@ -48,11 +48,11 @@ def hit_model(amcl: AmclConfig, sigma_m: float | None = None) -> HitModel:
 
 
 def beam_model(amcl: AmclConfig) -> BeamModel:
-    """How likely a range is where another is expected."""
+    """Return the likelihood of a range where another one is expected."""
     return BeamModel(
         z_hit=amcl.laser_z_hit,
         z_short=amcl.laser_z_short,
-        z_max=0.0,  # beams without a return do not count
+        z_max=0.0,  # beams without a return carry no information
         z_rand=amcl.laser_z_rand,
         sigma_hit_m=amcl.laser_sigma_hit,
         lambda_short_per_m=amcl.laser_lambda_short,
@@ -61,7 +61,7 @@ def beam_model(amcl: AmclConfig) -> BeamModel:
 
 
 def core_grid(grid: GridMap) -> Grid:
-    """The planar map for the core."""
+    """Return the planar map as the core takes it."""
     origin = np.array([grid.origin_x_m, grid.origin_y_m, grid.origin_yaw_rad])
     return Grid(grid.occupancy, grid.resolution_m, origin)
 
@@ -69,7 +69,7 @@ def core_grid(grid: GridMap) -> Grid:
 def field_of(
     known: LocalizationMap, config: Config, sigma_m: float | None = None
 ) -> LikelihoodField:
-    """Likelihoods of all places of a map, in as many layers as it has; None is the settings'."""
+    """Return the likelihood field of a map, one layer per height; None uses the settings."""
     model = hit_model(config.amcl, sigma_m)
     if isinstance(known, VolumeMap):
         distances = (known.distances_m, known.first_centre_m, known.resolution_m)
@@ -79,10 +79,10 @@ def field_of(
 
 
 def check_localization(config: Config) -> None:
-    """Check what the filter and its models will be asked to take.
+    """Check that the filter and its models accept the settings.
 
     Raises:
-        ConfigError: they refuse it.
+        ConfigError: they do not.
     """
     if config.localization.mode == "off":
         return

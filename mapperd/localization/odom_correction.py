@@ -1,11 +1,11 @@
 """The odometry's frame in the map, and poses corrected by it.
 
-The filter knows the vehicle's place and heading on the map. Depth, roll and pitch are the sensors'
-business and pass through. So the correction is a shift in x and y and a turn about z:
+The filter estimates the vehicle's position and heading on the map. Depth, roll and pitch come from
+the sensors and stay. The correction is therefore a shift in x and y and a turn about z:
 
     map_T_odom = map_T_base * inverse(odom_T_base)
 
-with the base's height, roll and pitch in the map as they are in the odometry.
+with height, roll and pitch of the base taken from the odometry.
 """
 
 import math
@@ -28,11 +28,11 @@ NS_PER_S = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class MapFromOdom:
-    """Where the odometry's frame stands in the map: level, and at the map's height.
+    """Pose of the odometry's frame in the map: level, at height 0.
 
     Attributes:
-        stamp_ns: up to when it may be used: the scan's time and the tolerance.
-        x_m, y_m: of the odometry's origin, map frame.
+        stamp_ns: time until which it is valid: that of the scan plus the tolerance.
+        x_m, y_m: origin of the odometry's frame, map frame.
         yaw_rad: from the odometry's x to the map's, -pi to pi.
     """
 
@@ -43,7 +43,7 @@ class MapFromOdom:
 
     @property
     def map_T_odom(self) -> Floats:  # noqa: N802 frames are named
-        """(4, 4) rigid transform: takes odometry coordinates to map coordinates."""
+        """(4, 4) rigid transform from odometry to map coordinates."""
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         transform = np.eye(4)
         transform[:2, :2] = [[c, -s], [s, c]]
@@ -52,12 +52,12 @@ class MapFromOdom:
 
     @property
     def map_q_odom(self) -> Floats:
-        """Unit quaternion (w, x, y, z) of its turn."""
+        """Unit quaternion (w, x, y, z) of the rotation."""
         half = self.yaw_rad / 2
         return np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
 
     def corrected(self, odom: Pose) -> Pose:
-        """A pose of the odometry as it is in the map; height, roll and pitch as they were."""
+        """Return a pose of the odometry in the map; height, roll and pitch stay."""
         placed = self.map_T_odom @ np.append(odom.position_m, 1.0)
         quaternion = quaternion_product(self.map_q_odom, odom.map_q_base)
         return Pose(placed[:3], quaternion / np.linalg.norm(quaternion))
@@ -66,11 +66,11 @@ class MapFromOdom:
 def map_from_odom(
     estimate: PlanarGaussian, odom: Pose, stamp_ns: int, tolerance_s: float
 ) -> MapFromOdom:
-    """The transform that puts the vehicle where the estimate has it.
+    """Return the transform that moves the odometry's pose to the estimate.
 
     Args:
-        estimate: of the base in the map.
-        odom: of the base in the odometry's frame, at the same time.
+        estimate: pose of the base in the map.
+        odom: pose of the base in the odometry's frame at the same time.
         stamp_ns: that time.
         tolerance_s: how far ahead the transform is stamped.
     """
@@ -86,19 +86,19 @@ def map_from_odom(
 
 
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
-"""x, y and the turn about z, of a pose's six."""
+"""Indices of x, y and the turn about z in a pose's covariance."""
 
 
 def placed(odom: FusedPose, correction: MapFromOdom, estimate: PlanarGaussian) -> FusedPose:
-    """Correct a pose with all that belongs to it.
+    """Correct a pose, its velocity and its covariance.
 
-    Velocity and covariance turn with the frame; rates are about the base's own axes and stay. The
-    covariance of what the estimate knows is the estimate's.
+    Velocity and covariance rotate with the frame; rates are about the axes of the base and stay.
+    The covariance of x, y and heading is that of the estimate.
 
     Args:
-        odom: the base in the odometry's frame.
-        correction: of that frame.
-        estimate: that it was made of.
+        odom: pose of the base in the odometry's frame.
+        correction: pose of that frame in the map.
+        estimate: from which the correction was computed.
     """
     turn = correction.map_T_odom[:3, :3]
     velocity = None if odom.velocity_mps is None else turn @ odom.velocity_mps

@@ -1,4 +1,4 @@
-"""How localization goes, in plain values with units in the keys."""
+"""The state of localization as plain values with units in the keys."""
 
 import math
 from pathlib import Path
@@ -12,14 +12,14 @@ from mapperd.localization.status import Diagnosis, LocalizationSnapshot
 __all__ = ["localization_report", "localization_summary", "map_name_of", "state_of"]
 
 LOST_SHARE = 0.5
-"""Of the weight: with more of it elsewhere, the best cluster is not where the vehicle is."""
+"""Share of the weight outside the best cluster above which localization counts as lost."""
 
 
 def state_of(snapshot: LocalizationSnapshot) -> str:
-    """In one word or two, for people and programs.
+    """Return the state in one or two words.
 
-    As `LocalizationSnapshot.state` before there is a belief; then `localized`, `ambiguous`, or
-    `lost`: more than half of the weight is elsewhere than the best cluster.
+    Before the first belief this is `LocalizationSnapshot.state`; then `localized`, `ambiguous`, or
+    `lost`, if more than half of the weight lies outside the best cluster.
     """
     belief = snapshot.belief
     if belief is None:
@@ -30,14 +30,14 @@ def state_of(snapshot: LocalizationSnapshot) -> str:
 
 
 def map_name_of(snapshot: LocalizationSnapshot) -> str:
-    """Of the map's file, without its folder; empty without a map."""
+    """Return the name of the map's file without its folder; empty without a map."""
     return "" if snapshot.known is None else Path(snapshot.known.path).name
 
 
 def localization_summary(
     snapshot: LocalizationSnapshot | None, config: Config
 ) -> dict[str, Any] | None:
-    """A few numbers for the status; None where localization is off."""
+    """Return the summary for the status; None if localization is off."""
     if snapshot is None:
         return None
     return {
@@ -57,14 +57,14 @@ def localization_report(
     """Build the full report.
 
     Args:
-        snapshot: None where localization is off.
-        config: the settings in force: frames and mode.
-        particles: of the cloud, at most so many, evenly spaced among those of the snapshot.
+        snapshot: None if localization is off.
+        config: current settings, for frames and mode.
+        particles: maximum number in `sample`, evenly spaced among those of the snapshot.
 
     Returns:
-        `mode`, `state`; where it is not off also `map`, the `frame`s, `pose` and `overall` with
+        `mode`, `state`; unless it is off also `map`, the `frame`s, `pose` and `overall` with
         `covariance` of (x, y, yaw), `clusters`, `map_odom`, `diagnostics`, `counts`, and `sample`:
-        rows of x, y, yaw and weight. What is not known is None.
+        rows of x, y, yaw and weight. Unknown values are None.
     """
     mode = config.localization.mode
     if snapshot is None:

@@ -1,4 +1,4 @@
-"""The last estimate in a small file, to go on there after a restart."""
+"""Saves the last estimate in a small file, so that a restart continues from it."""
 
 import math
 from dataclasses import dataclass
@@ -30,38 +30,38 @@ class _Saved(Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class SavePace:
-    """When it is time to save.
+    """Decides when to save.
 
     Attributes:
-        rate_hz: 0 or less is never.
-        last_s: of the last save, on any steady clock; None is before the first.
+        rate_hz: saves per second; 0 or less never saves.
+        last_s: time of the last save on a monotonic clock; None before the first.
     """
 
     rate_hz: float
     last_s: float | None = None
 
     def is_due(self, now_s: float) -> bool:
-        """Whether an estimate that is there now is to be saved."""
+        """Whether to save an estimate now."""
         if not self.rate_hz > 0:
             return False
         return self.last_s is None or now_s - self.last_s >= 1 / self.rate_hz
 
     def saved(self, now_s: float) -> "SavePace":
-        """The pace after a save, or an attempt: a full disk is not asked at every scan."""
+        """Return the pace after a save or a failed attempt; both wait for the next period."""
         return SavePace(self.rate_hz, now_s)
 
 
 def save_pose(path: Path, pose: PlanarGaussian, frame: str, unix_ns: int) -> None:
-    """Write the estimate, whole or not at all.
+    """Write the estimate atomically.
 
     Args:
         path: of the file.
         pose: the estimate.
         frame: name of the map's frame.
-        unix_ns: now.
+        unix_ns: current time.
 
     Raises:
-        ExportError: it cannot be written; the last one is as it was.
+        ExportError: it cannot be written; the previous file is unchanged.
     """
     a, b, c = ((float(x), float(y), float(z)) for x, y, z in pose.covariance)
     saved = _Saved(frame, unix_ns, (pose.x_m, pose.y_m, pose.yaw_rad), (a, b, c))
@@ -70,17 +70,18 @@ def save_pose(path: Path, pose: PlanarGaussian, frame: str, unix_ns: int) -> Non
 
 
 def load_pose(path: Path, frame: str) -> PlanarGaussian | None:
-    """Read the estimate of `save_pose`.
+    """Read an estimate that `save_pose` wrote.
 
     Args:
         path: of the file.
-        frame: name of the map's frame now.
+        frame: current name of the map's frame.
 
     Returns:
-        None where there is no file.
+        The estimate; None if there is no file.
 
     Raises:
-        MapError: it cannot be read, is no saved pose, or one in another frame (`bad_saved_pose`).
+        MapError: it cannot be read, is not a saved pose, or is in another frame
+            (`bad_saved_pose`).
     """
     try:
         with path.open("rb") as file:

@@ -1,14 +1,14 @@
 """A scan: the surfaces in one ping or in a caller's ranges, in a level frame.
 
 The level frame is the base without its roll and pitch: origin in the base, x ahead and level, y to
-port, z up. What turns the base into the map is then a position and a yaw.
+port, z up. A position and a yaw then place it in the map.
 
-From how high a part of the water a return may come.
+The vertical angle that a return may come from.
 
-The map spreads an echo over where half of its power is left after both ways: most echoes come from
-there. A first return is the edge of what is nearest, and is heard beyond: localization reckons with
-the one-way width, where a quarter is left after both ways. Down to there a beam falls off as a
-Gauss curve does, of which that is sqrt 2 times as much.
+The map spreads an echo over the two-way half-power width, where most echoes come from. A first
+return is the edge of the nearest surface and is heard farther out. Localization therefore uses the
+one-way width, where a quarter of the two-way power is left. Down to that level a beam is Gaussian,
+so that the one-way width is sqrt 2 times the two-way width.
 """
 
 import dataclasses
@@ -39,7 +39,7 @@ Floats = NDArray[np.float64]
 def yaw_of(map_q_base: ArrayLike) -> float:
     """Heading of a unit quaternion (w, x, y, z), rad in -pi..pi, of Rz(yaw) Ry(pitch) Rx(roll).
 
-    A vehicle that stands on its nose or tail has none; then 0 is as good as any.
+    If the vehicle stands on its nose or tail the heading is undefined and 0 is returned.
     """
     forward = quaternion_to_matrix(map_q_base)[:, 0]
     return math.atan2(forward[1], forward[0])
@@ -80,8 +80,8 @@ def fan_points(
 ) -> Floats:
     """Points (N, 3) of slant ranges (N,) in the level frame, metres.
 
-    Their horizontal ranges are the slant ranges times the cosine of what the mounting's tilt, roll
-    and pitch make of the elevation.
+    Horizontal ranges are the slant ranges times the cosine of the level elevation, which follows
+    from the mounting's tilt, roll and pitch.
     """
     points = range_m[:, None] * beam_directions(bearing_rad, elevation_rad)
     placed: Floats = points @ level_T_sonar[:3, :3].T + level_T_sonar[:3, 3]
@@ -90,11 +90,11 @@ def fan_points(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
-    """The first return of each beam that has one; arrays are read-only.
+    """First returns of the beams that have one; arrays are read-only.
 
     The level frame is the base without its roll and pitch: origin in the base, x ahead and level,
-    y to port, z up. A return is placed in the middle of the beam's vertical aperture; where in the
-    aperture it is, is unknown.
+    y to port, z up. The elevation of a return is unknown; `points_m` places it in the middle of
+    the beam's vertical aperture.
 
     Attributes:
         stamp_ns: when the sound met the middle of the image, on the clock of the odometry.
@@ -120,7 +120,7 @@ class Scan:
     level_T_sonar: Floats  # noqa: N815 frames are named
 
     def __post_init__(self) -> None:
-        """Keep anybody from changing the arrays."""
+        """Make the arrays read-only."""
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if isinstance(value, np.ndarray):
@@ -131,10 +131,10 @@ class Scan:
 
 
 def decimation(count: int, max_count: int) -> NDArray[np.int64]:
-    """Indices of `max_count` evenly spaced of `count` things, the first and the last among them.
+    """Return `max_count` evenly spaced indices below `count`, with the first and the last.
 
-    Index ceil(k (count - 1) / (max_count - 1)) for k = 0 .. max_count - 1; all if `count` is not
-    larger, the first alone for `max_count` 1.
+    Index k is ceil(k (count - 1) / (max_count - 1)). If `count` is not larger, all are returned; if
+    `max_count` is 1, only the first.
     """
     if max_count >= count:
         return np.arange(count, dtype=np.int64)
@@ -145,11 +145,11 @@ def decimation(count: int, max_count: int) -> NDArray[np.int64]:
 
 
 def decimated(scan: Scan, max_beams: int) -> Scan:
-    """A scan of at most so many returns. Beams without a return are gone already: none is wasted.
+    """Return the scan with at most `max_beams` returns.
 
     Args:
-        scan: any.
-        max_beams: returns, evenly spaced among those that there are.
+        scan: the scan.
+        max_beams: number of returns, evenly spaced among those of the scan.
     """
     kept = decimation(len(scan), max_beams)
     return dataclasses.replace(
@@ -172,12 +172,12 @@ def scan_of_ranges(
     level_T_sonar: NDArray[np.float64] = LEVEL,  # noqa: N803 frames are named
     quality: ArrayLike = 1.0,
 ) -> Scan:
-    """A scan of one range a beam.
+    """Make a scan from one range per beam.
 
     Args:
-        stamp_ns: when, on the clock of the odometry.
+        stamp_ns: time on the clock of the odometry.
         bearing_rad: (N,) increasing, in the sonar's fan, positive to starboard.
-        range_m: (N,) slant ranges from the sonar; what is not finite and above 0 is no return.
+        range_m: (N,) slant ranges from the sonar; values not finite or not positive are no returns.
         level_T_sonar: (4, 4) rigid transform: attitude and mounting, without the heading; by
             default the sonar is the base, and level.
         quality: 0..1, (N,) or one number.
@@ -205,5 +205,5 @@ def scan_of_ranges(
 
 
 def heard_aperture_rad(sonar: SonarConfig) -> float:
-    """Full vertical angle that a first return may come from: the beam's one-way width."""
+    """Return the full vertical angle that a first return may come from: the one-way width."""
     return math.sqrt(2.0) * math.radians(sonar.vertical_aperture)

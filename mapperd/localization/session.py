@@ -1,7 +1,7 @@
-"""How a session's localization begins: its map is loaded, its saved pose is read.
+"""Starts a session's localization: loads its map and its saved pose.
 
-A replayed session begins with the state in its recording, not with what lies on the disk
-now: the saved pose stands in the recording, and of the map its fingerprint.
+A replayed session starts with the state in its recording, not with the files on disk: the recording
+holds the saved pose and the fingerprint of the map.
 """
 
 import threading
@@ -36,10 +36,10 @@ PLACE = "$.localization.map_path"
 
 
 class KnownMaps:
-    """Maps on their way to localization: loaded in one thread, taken in another.
+    """Passes maps to localization: loaded in one thread, taken in another.
 
     Args:
-        config: what maps are loaded by.
+        config: settings that maps are loaded with.
     """
 
     def __init__(self, config: Config) -> None:
@@ -49,11 +49,11 @@ class KnownMaps:
 
     @property
     def config(self) -> Config:
-        """What maps are loaded by."""
+        """Settings that maps are loaded with."""
         return self._config
 
     def load(self, path: str) -> KnownMap:
-        """Load a map; not in an event loop.
+        """Load a map; blocks, so do not call it in an event loop.
 
         Raises:
             MapError: as `load_known_map`.
@@ -61,15 +61,15 @@ class KnownMaps:
         return load_known_map(Path(path), self._config)
 
     def offer(self, known: KnownMap) -> None:
-        """Have a map ready for one `take`, whatever becomes of its file until then."""
+        """Keep a loaded map for one `take`, even if its file changes before."""
         with self._lock:
             self._ready.setdefault((known.path, known.sha256), []).append(known)
 
     def take(self, path: str, sha256: str) -> KnownMap:
-        """Give a map away, loaded now where none is ready, as when a session is mapped again.
+        """Return a map; load it if none is ready, as in a replay.
 
         Raises:
-            CheckpointError: it cannot be loaded, or is another one by now.
+            CheckpointError: it cannot be loaded, or its content changed.
         """
         known = self._offered(path, sha256)
         try:
@@ -95,13 +95,13 @@ class KnownMaps:
 
 @dataclass(frozen=True, slots=True)
 class LocalizationSession:
-    """A session's localization as it begins.
+    """A session's localization at its start.
 
     Attributes:
-        stage: for the thread that maps.
-        maps: through which it gets other maps.
-        saved: estimate that it goes on from.
-        map_sha256: of the map that it begins with; empty without one.
+        stage: for the mapping thread.
+        maps: passes other maps to it.
+        saved: estimate that it continues from.
+        map_sha256: fingerprint of its first map; empty without one.
     """
 
     stage: LocalizationStage
@@ -111,7 +111,7 @@ class LocalizationSession:
 
 
 def begun(config: Config, saved: PlanarGaussian | None = None) -> LocalizationSession | None:
-    """Begin by the settings; None where localization is off. Not in an event loop.
+    """Start by the settings; None if localization is off. Blocks while it loads the map.
 
     Args:
         config: the settings.
@@ -132,10 +132,10 @@ def begun(config: Config, saved: PlanarGaussian | None = None) -> LocalizationSe
 
 
 def begun_again(config: Config, session: Session) -> LocalizationSession | None:
-    """Begin as a recorded session began; None where localization was off.
+    """Start as a recorded session did; None if localization was off.
 
     Raises:
-        ConfigError: the map cannot be used, or is another one by now.
+        ConfigError: the map cannot be used, or its content changed.
     """
     ours = config.localization
     if ours.mode == "off":
@@ -156,27 +156,27 @@ def poses_depend_on(localizing: LocalizationSession | None) -> LocalizationSessi
 
 
 class _SavedState(NamedTuple):
-    """State of the stage, and the settings that maps are loaded by, as plain values."""
+    """State of the stage, and the settings that maps are loaded with, as plain values."""
 
     stage: LocalizationStageState
     loaded_by: dict[str, Any]
 
 
 def saved_state(localizing: LocalizationSession) -> bytes:
-    """All that `restored_session` needs; in the thread that maps."""
+    """Return the state for `restored_session`; call it in the mapping thread."""
     loaded_by = msgspec.to_builtins(localizing.maps.config)
     return encode_state(_SavedState(localizing.stage.state(), loaded_by))
 
 
 def restored_session(config: Config, data: bytes) -> LocalizationSession:
-    """Localization as it was when `saved_state` was called.
+    """Restore localization from the state that `saved_state` returned.
 
     Args:
-        config: the settings in force then.
-        data: of `saved_state`.
+        config: the settings at that time.
+        data: the state.
 
     Raises:
-        CheckpointError: the bytes are damaged or of another format, or the map is not there.
+        CheckpointError: the bytes are damaged or of another format, or the map is missing.
     """
     state, loaded_by = decode_state(data, _SavedState)
     try:
@@ -190,7 +190,7 @@ def restored_session(config: Config, data: bytes) -> LocalizationSession:
 
 
 def numbers_of(pose: PlanarGaussian | None) -> Numbers12 | None:
-    """A pose as a recording has it."""
+    """Return a pose as a recording holds it."""
     if pose is None:
         return None
     (a, b, c), (d, e, f), (g, h, i) = pose.covariance.tolist()

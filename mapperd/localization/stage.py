@@ -1,8 +1,8 @@
-"""Localization on the pings' way into the map: each ping with a pose passes here, in order.
+"""Localization as a stage of the pipeline: every ping with a pose passes through, in order.
 
-What comes out depends on the pings, their poses and the requests between them alone, so that a
-recording gives it again. A scan is made of every ping while a filter runs, not only where an update
-is due: bursts are detected with the two pings before, and viewers show each scan.
+The result depends only on the pings, their poses and the requests between them, so a replay
+reproduces it. While a filter runs, every ping gives a scan, not only those that lead to an update:
+burst detection needs the two pings before, and viewers show each scan.
 """
 
 import math
@@ -55,13 +55,13 @@ class _Updated:
 
 
 class LocalizationStageState(NamedTuple):
-    """What localization knows.
+    """State of the stage.
 
     Attributes:
-        filter, localizer, watch: of the parts.
-        updates: so far.
-        updated: belief, scan and height of the base of the last of them.
-        path, sha256: of the map in use; empty without one.
+        filter, localizer, watch: states of the parts.
+        updates: number of updates so far.
+        updated: belief, scan and height of the base at the last update.
+        path, sha256: the map in use; empty without one.
     """
 
     filter: FilterState
@@ -74,13 +74,13 @@ class LocalizationStageState(NamedTuple):
 
 
 class LocalizationStage:
-    """One session's localization, in the thread that maps.
+    """Localization of one session; used in the mapping thread only.
 
     Args:
         config: the settings; `localization.mode` is not off.
-        known: the map to begin with; None waits for one.
+        known: the first map; None waits for one.
         saved: estimate to continue from, or None.
-        load: finds the map that a request names by path and fingerprint, in any thread.
+        load: returns the map that a request names by path and fingerprint.
 
     Raises:
         MapError: the map is refused (`no_free_cells`).
@@ -114,13 +114,13 @@ class LocalizationStage:
 
     @property
     def localizer(self) -> Localizer:
-        """The rules and their counts."""
+        """The localizer, with its counts."""
         return self._localizer
 
     def reconfigure(self, config: Config) -> None:
-        """Use other settings for the following pings; settings that the filter refuses are counted.
+        """Use other settings from the next ping on; settings that the filter refuses are counted.
 
-        The caller has passed them to `check_localization`.
+        The caller has checked them with `check_localization`.
         """
         try:
             self._localizer.reconfigure(config)
@@ -132,11 +132,11 @@ class LocalizationStage:
     def correct(
         self, image: PingImage | Reject, pose: FusedPose, t_ns: int | None
     ) -> FusedPose | Reject:
-        """Localize by a ping; return the pose to map it at, or why it has no pose.
+        """Localize with a ping; return the pose to map it at, or why it has none.
 
         Args:
             image: the filtered image, or why the ping has none.
-            pose: of the odometry at the ping's time.
+            pose: pose of the odometry at the ping's time.
             t_ns: time of the ping.
         """
         self._localized = self._look(image, pose, t_ns or 0)
@@ -149,10 +149,10 @@ class LocalizationStage:
         return self._corrected(pose)
 
     def request(self, request: Request) -> Reject | None:
-        """Carry out a request; return why it was refused.
+        """Carry out a request; return the reason if it was refused, else None.
 
         Raises:
-            CheckpointError: the map of a recorded request does not exist any more.
+            CheckpointError: the map of a recorded request no longer exists.
         """
         try:
             return self._carry_out(request)
@@ -161,7 +161,7 @@ class LocalizationStage:
             return Reject("bad_request", str(error))
 
     def state(self) -> LocalizationStageState:
-        """All that a map at corrected poses depends on, but for the settings in force."""
+        """Return all state that corrected poses depend on, without the settings."""
         known, last = self._known, self._updated
         return LocalizationStageState(
             self._filter.state(),
@@ -174,14 +174,14 @@ class LocalizationStage:
         )
 
     def restore(self, state: LocalizationStageState, known: KnownMap | None) -> None:
-        """Go on as the one that `state` was called of, with the same settings.
+        """Continue from a state, with the same settings.
 
         Args:
-            state: of it.
-            known: the map that it had.
+            state: what `state` returned.
+            known: the map in use at that time.
 
         Raises:
-            ValueError: it is no such state; this one is then of no use.
+            ValueError: the state is invalid; the stage cannot be used afterwards.
         """
         self._localizer.restore(state.localizer, None if known is None else known.map)
         self._filter.restore(state.filter)
@@ -193,7 +193,7 @@ class LocalizationStage:
         self._changes += 1
 
     def snapshot(self) -> LocalizationSnapshot:
-        """How it stands now."""
+        """Return the current state for status and viewers."""
         amcl, last, localizer = self._config.amcl, self._updated, self._localizer
         belief = None if last is None else last.belief
         correction = localizer.correction
@@ -304,7 +304,7 @@ class LocalizationStage:
         return refused
 
     def _cloud(self) -> tuple[Floats, tuple[Cluster, ...]]:
-        """A sample of the particles, and their clusters."""
+        """Return a sample of the particles, and their clusters."""
         if self._shown[0] != self._changes:
             particles = self._filter.particles
             self._shown = (self._changes, sample_of(particles), clusters_of(particles))
@@ -312,17 +312,17 @@ class LocalizationStage:
 
 
 def gaussian_of(request: InitialPose | SetMap) -> PlanarGaussian:
-    """The pose of a request.
+    """Return the pose of a request.
 
     Raises:
-        ValueError: not finite, or no covariance.
+        ValueError: a number is not finite, or the covariance is invalid.
     """
     covariance = np.array(request.covariance, dtype=np.float64).reshape(3, 3)
     return PlanarGaussian(request.x_m, request.y_m, request.yaw_rad, covariance)
 
 
 def _in_map(last: _Updated) -> Floats:
-    """The scan where the estimate has it."""
+    """Return the points of the scan at the estimate, map frame."""
     best = last.belief.best
     c, s = math.cos(best.yaw_rad), math.sin(best.yaw_rad)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

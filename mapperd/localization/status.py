@@ -30,7 +30,7 @@ WEIGHT_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """One standard deviation and the level that it is warned of above."""
+    """A standard deviation and its warning level."""
 
     name: Literal["std_x", "std_y", "std_yaw"]
     value: float
@@ -38,18 +38,18 @@ class Deviation:
 
     @property
     def is_too_large(self) -> bool:
-        """Strictly above; NaN counts as too large."""
+        """Whether it exceeds the level; NaN counts as exceeding."""
         return not self.value <= self.warn_level
 
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """How sure the estimate is.
+    """How certain the estimate is.
 
     Attributes:
-        level: OK, also before the first estimate, or WARN.
-        deviations: in metres and radians; none before the first estimate.
-        text: one line for a person.
+        level: OK or WARN; OK before the first estimate.
+        deviations: in metres and radians; empty before the first estimate.
+        text: one line for people.
     """
 
     level: Literal["OK", "WARN"]
@@ -81,9 +81,9 @@ SLICE_ONLY = (
 
 
 def model_warning(amcl: AmclConfig, *, in_3d: bool) -> str | None:
-    """Describe what the observation model does not do; None if there is nothing to report.
+    """Describe limits of the observation model under these settings; None if there are none.
 
-    Weights are used as they are set, whether they sum to 1 or not. Rays are cast on a planar map.
+    Weights are used as set, even if they do not sum to 1. Rays are cast on a planar map.
 
     Args:
         amcl: the settings.
@@ -113,26 +113,26 @@ MAX_SAMPLE = 500
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalizationSnapshot:
-    """How it stands between two pings; nobody changes it afterwards.
+    """State of localization between two pings; immutable.
 
     Attributes:
         state: `waiting for a map`, `waiting for a pose` or `localizing`.
-        counts: scans by what became of them, and refused requests by their reasons.
-        updates: of the filter by scans, in this session.
-        stamp_ns: of the scan of the belief; None with it.
-        belief: of the last update; None before the first after a new start.
-        clusters: of its particles, the heaviest first.
-        transform: the odometry's frame in the map as it is to be published, stamped ahead; None
-            while it is not.
-        odom: the base in the odometry's frame at the newest scan.
-        pose: the base in the map at the newest scan; None without a transform.
-        sure: the belief is good enough to map by.
-        diagnosis: the estimate's standard deviations against their levels.
-        warning: of the settings, for a person.
-        particle_count: that there are.
+        counts: scans by outcome, and refused requests by reason.
+        updates: number of updates in this session.
+        stamp_ns: time of the scan of the belief; None without a belief.
+        belief: result of the last update; None before the first one after a new start.
+        clusters: clusters of the particles, the heaviest first.
+        transform: the odometry's frame in the map to publish, stamped ahead; None while it is not
+            published.
+        odom: pose of the base in the odometry's frame at the newest scan.
+        pose: pose of the base in the map at the newest scan; None without a transform.
+        sure: the belief is good enough for mapping.
+        diagnosis: standard deviations of the estimate against their warning levels.
+        warning: about the settings, for people.
+        particle_count: number of particles.
         particles: (N, 4), N up to `MAX_SAMPLE`: x, y in metres and yaw in radians, map frame, and
             the weight; the weights of a sample sum to 1.
-        scan_points_m: (M, 3), map frame, of the scan of the last update; None with the belief.
+        scan_points_m: (M, 3), map frame, scan of the last update; None without a belief.
         known: the map in use.
     """
 
@@ -155,10 +155,10 @@ class LocalizationSnapshot:
 
 
 def sample_of(particles: ParticleFilter, max_particles: int = MAX_SAMPLE) -> Floats:
-    """Particles (N, 4) that stand for all: all, or as many by weight; no draw of the filter's.
+    """Return all particles (N, 4), or a sample of at most `MAX_SAMPLE`.
 
-    A larger cloud is resampled by weight, in even steps through the sum
-    of the weights, so that equal clouds give equal samples.
+    A larger cloud is resampled by weight in even steps, without random numbers, so that equal
+    clouds give equal samples.
     """
     poses, weights = particles.poses, particles.weights
     if len(poses) > max_particles:

@@ -17,7 +17,7 @@ __all__ = ["PlanarPose", "UpdateDecision", "UpdateGate"]
 
 @dataclass(frozen=True, slots=True)
 class PlanarPose:
-    """The base in the odometry's frame, in the plane."""
+    """Planar pose of the base in the odometry's frame."""
 
     x_m: float
     y_m: float
@@ -25,22 +25,22 @@ class PlanarPose:
 
     @property
     def is_finite(self) -> bool:
-        """Whether it is a pose at all."""
+        """Whether all numbers are finite."""
         return all(map(math.isfinite, (self.x_m, self.y_m, self.yaw_rad)))
 
     def step_m(self, other: "PlanarPose") -> float:
-        """Distance to another one."""
+        """Return the distance to another pose."""
         return math.hypot(self.x_m - other.x_m, self.y_m - other.y_m)
 
 
 @dataclass(frozen=True, slots=True)
 class UpdateDecision:
-    """What becomes of a scan.
+    """Decision about a scan.
 
     Attributes:
         reason: `first`, `motion`, `time`, `forced` or `odometry_jumped`, which counts no motion;
             without an update `still`, `bad_odometry` or `odometry_jump`.
-        before: where the motion of the update begins: the odometry at the last one.
+        before: odometry at the last update, where the motion of this one begins.
     """
 
     reason: str
@@ -48,20 +48,20 @@ class UpdateDecision:
 
     @property
     def is_update(self) -> bool:
-        """Whether the filter is to take the scan."""
+        """Whether the scan leads to an update."""
         return self.before is not None
 
 
 @dataclass(frozen=True, slots=True)
 class UpdateGate:
-    """The state of the gate; it changes by making another one.
+    """State of the gate; immutable, methods return a new one.
 
     Attributes:
-        triggered: odometry where motion last called for an update; None asks for one.
+        triggered: odometry at the last update that motion triggered; None requests one.
         updated: odometry of the last update; None after a new start.
-        updated_ns: its time.
+        updated_ns: time of the last update.
         forced: the next scan leads to an update.
-        suspect: odometry that stepped too far the last time.
+        suspect: odometry of a step that was too large.
     """
 
     triggered: PlanarPose | None = None
@@ -71,11 +71,11 @@ class UpdateGate:
     suspect: PlanarPose | None = None
 
     def force(self) -> "UpdateGate":
-        """Have the next scan lead to an update."""
+        """Return a gate whose next scan leads to an update."""
         return replace(self, forced=True)
 
     def restarted(self) -> "UpdateGate":
-        """After a new start of the filter: the next scan is the first one."""
+        """Return the gate after a new start of the filter."""
         return UpdateGate(forced=True)
 
     def decide(
@@ -90,15 +90,15 @@ class UpdateGate:
         """Decide about a scan.
 
         Args:
-            odom: at the scan's time.
+            odom: odometry at the time of the scan.
             stamp_ns: that time.
             amcl: `update_min_d`, `update_min_a`.
-            max_interval_s: an update is due after so long in any case; 0 is never.
-            max_step_m: a larger step of odometry since the last update is a fault. The reference is
-                held; if odometry continues from there it has jumped and is the new reference.
+            max_interval_s: an update is due after this time in any case; 0 disables this.
+            max_step_m: a larger step of odometry since the last update is a fault. The reference
+                stays; if odometry continues from there, it jumped and becomes the reference.
 
         Returns:
-            The gate after it, and the decision.
+            The new gate, and the decision.
         """
         if not odom.is_finite:
             return self, UpdateDecision("bad_odometry")

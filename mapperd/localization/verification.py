@@ -1,9 +1,9 @@
 """Verification of a pose: no distant pose explains the recent scans about as well.
 
-A place that looks like another one fits the map as well, so neither fit nor spread of a cloud shows
-that it is wrong: piles repeat, and a round tank is alike at every heading. A separate search over
-the whole map lists the poses that explain a window of recent scans. Odometry places the scans
-relative to each other, so a pose stands for a track.
+Some places look alike: piles repeat, and a round tank looks the same at every heading. Neither the
+fit nor the spread of a cloud then shows that its place is wrong. A separate search over the whole
+map lists the poses that explain a window of recent scans. Odometry places the scans relative to
+each other, so a pose stands for a track.
 
 - A pose is verified if the search finds it again and every distant pose explains the window worse
   by a decisive log-likelihood ratio.
@@ -32,39 +32,39 @@ __all__ = ["MIN_RETURNS", "MIN_SCANS", "Keyframe", "ScanWindow", "VerificationRe
 Floats = NDArray[np.float64]
 
 MAX_SCANS = 24
-"""Of a window; older ones are dropped, as odometry has drifted since."""
+"""Maximum number of scans in a window; older ones suffer from odometry drift."""
 
 MIN_SCANS = 5
-"""Of a window that verifies a pose."""
+"""Minimum number of scans in a window that verifies a pose."""
 
 RECENT = 6
-"""Scans that refute a pose by themselves: after the vehicle was carried off, older ones mislead."""
+"""Number of latest scans that can refute a pose: after a carry-off, older scans mislead."""
 
 MIN_RETURNS = 4
-"""A scan of fewer has no place in a window."""
+"""Minimum number of returns of a scan in a window."""
 
 MAX_TURN_RAD = 0.2
-"""Between scans of a window, if the vehicle turns on the spot."""
+"""Maximum turn between scans of a window."""
 
 DECISIVE = 6.0
-"""Log-likelihood ratio, of tempered scans, by which a distant pose has to be worse."""
+"""Log-likelihood ratio of tempered scans by which distant poses must be worse."""
 
 REFUTING = 4.0
-"""Ratio by which a distant pose has to be better."""
+"""Ratio by which a distant pose must be better to refute."""
 
 DOUBTING = 1.5
-"""Ratio by which a distant pose has to be better if the last scans suddenly fit worse."""
+"""Ratio by which a distant pose must be better if the last scans suddenly fit worse."""
 
 CLOUD_POSES = 250
-"""Particles of a cloud that are scored beside the searched poses."""
+"""Number of particles of a cloud that are scored along with the searched poses."""
 
 
 class Keyframe(NamedTuple):
     """A scan of a window.
 
     Attributes:
-        odom: the base in the odometry's frame.
-        base_height_m: of the base in the map.
+        odom: pose of the base in the odometry's frame.
+        base_height_m: height of the base in the map.
         scan: the returns.
     """
 
@@ -74,24 +74,24 @@ class Keyframe(NamedTuple):
 
 
 class ScanWindow(NamedTuple):
-    """Recent scans, spaced along the way.
+    """Recent scans, spaced along the track.
 
     Attributes:
-        keyframes: oldest first.
-        last: odometry of the last update; None before one.
+        keyframes: the scans, oldest first.
+        last: odometry at the last update; None before the first.
     """
 
     keyframes: tuple[Keyframe, ...] = ()
     last: PlanarPose | None = None
 
     def after(self, before: PlanarPose, keyframe: Keyframe, spacing_m: float) -> "ScanWindow":
-        """With a scan, if it is far enough from the last one.
+        """Return the window with a scan added, if it is far enough from the last one.
 
         Args:
             before: odometry where the motion of the update began. Scans from before a jump of the
                 odometry are dropped.
             keyframe: the scan.
-            spacing_m: least way between scans.
+            spacing_m: minimum distance between scans.
         """
         kept = self.keyframes if self.last in (None, before) else ()
         if len(keyframe.scan) >= MIN_RETURNS and (
@@ -101,11 +101,11 @@ class ScanWindow(NamedTuple):
         return ScanWindow(kept, keyframe.odom)
 
     def recent(self) -> "ScanWindow":
-        """The last scans alone."""
+        """Return a window of the last scans only."""
         return ScanWindow(self.keyframes[-RECENT:], self.last)
 
     def including(self, keyframe: Keyframe) -> "ScanWindow":
-        """With the scan of now, whatever its distance."""
+        """Return the window with the current scan added, at any distance."""
         if self.keyframes and self.keyframes[-1].odom == keyframe.odom:
             return self
         return ScanWindow((*self.keyframes, keyframe), keyframe.odom)
@@ -116,10 +116,10 @@ class VerificationResult(NamedTuple):
 
     Attributes:
         margin: of the pose against the best distant one.
-        recent_margin: the same by the last scans.
-        cloud_margin: of the particles, as they are, against the best distant pose by the last scan.
-        found: the search found the pose, and nothing better.
-        scans: of the window.
+        recent_margin: the same, from the last scans.
+        cloud_margin: of the particles against the best distant pose, from the last scan.
+        found: the search found the pose and nothing better.
+        scans: number of scans in the window.
     """
 
     margin: float
@@ -130,22 +130,22 @@ class VerificationResult(NamedTuple):
 
     @property
     def verified(self) -> bool:
-        """The search found the pose, and every distant one is worse by a decisive ratio."""
+        """Whether the search found the pose and every distant one is decisively worse."""
         return self.found and self.scans >= MIN_SCANS and self.margin > DECISIVE
 
     @property
     def refuted(self) -> bool:
-        """A distant pose is better by a decisive ratio."""
+        """Whether a distant pose is decisively better."""
         return min(self.margin, self.recent_margin, self.cloud_margin) < -REFUTING
 
     @property
     def doubted(self) -> bool:
-        """A distant pose explains the last scan better."""
+        """Whether a distant pose explains the last scan better."""
         return self.cloud_margin < -DOUBTING
 
 
 class _Round(NamedTuple):
-    """A step of the search: candidates are scored, drawn by their score, and moved a little."""
+    """A round of the search: candidates are scored, resampled by score, and jittered."""
 
     scans: int
     beams: int
@@ -162,24 +162,24 @@ ROUNDS = (
     _Round(MAX_SCANS, 20, 9, 800, 0.5, 0.015),
     _Round(MAX_SCANS, 60, 15, 0, 0.0, 0.0),
 )
-"""The last one scores only. Jitter in standard deviations of a hit."""
+"""Rounds of the search; the last one only scores. Jitter in standard deviations of a hit."""
 
 EFFECTIVE_SHARE = 0.25
-"""Of candidates that a round leaves at least: weak modes survive."""
+"""Minimum effective share of candidates after a round, so that weak modes survive."""
 
 BISECTIONS = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Evidence:
-    """A window on a map, with the odometry that candidates belong to."""
+    """A window on a map, with the odometry of the candidates."""
 
     weighing: MapWeighing
     keyframes: tuple[Keyframe, ...]
     now: PlanarPose
 
     def scores(self, poses: Floats, how: _Round) -> Floats:
-        """(scans, poses) log-likelihoods of scans at the poses that the candidates had then."""
+        """Return (scans, poses) log-likelihoods of scans at the candidates' past poses."""
         step = max(1, math.ceil(len(self.keyframes) / how.scans))
         scores = [
             self.weighing.log_likelihoods(
@@ -195,7 +195,7 @@ class _Evidence:
         return np.array(scores[::-1])
 
     def refined(self, poses: Floats, how: _Round, random: np.random.Generator) -> Floats:
-        """Candidates drawn by their likelihood, which is tempered so that weak modes survive."""
+        """Return candidates resampled by likelihood, tempered so that weak modes survive."""
         logs = self.scores(poses, how).sum(axis=0)
         logs = _tempered(logs - logs.max(), EFFECTIVE_SHARE * len(poses))
         drawn = _drawn(poses, np.exp(logs), how.kept, random)
@@ -214,14 +214,14 @@ def verify(
     """Search the map for poses that explain a window, and compare them with one.
 
     Args:
-        weighing: the map; it searches, and its model is a product.
-        window: recent scans, the last one of now.
+        weighing: the map, prepared for searches with a product model.
+        window: recent scans, the last one current.
         place: (3,) x, y, yaw in the map, metres and radians: the pose to be verified.
-        clouds: the particles of the pose first; others are candidates.
-        seed: of the random numbers.
+        clouds: the cloud of the pose first; the others are candidates.
+        seed: seed of the random numbers.
 
     Returns:
-        The verdict; None without a scan to search by.
+        The result; None without a scan to search with.
     """
     full = max(reversed(window.keyframes), key=lambda one: len(one.scan), default=None)
     if full is None or window.last is None or not weighing.can_search(full.scan):
@@ -238,7 +238,7 @@ def verify(
     scores = evidence.scores(poses, ROUNDS[-1])
     total, last = scores.sum(axis=0), scores[-1]
     near = about = _are_near(poses, place)
-    if near.any():  # an estimate beside the best pose is as far from that as distant poses are
+    if near.any():  # the estimate may lie as far from the best pose as distant poses do
         near = _are_near(poses, poses[np.argmax(np.where(about, total, -math.inf))])
     return VerificationResult(
         _margin(total[near], total[~near]),
@@ -250,20 +250,20 @@ def verify(
 
 
 def _are_near(poses: Floats, place: Floats) -> NDArray[np.bool_]:
-    """(N,) whether poses are no distant ones, seen from a place."""
+    """Return (N,) whether poses are near a place."""
     off = poses - place
     near: NDArray[np.bool_] = np.hypot(off[:, 0], off[:, 1]) < ELSEWHERE_M
     return near & (np.abs(np.remainder(off[:, 2] + math.pi, math.tau) - math.pi) < SAME_RAD)
 
 
 def _margin(inside: Floats, outside: Floats) -> float:
-    """The best score at the place, less the best one elsewhere; 0 if there are none."""
+    """Return the best score near the place minus the best elsewhere; 0 without either."""
     best, other = (float(one.max(initial=-math.inf)) for one in (inside, outside))
     return best - other if math.isfinite(best) or math.isfinite(other) else 0.0
 
 
 def _tempered(logs: Floats, size: float) -> Floats:
-    """Log-weights to a power of at most 1 that leaves so large an effective sample size."""
+    """Return log-weights tempered to at least this effective sample size."""
     low, high, power = 0.0, 1.0, 1.0
     for _ in range(BISECTIONS):
         weights = np.exp(power * logs)
@@ -277,7 +277,7 @@ def _tempered(logs: Floats, size: float) -> Floats:
 
 
 def _drawn(poses: Floats, weights: Floats, count: int, random: np.random.Generator) -> Floats:
-    """Poses drawn evenly by weight."""
+    """Return poses resampled evenly by weight."""
     edges = np.cumsum(weights)
     comb = (random.uniform() + np.arange(count)) / count * edges[-1]
     drawn: Floats = poses[np.minimum(np.searchsorted(edges, comb), len(edges) - 1)]
@@ -285,7 +285,7 @@ def _drawn(poses: Floats, weights: Floats, count: int, random: np.random.Generat
 
 
 def _moved(poses: Floats, before: PlanarPose, after: PlanarPose) -> Floats:
-    """(N, 3) poses after the motion of the odometry between two poses."""
+    """Return poses (N, 3) after the odometry's motion between two poses."""
     x, y = after.x_m - before.x_m, after.y_m - before.y_m
     c, s = math.cos(before.yaw_rad), math.sin(before.yaw_rad)
     ahead, aside = c * x + s * y, c * y - s * x
@@ -300,7 +300,7 @@ def _moved(poses: Floats, before: PlanarPose, after: PlanarPose) -> Floats:
 
 
 def _without_misses(keyframe: Keyframe) -> Keyframe:
-    """Without the beams that have no return."""
+    """Return the scan without the beams that have no return."""
     return keyframe._replace(scan=replace(keyframe.scan, misses_bearing_rad=np.empty(0)))
 
 

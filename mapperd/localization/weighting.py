@@ -1,11 +1,11 @@
 """Weights of particles: how well a scan fits the map.
 
-Where the ends of a scan's beams may be: a ping knows range and bearing, and no elevation.
+Positions that a return may have: a ping measures range and bearing, but no elevation.
 
-A line array measures the component of a direction along itself, so all directions of one bearing b
-lie on the cone of sin(b): at elevation e they stand at (sqrt(1 - sin(b)^2 - sin(e)^2), -sin(b),
-sin(e)). Off the fan's plane and away from its middle that is not the vertical plane of the bearing:
-at 60 deg and 10 deg it is 1.6 deg beside it.
+A line array measures the component of a direction along itself. All directions of a bearing b
+therefore lie on a cone; at elevation e the direction is (sqrt(1 - sin(b)^2 - sin(e)^2), -sin(b),
+sin(e)). Off the fan's plane and off its middle this differs from the vertical plane of the bearing:
+by 1.6 deg at a bearing of 60 deg and an elevation of 10 deg.
 """
 
 import math
@@ -36,23 +36,23 @@ Floats = NDArray[np.float64]
 
 
 def elevation_fan_rad(count: int, vertical_aperture_rad: float) -> Floats:
-    """(count,) elevations: the middles of equal parts of the aperture."""
+    """Return (count,) elevations: the middles of equal parts of the aperture."""
     return ((np.arange(count) + 0.5) / count - 0.5) * vertical_aperture_rad
 
 
 def ends_on_cones(scan: Scan, elevation_rad: Floats, base_height_m: float) -> Floats:
-    """Ends (N, E, 3) for each return and elevation.
+    """Return the beam's ends (N, E, 3) for each return and elevation.
 
     Args:
         scan: the returns.
         elevation_rad: (E,) above the fan's plane, sonar frame.
-        base_height_m: of the base in the map.
+        base_height_m: height of the base in the map.
 
     Returns:
         x ahead and y to port in the level frame, and the height in the map frame; metres.
     """
     sine, up = np.sin(scan.bearing_rad)[:, None], np.sin(elevation_rad)[None, :]
-    # Beside an array's axis no direction has the elevation: there the cone's own edge stands in.
+    # Near the array's axis no direction has this elevation: use the edge of the cone.
     edge = np.abs(np.cos(scan.bearing_rad))[:, None]
     up = np.clip(up, -edge, edge)
     ahead = np.sqrt(np.maximum(1.0 - sine**2 - up**2, 0.0))
@@ -67,17 +67,17 @@ SEARCH_BEAMS, SEARCH_ELEVATIONS = 30, 3
 """Enough for a coarse search; all beams refine the pose."""
 
 MIN_BEAMS = 15
-"""A scan of fewer is not a scan to search by, unless the settings thin all scans to fewer."""
+"""Minimum number of beams of a scan for a search, unless the settings thin scans more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fields:
-    """What is made of a map, which takes long.
+    """Fields computed from a map, which takes long.
 
     Attributes:
-        free: where a vehicle can be; None if nowhere.
-        against: what scans are compared with.
-        broad: what they are searched by; None for no search.
+        free: free space for the vehicle; None if there is none.
+        against: field that scans are compared with.
+        broad: blurred field for searches; None without searches.
     """
 
     free: FreeSpace | None
@@ -86,15 +86,15 @@ class _Fields:
 
 
 class MapWeighing:
-    """A map, prepared to weigh particles on. It changes nothing after it is made.
+    """A map prepared for weighing particles; immutable.
 
     Args:
         known: the map.
         config: the settings.
-        fields: of the map, where they are made already.
+        fields: fields of the map, if already computed.
 
     Attributes:
-        free: where a vehicle can be; None if nowhere.
+        free: free space for the vehicle; None if there is none.
         is_product: the model multiplies over beams.
     """
 
@@ -108,7 +108,7 @@ class MapWeighing:
         self.is_product = config.amcl.laser_model_type == "likelihood_field_prob"
 
     def with_settings(self, config: Config) -> "MapWeighing":
-        """The same map by other settings; fields are rebuilt only if the settings affect them."""
+        """Return the map with other settings; fields are rebuilt only if affected."""
         same = _shaping(config) == _shaping(self._config)
         return MapWeighing(self._known, config, self._fields if same else None)
 
@@ -119,23 +119,23 @@ class MapWeighing:
 
     @property
     def searches(self) -> bool:
-        """Whether clouds are drawn from scans at all."""
+        """Whether the settings allow drawing clouds from scans."""
         return self._broad is not None
 
     def draw(self, particles: ParticleFilter, scan: Scan, base_height_m: float) -> None:
-        """A new cloud from a scan that can be searched by."""
+        """Draw a new cloud from a scan; `can_search` holds for it."""
         ours, amcl = self._config.localization, self._config.amcl
         if self._broad is None or self.free is None:
             raise ValueError("the settings ask for no search, or the map has no free cell")
         few = decimated(scan, SEARCH_BEAMS)
         ends = self._ends(few, base_height_m, min(SEARCH_ELEVATIONS, ours.elevations))
-        # Fewer beams have the votes of all.
+        # The thinned beams carry the weight of all.
         kappa = min(ours.tempering * len(scan) / len(few), 1.0)
         poses = max(ours.search_poses, amcl.max_particles)
         particles.start_by_scan(self.free, self._broad, ends, poses, kappa)
 
     def drawn(self, scan: Scan, base_height_m: float, seed: int) -> Floats:
-        """(N, 3) poses of a new cloud from a scan that can be searched by."""
+        """Return poses (N, 3) of a new cloud from a scan; `can_search` holds for it."""
         cloud = ParticleFilter(filter_rule(self._config), seed, threads_of(self._config))
         self.draw(cloud, scan, base_height_m)
         return cloud.poses
@@ -155,15 +155,15 @@ class MapWeighing:
         elevations: int,
         broad: bool = False,
     ) -> Floats:
-        """(N,) tempered log-likelihoods of a scan at poses (N, 3); 0 if it has no information.
+        """Return (N,) tempered log-likelihoods of a scan at poses (N, 3); 0 without information.
 
         Args:
             poses: x, y, yaw, map frame.
-            scan: any.
-            base_height_m: of the base in the map.
-            beams: to which the scan is thinned; they have the votes of all.
-            elevations: of each return, on a map with heights.
-            broad: on the blurred map.
+            scan: the scan.
+            base_height_m: height of the base in the map.
+            beams: number that the scan is thinned to; they carry the weight of all.
+            elevations: number per return, on a map with heights.
+            broad: use the blurred map.
         """
         field = self._broad if broad else self._against
         if not isinstance(field, LikelihoodField) or not len(scan):
@@ -184,7 +184,7 @@ class MapWeighing:
     def weigh(
         self, particles: ParticleFilter, scan: Scan, base_height_m: float, tempering: float
     ) -> Weighed:
-        """Weigh by a scan; the tempering is that of products."""
+        """Weigh particles by a scan; tempering applies to product models."""
         how = ("product", tempering) if self.is_product else ("cube_sum", 1.0)
         if isinstance(self._against, RangeMap):
             model = beam_model(self._config.amcl)
@@ -193,7 +193,7 @@ class MapWeighing:
         return particles.weigh_field(self._against, ends, *how)
 
     def hit_share(self, weighed: Weighed) -> float | None:
-        """Share of the beams that lie on the map; None if the model or the scan gives none."""
+        """Return the share of beams that hit the map; None if the model or the scan gives none."""
         if not (self.is_product and weighed.informative):
             return None
         amcl = self._config.amcl
@@ -207,12 +207,12 @@ class MapWeighing:
 
 
 def threads_of(config: Config) -> int:
-    """Number of threads by the execution policy."""
+    """Return the number of threads for the execution policy."""
     return (os.cpu_count() or 1) if config.amcl.execution_policy == "par" else 1
 
 
 def _shaping(config: Config) -> tuple[object, ...]:
-    """The settings that fields are made by; those of rates and names are not."""
+    """Return the settings that fields depend on."""
     amcl, ours = config.amcl, config.localization
     laser = [getattr(amcl, name) for name in amcl.__struct_fields__ if name.startswith("laser_")]
     return (*laser, ours.boundaries_only, ours.search_poses > 0, ours.search_sigma)
@@ -234,7 +234,7 @@ def _against(known: LocalizationMap, grid: GridMap, config: Config) -> Likelihoo
 
 
 def _beams(scan: Scan) -> Beams:
-    """As seen from the sonar, in the plane."""
+    """Return positions relative to the sonar, in the plane."""
     sensor = scan.level_T_sonar[:2, 3]
     offset = scan.points_m[:, :2] - sensor
     return Beams(
