@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from oculus_driver.bearings import bearing_table_cdeg
 from oculus_driver.errors import EncodeError
+from oculus_driver.fan import bearing_table_cdeg
 from oculus_driver.wire import (
     DUMMY,
     FIRE_V1,

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from oculus_driver.bearings import CENTIDEGREE_RAD
 from oculus_driver.errors import Reject
+from oculus_driver.fan import CENTIDEGREE_RAD
 from oculus_driver.wire import FULL_PING_RESULT, MessageId
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from oculus_driver.bearings import CENTIDEGREE_RAD, edges_rad
 from oculus_driver.errors import Reject
+from oculus_driver.fan import CENTIDEGREE_RAD, edges_rad
 from oculus_driver.ping_layout import GAIN_WORD, PingLayout, resolve_layout
 from oculus_driver.wire import FireFlags, MessageId, ping_result_layout
 

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 import cv2
 import numpy as np
 
-from oculus_driver.bearings import edges_rad
 from oculus_driver.errors import OculusError
-from oculus_driver.fan import FanGeometry, fit_fan, ring_ranges_m
+from oculus_driver.fan import FanGeometry, edges_rad, fit_fan, ring_ranges_m
 from oculus_driver.ping import caption_lines
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from oculus_driver.bearings import CENTIDEGREE_RAD, bearing_table_cdeg
 from oculus_driver.encode import encode_ping
+from oculus_driver.fan import CENTIDEGREE_RAD, bearing_table_cdeg
 from oculus_driver.models import model_of
 from oculus_driver.wire import EXTENDED_32_BIT, FIRE_V1, FIRE_V2, FireFlags
 

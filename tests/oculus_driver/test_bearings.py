@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from oculus_driver.bearings import bearing_table_cdeg, edges_rad
 from oculus_driver.errors import EncodeError
+from oculus_driver.fan import bearing_table_cdeg, edges_rad
 from oculus_driver.wire import PING_RESULT_V1
 
 if TYPE_CHECKING:

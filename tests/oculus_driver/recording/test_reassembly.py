@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oculus_driver.recording import reassembly
-from oculus_driver.recording.reassembly import TcpStream
+from oculus_driver.recording import network_capture
+from oculus_driver.recording.network_capture import TcpStream
 
 DATA = np.random.default_rng(3).bytes(2000)
 WRAP = 1 << 32
@@ -87,16 +87,16 @@ def test_a_hole_that_nobody_fills_is_reported() -> None:
 def test_what_waits_is_bounded() -> None:
     stream = TcpStream()
     stream.feed(0, b"x", 1)
-    for index in range(3 * reassembly.MAX_HELD_SEGMENTS):
+    for index in range(3 * network_capture.MAX_HELD_SEGMENTS):
         stream.feed(100 + 2 * index, b"y", 1)
-        assert len(stream._held) <= reassembly.MAX_HELD_SEGMENTS
+        assert len(stream._held) <= network_capture.MAX_HELD_SEGMENTS
     stream = TcpStream()
     stream.feed(0, b"x", 1)
     out = 0
     for index in range(40):
         pieces = stream.feed(100 + (index << 20), bytes(1 << 19), 1)
         out += sum(len(piece.data) for piece in pieces)
-        assert stream._held_bytes <= reassembly.MAX_HELD_BYTES
+        assert stream._held_bytes <= network_capture.MAX_HELD_BYTES
     assert out + stream._held_bytes == 20 << 20
 
 
