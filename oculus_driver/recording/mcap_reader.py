@@ -13,6 +13,9 @@ other files any damage is a gap in all links.
 The checksum of a complete chunk is checked before its messages are yielded. If it fails, they are
 yielded as damaged: nobody can know which of their bytes are wrong. In files that have a checksum
 for each message (`format_version` 3), so are messages without one: a power cut leaves such.
+
+Not the library `mcap`: it reads 1.3 times as fast, but raises at the first damage and yields
+nothing of a truncated chunk; and the driver needs NumPy only.
 """
 
 from __future__ import annotations

@@ -4,6 +4,9 @@ Formats: draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng. In a damaged pcap 
 continues where two consecutive valid record heads follow, close in time to the last valid one. In
 pcapng each block states its length twice; if the two differ, the reader continues at the next
 packet block whose lengths agree.
+
+Not dpkt: it is not faster (`python -m bench capture-reading`: 56 µs a packet, 46 here with the
+flows in order), ends at the first damage, and the driver needs NumPy only.
 """
 
 from __future__ import annotations
