@@ -1,1 +1,1 @@
-"""Odometry: bytes from the vehicle become records, records become the pose at a ping's time."""
+"""Odometry: decodes the vehicle's bytes to records and fuses them to the pose at a ping's time."""

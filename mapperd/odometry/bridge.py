@@ -1,4 +1,4 @@
-"""The bridge: bytes of the vehicle's links become records, records become poses."""
+"""The bridge: turns bytes of the vehicle's links into records, and records into poses."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -15,11 +15,11 @@ from mapperd.odometry.records import Odometry
 __all__ = ["ENCODING_PREFIX", "BridgeState", "OdometryBridge", "encoding_of"]
 
 ENCODING_PREFIX = "odometry-"
-"""Of the encodings of recorded links that hold odometry; the format's name follows."""
+"""Prefix of the encodings of recorded links with odometry; the format's name follows."""
 
 
 def encoding_of(settings: FormatSettings) -> str:
-    """Encoding of a recorded link of this format."""
+    """Return the encoding of a recorded link of this format."""
     return ENCODING_PREFIX + settings.format
 
 
@@ -27,10 +27,10 @@ class BridgeState(NamedTuple):
     """State of an `OdometryBridge`.
 
     Attributes:
-        decoders: link to its encoding and the state of its decoder.
-        unreadable: link to pieces that no decoder could be made for.
-        accepted: as of `OdometryBridge`.
-        fusion: of its part.
+        decoders: encoding and decoder state by link.
+        unreadable: number of pieces without a decoder, by link.
+        accepted: as in `OdometryBridge`.
+        fusion: state of the fusion.
     """
 
     decoders: dict[str, tuple[str | None, Any]]
@@ -43,11 +43,11 @@ class OdometryBridge:
     """All odometry of one vehicle, live or recorded.
 
     Args:
-        config: the sources, and how they are fused.
+        config: the sources and the fusion.
 
     Attributes:
-        fusion: the records together.
-        accepted: records of which anything was used.
+        fusion: combines the records.
+        accepted: number of records of which anything was used.
     """
 
     def __init__(self, config: Config) -> None:
@@ -73,14 +73,14 @@ class OdometryBridge:
         encoding: str | None = None,
         gap_before: bool = False,
     ) -> None:
-        """Take the next bytes of a link.
+        """Process the next bytes of a link.
 
         Args:
             link: name of a source, or of a recorded link.
-            data: of a stream any piece, of datagrams exactly one.
-            arrival_ns: arrival, host clock; None if the recording has no time.
+            data: any piece of a stream, or exactly one datagram.
+            arrival_ns: arrival time, host clock; None if the recording has no time.
             encoding: encoding of a recorded link; gives the format if no source has its name.
-            gap_before: bytes before them are missing.
+            gap_before: bytes before these are missing.
         """
         decoder = self._decoders.get(link)
         if decoder is None:
@@ -99,7 +99,7 @@ class OdometryBridge:
                 self.accepted += 1
 
     def state(self) -> BridgeState:
-        """Everything that `restore` needs to continue exactly."""
+        """Return the state for `restore`."""
         decoders = {
             link: (self._encodings[link], decoder.state())
             for link, decoder in self._decoders.items()
@@ -107,10 +107,10 @@ class OdometryBridge:
         return BridgeState(decoders, dict(self._unreadable), self.accepted, self.fusion.state())
 
     def restore(self, state: BridgeState) -> None:
-        """Continue as the bridge of which `state` was taken, with the same settings.
+        """Restore the state of a bridge with the same settings.
 
         Raises:
-            ValueError: a format of it cannot be read here, or its state is of another one.
+            ValueError: a format cannot be decoded here, or the state is of another format.
         """
         for link, (encoding, inner) in state.decoders.items():
             decoder = self._decoder(link, encoding)
@@ -126,7 +126,7 @@ class OdometryBridge:
     def _decoded(
         decoder: Decoder, data: bytes, arrival_ns: int | None
     ) -> Iterator[Odometry | Reject]:
-        """The decoder's records; a fault of its own costs these bytes, never the dive."""
+        """Yield the decoder's records; an error in a decoder loses these bytes only."""
         try:
             yield from decoder.feed(data, arrival_ns)
         except Exception as error:  # noqa: BLE001 decoders are total; this is what if not
@@ -135,7 +135,7 @@ class OdometryBridge:
 
     @property
     def received(self) -> int:
-        """Records that came, good or bad."""
+        """Number of received records, valid or not."""
         return sum(
             decoder.counters.records + decoder.counters.rejects.total()
             for decoder in self._decoders.values()
@@ -143,7 +143,7 @@ class OdometryBridge:
 
     @property
     def rejects(self) -> Counter[str]:
-        """Reason to count, of decoding and of fusion; received == accepted + their sum."""
+        """Counts by reason, of decoding and fusion; received == accepted + their sum."""
         counts: Counter[str] = Counter()
         for decoder in self._decoders.values():
             counts += decoder.counters.rejects
@@ -152,11 +152,11 @@ class OdometryBridge:
         return counts
 
     def decoder_of(self, link: str) -> Decoder | None:
-        """The decoder of a link; None before its first bytes."""
+        """Return the decoder of a link; None before its first bytes."""
         return self._decoders.get(link)
 
     def status(self) -> dict[str, Any]:
-        """For a person: each link's bytes, frames and records, and what fusion made of them."""
+        """Status for people: bytes, frames and records by link, and the fusion."""
         links = {
             name: {
                 "bytes": decoder.counters.bytes_total,

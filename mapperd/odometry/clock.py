@@ -1,9 +1,7 @@
-"""The time of an odometry record on the host, and the best of several messages.
+"""Converts times of odometry records to the host's clock, and selects the best of several messages.
 
-If several messages of one sender carry the same quantity, the best one is used.
-
-An autopilot may send its attitude as angles and as a quaternion. Both in one series would only
-make it noisier, and out of order.
+An autopilot may send one quantity in several messages, for example the attitude as angles and as a
+quaternion. Only the best of them is used: both in one series would be noisier and out of order.
 """
 
 from collections import deque
@@ -17,25 +15,25 @@ from oculus_driver.clock_fit import ClockFit, ClockFitState
 __all__ = ["Leaders", "OdometryClock", "OdometryClockState", "Precedence"]
 
 DISTRUST_AFTER = 10
-"""So many Unix stamps in a row that cannot be are of a clock that was never set."""
+"""Consecutive impossible Unix stamps after which the sender's clock counts as not set."""
 
 STEP_NS = 50_000_000
-"""The least delay of as many records in a row grown by more: the sender's clock was set back."""
+"""Growth of the minimum delay that shows that the sender's clock was set back."""
 
 AHEAD_NS = 5_000_000
-"""A stamp so much later than its arrival is of a clock that is not ours."""
+"""Lead of a stamp over its arrival that shows that the clocks differ."""
 
 
 class OdometryClockState(NamedTuple):
     """State of an `OdometryClock`.
 
     Attributes:
-        fit: of the sender's clock to the host's.
-        off: records in a row whose stamp was too far from their arrival.
-        distrusted: Unix stamps are fitted, too.
+        fit: fit of the sender's clock to the host's.
+        off: consecutive records whose stamp was too far from their arrival.
+        distrusted: Unix stamps are fitted too.
         delays_ns: the last delays.
-        least_delay_ns: the least of them so far.
-        offset_ns: newest Unix stamp minus its arrival where they disagree.
+        least_delay_ns: minimum delay so far.
+        offset_ns: newest Unix stamp minus its arrival if they disagree.
     """
 
     fit: ClockFitState
@@ -47,19 +45,19 @@ class OdometryClockState(NamedTuple):
 
 
 class OdometryClock:
-    """Carries the stamps of one source over to the host's clock.
+    """Converts the stamps of one source to the host's clock.
 
-    Unix stamps are taken as they are while they agree with the arrivals; others are fitted. A
-    clock that was always behind by less than `max_age_ns` agrees: it cannot be
-    distinguished from a slow sender. A clock that is set back is noticed.
+    Unix stamps are used as they are while they agree with the arrivals; others are fitted. A clock
+    that is always behind by less than `max_age_ns` agrees, because it looks like a slow sender. A
+    clock that is set back is detected.
 
     Args:
         max_age_ns: stamps further than this from their arrival are refused.
-        latency_ns: least delay of the link, which no fit can see; it is taken off.
+        latency_ns: minimum delay of the link, which no fit can measure; it is subtracted.
 
     Attributes:
-        max_age_ns: may change.
-        offset_ns: newest Unix stamp minus its arrival where they disagree, else None.
+        max_age_ns: may be changed.
+        offset_ns: newest Unix stamp minus its arrival if they disagree, else None.
     """
 
     offset_ns: int | None = None
@@ -74,7 +72,7 @@ class OdometryClock:
         self._min_delay_ns: int | None = None
 
     def state(self) -> OdometryClockState:
-        """Everything that `restore` needs to continue exactly."""
+        """Return the state for `restore`."""
         return OdometryClockState(
             self._fit.state(),
             self._off,
@@ -85,7 +83,7 @@ class OdometryClock:
         )
 
     def restore(self, state: OdometryClockState) -> None:
-        """Continue as the clock of which `state` was taken."""
+        """Restore the state of a clock."""
         self._fit.restore(state.fit)
         self._off, self._distrusted = state.off, state.distrusted
         self._delays = deque(state.delays_ns, maxlen=DISTRUST_AFTER)
@@ -93,12 +91,12 @@ class OdometryClock:
         self.offset_ns = state.offset_ns
 
     def t_host_ns(self, odometry: Odometry, arrival_ns: int | None) -> int | Reject:
-        """The record's host time, on the clock of the arrival stamps.
+        """Return the record's host time, on the clock of the arrival stamps.
 
         Args:
             odometry: the record.
-            arrival_ns: arrival; None if the recording has no time, which leaves
-                only "unix" stamps of use.
+            arrival_ns: arrival time; None if the recording has none; then only "unix" stamps
+                are usable.
         """
         if arrival_ns is None:
             if odometry.clock == "unix":
@@ -135,7 +133,7 @@ class OdometryClock:
         return None if -STEP_NS <= offset_ns <= AHEAD_NS else offset_ns
 
     def _stepped_back(self, odometry: Odometry, arrival_ns: int) -> bool:
-        """Whether all of the last records came later after their stamps than any before them."""
+        """Whether each of the last records had a larger delay than any before."""
         sent_ns = odometry.stamp_ns if odometry.sent_ns is None else odometry.sent_ns
         self._delays.append(arrival_ns - sent_ns)
         if len(self._delays) < DISTRUST_AFTER:
@@ -145,7 +143,7 @@ class OdometryClock:
         return min_ns is not None and now_ns - min_ns > STEP_NS
 
     def _carried_over(self, odometry: Odometry, arrival_ns: int) -> int | None:
-        """By the fit of the stamps of sending, where there are some: they know the link's delay."""
+        """Return the time by the fit, preferably of the stamps of sending."""
         sent_ns = odometry.stamp_ns if odometry.sent_ns is None else odometry.sent_ns
         sent_host_ns = self._fit.to_host_ns(sent_ns, arrival_ns)
         if sent_host_ns is None:
@@ -154,7 +152,7 @@ class OdometryClock:
 
 
 SILENCE_NS = 2 * 10**9
-"""After so long without the better message the next best will do."""
+"""Silence of the better message after which the next best is used."""
 
 QUANTITIES = {
     "position_m": "position",
@@ -168,11 +166,11 @@ QUANTITIES = {
     "heading_rad": "attitude",
     "rate_radps": "attitude",
 }
-"""Quantity of each field that several messages carry."""
+"""Quantities that several messages carry, by field."""
 
 
 Leaders = dict[str, tuple[int, int | None]]
-"""Quantity to the rank of the message that it is taken from, and the last arrival of that."""
+"""Rank of the message that provides each quantity, and its last arrival."""
 
 
 class Precedence:
@@ -187,15 +185,15 @@ class Precedence:
         self._leaders: Leaders = {}
 
     def state(self) -> Leaders:
-        """Everything that `restore` needs to continue exactly."""
+        """Return the state for `restore`."""
         return dict(self._leaders)
 
     def restore(self, state: Leaders) -> None:
-        """Continue as the one of which `state` was taken."""
+        """Restore a state that `state` returned."""
         self._leaders = dict(state)
 
     def filtered(self, name: str, odometry: Odometry, arrival_ns: int | None) -> Odometry | None:
-        """Remove what a better message provides; None when nothing is left."""
+        """Remove the quantities that a better message provides; None if nothing is left."""
         carried = {
             field: quantity
             for field, quantity in QUANTITIES.items()
@@ -209,7 +207,7 @@ class Precedence:
             if not self._leads(
                 quantity,
                 self._rank[name],
-                # A heading alone is the attitude of a level vehicle: it follows on from no other.
+                # A heading alone is the attitude of a level vehicle: never compare its time.
                 None if quantity == "attitude" and odometry.map_q_base is None else arrival_ns,
             )
         }

@@ -21,7 +21,7 @@ __all__ = [
 ]
 
 MAX_NAMES = 100
-"""Of one counter; no sender has more kinds of messages."""
+"""Maximum number of names in a counter; no sender has more kinds of messages."""
 
 
 class CountersState(NamedTuple):
@@ -39,17 +39,17 @@ class CountersState(NamedTuple):
 
 @dataclass(slots=True)
 class DecoderCounters:
-    """What one decoder has seen; a link's health can be read from top to bottom.
+    """Counters of one decoder, from bytes to records; they show a link's health.
 
     Attributes:
-        bytes_total: bytes that came in.
-        bytes_skipped: bytes that belong to no frame.
-        frames: frames whose check held, or that have none.
-        messages: name to count, of those frames.
-        ignored: name to count, of frames that are whole and of no use to odometry.
-        records: odometry records that came out.
-        warnings: what the sender warns of, to count.
-        rejects: reason to count.
+        bytes_total: received bytes.
+        bytes_skipped: bytes outside of frames.
+        frames: frames with a valid checksum, or of a format without one.
+        messages: number of those frames, by name.
+        ignored: number of valid frames without odometry, by name.
+        records: decoded odometry records.
+        warnings: number of warnings of the sender, by kind.
+        rejects: number of rejects, by reason.
     """
 
     bytes_total: int = 0
@@ -62,7 +62,7 @@ class DecoderCounters:
     rejects: Counter[str] = field(default_factory=Counter)
 
     def state(self) -> CountersState:
-        """All counts."""
+        """Return all counts."""
         return CountersState(
             self.bytes_total,
             self.bytes_skipped,
@@ -75,14 +75,14 @@ class DecoderCounters:
         )
 
     def restore(self, state: CountersState) -> None:
-        """Count on from `state`."""
+        """Continue counting from a state."""
         self.bytes_total, self.bytes_skipped = state.bytes_total, state.bytes_skipped
         self.frames, self.records = state.frames, state.records
         self.messages, self.ignored = Counter(state.messages), Counter(state.ignored)
         self.warnings, self.rejects = Counter(state.warnings), Counter(state.rejects)
 
     def heard(self, name: str, size: int, *, whole: bool = True) -> None:
-        """Count a piece of `size` bytes that is one frame of that name, or none."""
+        """Count a piece of `size` bytes that is one frame with this name, or no frame."""
         if not whole:
             self.bytes_skipped += size
             return
@@ -94,7 +94,7 @@ class DecoderCounters:
         self.ignored[_bounded(self.ignored, name)] += 1
 
     def out(self, result: Odometry | Reject) -> Odometry | Reject:
-        """Count what is about to come out, and hand it on."""
+        """Count a result and return it."""
         if isinstance(result, Reject):
             self.rejects[result.reason] += 1
         else:
@@ -103,52 +103,52 @@ class DecoderCounters:
 
 
 def _bounded(counter: Counter[str], name: str) -> str:
-    """The name to count under: those that come over a wire could go on for ever."""
+    """Return the name to count under; names from a wire could be endless."""
     return name if name in counter or len(counter) < MAX_NAMES else "other"
 
 
 class Decoder(Protocol):
-    """One link's format. Total over any bytes, bounded memory, finds back after garbage."""
+    """Decoder of one link. Accepts any bytes, uses bounded memory, resynchronizes after garbage."""
 
     @property
     def counters(self) -> DecoderCounters:
-        """What came in so far and what became of it."""
+        """Counters of all bytes and frames so far."""
 
     def feed(self, data: bytes, arrival_ns: int | None) -> Iterator[Odometry | Reject]:
-        """Take the next bytes; the caller must exhaust the iterator.
+        """Decode the next bytes; the caller must exhaust the iterator.
 
         Args:
-            data: of a stream any piece, of datagrams exactly one.
-            arrival_ns: when they arrived, host clock; None if unknown.
+            data: any piece of a stream, or exactly one datagram.
+            arrival_ns: arrival time, host clock; None if unknown.
         """
 
     def restart(self) -> None:
-        """Forget what is half received: the link was interrupted."""
+        """Discard partial data after an interruption of the link."""
 
     def state(self) -> Any:  # noqa: ANN401 each format has its own
-        """Everything that `restore` needs to continue exactly, as a named tuple."""
+        """Return the state for `restore`, as a named tuple."""
 
     def restore(self, state: Any) -> None:  # noqa: ANN401 as read from a checkpoint
         """Continue as the decoder of which `state` was taken; the arguments must be the same.
 
         Args:
-            state: of a decoder of the same format; as plain lists where it was stored.
+            state: state of a decoder of the same format; plain lists if it was stored.
 
         Raises:
-            msgspec.ValidationError: it is no such state.
+            msgspec.ValidationError: the state is invalid.
         """
 
 
 ReadLine = Callable[[bytes, int | None, DecoderCounters], Odometry | Reject | None]
-"""Reads a line without its end, given its arrival. Counts the frame as heard if its check holds.
+"""Decodes a line without its end, given its arrival. Counts the frame if its checksum is valid.
 
-None: whole, and of no use.
+None: a valid line without odometry.
 """
 
 
 @runtime_checkable
 class RememberingReader(Protocol):
-    """A `ReadLine` that remembers something between lines."""
+    """A `ReadLine` with a state between lines."""
 
     def state(self) -> Any:  # noqa: ANN401 each format has its own
         """As `Decoder.state`."""
@@ -168,15 +168,15 @@ _LINE_END = re.compile(rb"[\r\n]+")
 
 
 class LineDecoder:
-    """Lines that end in CR, LF or both, however the stream was split.
+    """Decodes lines that end in CR, LF or both, split in any way.
 
     Args:
-        read: reads one line.
-        max_line_bytes: a longer one is refused, and skipped to its end.
-        datagrams: each piece is whole: its end is the end of a line.
+        read: decodes one line.
+        max_line_bytes: longer lines are rejected and skipped.
+        datagrams: the end of each piece ends a line.
 
     Attributes:
-        counters: what came in and what became of it.
+        counters: counters of this decoder.
     """
 
     def __init__(self, read: ReadLine, max_line_bytes: int, *, datagrams: bool = False) -> None:
@@ -188,7 +188,7 @@ class LineDecoder:
         self._skipping = False
 
     def feed(self, data: bytes, arrival_ns: int | None) -> Iterator[Odometry | Reject]:
-        """Take the next bytes."""
+        """Decode the next bytes."""
         self.counters.bytes_total += len(data)
         *whole, rest = _LINE_END.split(self._rest + data)
         if self._datagrams:
@@ -202,7 +202,7 @@ class LineDecoder:
             self._rest = rest
 
     def restart(self) -> None:
-        """Forget what is half received."""
+        """Discard partial data."""
         self.counters.bytes_skipped += len(self._rest)
         self._rest, self._skipping = b"", False
 
@@ -235,7 +235,7 @@ class LineDecoder:
             yield self.counters.out(result)
 
     def _too_long(self, piece: bytes) -> Iterator[Reject]:
-        """Skip a piece of a line; one reject for each such line."""
+        """Skip a piece of a too long line; each such line is one reject."""
         self.counters.bytes_skipped += len(piece)
         if not self._skipping:
             self._skipping = True

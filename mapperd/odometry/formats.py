@@ -1,4 +1,4 @@
-"""Settings become a decoder. Libraries of a format are imported only where it is wanted."""
+"""Makes decoders by the settings; libraries of a format are imported only when needed."""
 
 from importlib.util import find_spec
 
@@ -22,11 +22,11 @@ _LINES: dict[str, tuple[ReadLine, int]] = {
 
 
 def make_decoder(settings: FormatSettings, *, datagrams: bool = False) -> Decoder:
-    """The decoder of one link.
+    """Make the decoder of one link.
 
     Args:
-        settings: the format, and what its bytes do not contain.
-        datagrams: the bytes come in whole datagrams, not as a stream.
+        settings: the format, and data that its bytes lack.
+        datagrams: bytes arrive in whole datagrams, not as a stream.
 
     Raises:
         ConfigError: the format needs a library that is not installed.
@@ -48,7 +48,7 @@ def check_libraries(settings: OdometryFusionConfig, *, decoding: bool) -> None:
 
     Args:
         settings: the sources.
-        decoding: their bytes are decoded, not only recorded.
+        decoding: the bytes are decoded, not only recorded.
 
     Raises:
         ConfigError: one is missing.
@@ -65,7 +65,7 @@ WITH_ACCELERATION = ("native", "native_json", "native_serial", "mavlink")
 
 
 def check_levelling(config: Config) -> None:
-    """Check that a source can measure the gravity that `world_init` needs.
+    """Check that a source measures the gravity that `world_init` needs.
 
     Raises:
         ConfigError: levelling is on, and the source of the attitude sends no accelerations.

@@ -1,8 +1,8 @@
-"""Fusion: the records of all sources become one pose at any moment, each quantity from one owner.
+"""Fuses the records of all sources to one pose at any time; each quantity has one owner.
 
-Position, attitude, depth and velocity are followed each by itself, so that they may come from
-different senders at different rates; a pose is put together when it is asked for. Where no position
-comes, the way by velocity and attitude is carried on from the last one.
+Position, attitude, depth and velocity are tracked separately, so that they may come from different
+senders at different rates; a pose is assembled on request. While no position arrives, velocity and
+attitude continue the last one (dead reckoning).
 """
 
 import math
@@ -53,16 +53,15 @@ NO_POSITION = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FusedPose:
-    """The vehicle at a moment.
+    """Pose and motion of the vehicle at one time.
 
     Attributes:
         pose: base in map.
-        velocity_mps: (3,) of the base, map axes; None is unknown.
-        rate_radps: (3,) of the base, about base axes; None is unknown.
+        velocity_mps: (3,) of the base, map axes; None if unknown.
+        rate_radps: (3,) of the base, about base axes; None if unknown.
         covariance: (6, 6), x y z in map axes then rotations about map axes; m and rad.
-        segment: counts up where the odometry jumped; poses of one segment fit together.
-        reckoned_s: how long before the moment the last position came, where that was carried on
-            by velocity; 0 where positions enclose it.
+        segment: increases at each jump of the odometry; poses of one segment are consistent.
+        reckoned_s: age of the last position if velocity continued it; 0 between positions.
     """
 
     pose: Pose
@@ -75,7 +74,7 @@ class FusedPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Placed:
-    """A position, and how it came about."""
+    """A position and its origin."""
 
     value: BasePosition
     segment: int
@@ -86,9 +85,9 @@ class FusionState(NamedTuple):
     """State of a `Fusion`.
 
     Attributes:
-        clocks: source, sender and clock of each stream of stamps, and its state.
-        gate, level, intake: of its parts.
-        received, rejects: its attributes.
+        clocks: source, sender and clock of each stream of stamps, with its state.
+        gate, level, intake: states of the parts.
+        received, rejects: as in `Fusion`.
     """
 
     clocks: list[tuple[tuple[str, str, str], OdometryClockState]]
@@ -104,14 +103,14 @@ class Fusion:
 
     Args:
         settings: owners, limits, dead reckoning.
-        time_sync: how far records are believed around a moment.
-        quality: the confidence gate.
-        world_init: levelling.
-        latency_sec: source to the seconds by which its records arrive late at least.
+        time_sync: limits of interpolation and extrapolation.
+        quality: settings of the confidence gate.
+        world_init: settings of levelling.
+        latency_sec: minimum latency of records in seconds, by source.
 
     Attributes:
-        received: source to records that came.
-        rejects: source to reason to count.
+        received: number of records, by source.
+        rejects: number of rejects, by source and reason.
     """
 
     def __init__(
@@ -141,13 +140,12 @@ class Fusion:
     def reconfigure(
         self, settings: OdometryFusionConfig, time_sync: TimeSyncConfig, quality: SlamQualityConfig
     ) -> None:
-        """Judge records and moments to come by other settings.
+        """Use other settings from now on.
 
         Args:
-            settings: as before but for what may change while running; owners of
-                quantities keep them.
-            time_sync: how far records are believed around a moment.
-            quality: the confidence gate.
+            settings: differ only in what may change while running; owners keep their quantities.
+            time_sync: limits of interpolation and extrapolation.
+            quality: settings of the confidence gate.
         """
         self._settings = settings
         self._reach = Reach.of(time_sync)
@@ -158,7 +156,7 @@ class Fusion:
         self._in.reconfigure(settings, self._reach.max_gap_ns)
 
     def state(self) -> FusionState:
-        """Everything that `restore` needs to continue exactly."""
+        """Return the state for `restore`."""
         return FusionState(
             [(key, clock.state()) for key, clock in self._clocks.items()],
             self._gate.state(),
@@ -169,7 +167,7 @@ class Fusion:
         )
 
     def restore(self, state: FusionState) -> None:
-        """Continue as the fusion of which `state` was taken, with the same settings."""
+        """Restore the state of a fusion with the same settings."""
         for key, clock in state.clocks:
             self._clocks[key] = self._clock(key[0])
             self._clocks[key].restore(clock)
@@ -180,12 +178,12 @@ class Fusion:
         self.rejects = {source: Counter(counts) for source, counts in state.rejects.items()}
 
     def take(self, source: str, odometry: Odometry, arrival_ns: int | None) -> Reject | None:
-        """Take a record; None when anything of it was used, else why not (and it is counted).
+        """Process a record; return None if anything of it was used, otherwise the counted reason.
 
         Args:
-            source: configured name of where it came from.
+            source: configured name of its source.
             odometry: the record.
-            arrival_ns: host time; None if the recording has none.
+            arrival_ns: arrival time, host clock; None if the recording has none.
         """
         self.received[source] += 1
         reject = self._taken(source, odometry, arrival_ns)
@@ -195,11 +193,11 @@ class Fusion:
 
     @property
     def origin_deg(self) -> tuple[float, float] | None:
-        """Latitude and longitude of the map's zero; None before the first place on Earth."""
+        """Latitude and longitude of the map's origin; None before the first geographic position."""
         return self._in.origin_deg
 
     def ready(self, t_ns: int) -> bool:
-        """Whether no later record can make the pose at a moment better."""
+        """Whether later records cannot improve the pose at a time."""
         position = self._in.position.series.newest
         way, depth = self._in.reckoning.ways.newest, self._in.depth.series.newest
         if not is_settled(self._in.attitude.series, t_ns, self._reach):
@@ -215,7 +213,7 @@ class Fusion:
         return way is not None and way.t_ns >= t_ns
 
     def at(self, t_ns: int) -> FusedPose | Reject:
-        """The vehicle at a moment, or why that is not known."""
+        """Return the vehicle's state at a time, or why it is unknown."""
         problem = self._level.pending or self._gate.check(t_ns)
         if problem is not None:
             return problem
@@ -226,7 +224,7 @@ class Fusion:
         return placed if isinstance(placed, Reject) else self._fused(t_ns, attitude, placed)
 
     def status(self) -> dict[str, Any]:
-        """For a person: who owns what, what came and what became of it."""
+        """Status for people: owners, numbers of records and rejects."""
         return {
             "quantities": {
                 "position": self._in.position.status(),
@@ -249,7 +247,7 @@ class Fusion:
         }
 
     def _clock_offset(self, source: str) -> dict[str, float]:
-        """By how much a source's clock is off, if its stamps cannot be used as they are."""
+        """Return the offset of a source's clock in seconds if its stamps are fitted, else None."""
         offsets = [
             clock.offset_ns
             for key, clock in self._clocks.items()
@@ -261,7 +259,7 @@ class Fusion:
         if (problem := bad_record(odometry)) is not None:
             return problem
         who = (source, odometry.source)
-        # One sender may stamp some messages since boot and others with Unix time.
+        # One sender may use time since boot in some messages and Unix time in others.
         key = (*who, odometry.clock)
         clock = self._clocks.get(key)
         if clock is None:
@@ -270,7 +268,7 @@ class Fusion:
         if isinstance(t_ns, Reject):
             return t_ns
         reject = self._in.take(who, odometry, t_ns)
-        # Only of the source of the position: confidence of other sources is about other quantities.
+        # Only the source of the position counts: others state the confidence of other quantities.
         placer = self._in.position.owner or self._in.velocity.owner
         self._gate.heard(t_ns, odometry.confidence if who == placer else None)
         force, orientation = odometry.specific_force_mps2, odometry.map_q_base
@@ -280,7 +278,7 @@ class Fusion:
         return reject
 
     def _waits_for_depth(self, position: "Sample[BasePosition] | None") -> bool:
-        """Whether heights are those of a source of depth."""
+        """Whether heights come from a source of depth."""
         if self._depth_is_named:
             return True
         return self._in.depth.owner is not None and (
@@ -288,7 +286,7 @@ class Fusion:
         )
 
     def _placed(self, t_ns: int) -> _Placed | Reject:
-        """The position: between two, by dead reckoning, or carried on, or the fixed one."""
+        """Return the position: interpolated, by dead reckoning, extrapolated, or fixed."""
         if self._is_fixed:
             covariance = self._settings.position_std**2 * np.eye(3)
             return _Placed(BasePosition(np.zeros(3), np.zeros(3), covariance, has_height=False), 0)
@@ -305,7 +303,7 @@ class Fusion:
         return found if isinstance(found, Reject) else _Placed(found.value, found.segment)
 
     def _reckoned(self, last: "Sample[BasePosition] | None", t_ns: int) -> _Placed | None:
-        """By velocity from the last position, or from nowhere where there is no source of any."""
+        """Return the position by dead reckoning from the last one, or from 0 without any source."""
         end = self._in.reckoning.at(t_ns)
         if end is None or (last is not None and last.t_ns == t_ns):
             return None
@@ -348,7 +346,7 @@ class Fusion:
             self._in.depth.owner is not None and not placed.value.has_height
         )
         if by_depth:
-            # After levelling: pressure knows no tilt. And without it a place has no height at all.
+            # After levelling: depth is not affected by tilt; without it the position has no height.
             height = self._height_m(t_ns)
             if isinstance(height, Reject):
                 return height
@@ -375,9 +373,9 @@ class Fusion:
         return float(height.value[0])
 
     def _velocity(self, t_ns: int, placed: _Placed) -> Floats | None:
-        """Of a source of velocity, of the positions' own, or by the positions around the moment.
+        """Return the velocity: of its source, of the positions, or from positions around the time.
 
-        None where those lie further apart than the vehicle can go: that is their noise.
+        None if the positions lie farther apart than the vehicle can move: that is noise.
         """
         way = self._in.reckoning.at(t_ns)
         if way is not None:
@@ -393,7 +391,7 @@ class Fusion:
         return velocity if float(np.linalg.norm(velocity)) <= limit_mps else None
 
     def _rate(self, t_ns: int, attitude: Attitude) -> Floats | None:
-        """The source's own, or by the attitudes around the moment; None where that is noise."""
+        """Return the rates: of the source, or from attitudes; None if that is noise."""
         if attitude.rate_radps is not None:
             return attitude.rate_radps
         pair = stretch(self._in.attitude.series, t_ns, self._reach)
@@ -406,7 +404,7 @@ class Fusion:
 
 
 def _speed_mps(odometry: Odometry) -> float | None:
-    """Speed in the record, or None."""
+    """Return the speed in the record, or None."""
     velocity = odometry.velocity_mps
     if velocity is None:
         velocity = odometry.velocity_map_mps

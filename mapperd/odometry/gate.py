@@ -1,10 +1,8 @@
-"""What of an odometry record is believed: finite numbers, and enough confidence.
+"""Checks odometry records: finite numbers, and enough confidence.
 
-A record of any maker is checked once more where it enters: what it holds are numbers.
-
-The formats check what comes from a wire, by the limits of each quantity. Records may also be made
-by a program that uses the library; one NaN of such a one would stay in the series, and every pose
-beside it could not be made.
+Decoders check data from a wire against the limits of each quantity. Records may also come from a
+program that uses the library, so every record is checked again: one NaN would stay in the series
+and spoil all poses next to it.
 """
 
 from typing import NamedTuple
@@ -18,7 +16,7 @@ __all__ = ["ConfidenceGate", "GateState", "bad_record"]
 
 
 class GateState(NamedTuple):
-    """State of a `ConfidenceGate`: the first record's time, and the last confidence with its."""
+    """State of a `ConfidenceGate`: time of the first record, last confidence and its time."""
 
     first_ns: int | None
     last: tuple[int, float] | None
@@ -29,10 +27,10 @@ class ConfidenceGate:
     """Lets pings pass while the last confidence is fresh and high enough.
 
     Args:
-        settings: threshold, times, and what a missing confidence means.
+        settings: threshold, times, and the meaning of a missing confidence.
 
     Attributes:
-        settings: may change.
+        settings: may be changed.
     """
 
     def __init__(self, settings: SlamQualityConfig) -> None:
@@ -40,14 +38,14 @@ class ConfidenceGate:
         self._first_ns: int | None = None
         self._last: tuple[int, float] | None = None
         self.unchecked = 0
-        """Pings that passed without a fresh confidence."""
+        """Number of pings that passed without a fresh confidence."""
 
     def state(self) -> GateState:
-        """Everything that `restore` needs to continue exactly."""
+        """Return the state for `restore`."""
         return GateState(self._first_ns, self._last, self.unchecked)
 
     def restore(self, state: GateState) -> None:
-        """Continue as the gate of which `state` was taken."""
+        """Restore the state of a gate."""
         self._first_ns, self._last, self.unchecked = state
 
     @property
@@ -56,14 +54,14 @@ class ConfidenceGate:
         return None if self._last is None else self._last[1]
 
     def heard(self, t_ns: int, confidence: float | None) -> None:
-        """Take note of a record, with or without a confidence."""
+        """Note a record, with or without a confidence."""
         if self._first_ns is None:
             self._first_ns = t_ns
         if confidence is not None:
             self._last = (t_ns, confidence)
 
     def check(self, t_ns: int) -> Reject | None:
-        """Why a ping of that moment may not be mapped; None where it may."""
+        """Return why a ping at that time must not be mapped; None if it may."""
         settings = self.settings
         if self._last is None:
             grace_ns = round(settings.grace_period_sec * 1e9)
@@ -87,7 +85,7 @@ class ConfidenceGate:
 
 
 LARGEST = 1e12
-"""Of any number, in its unit: nobody is so far off, so fast, or so unsure."""
+"""Limit of any number in its unit; no valid value is larger."""
 
 ARRAYS = (
     "position_m",
@@ -103,7 +101,7 @@ NUMBERS = ("depth_m", "heading_rad", "altitude_m", "confidence")
 
 
 def bad_record(odometry: Odometry) -> Reject | None:
-    """Why a record is of no use: it holds what is not a number, no possible one, or no rotation."""
+    """Return why a record is invalid: a number that is not finite or impossible, or no rotation."""
     for key in ARRAYS:
         array = getattr(odometry, key)
         if array is not None and (bad := bad_numbers(key, array.ravel().tolist(), LARGEST)):

@@ -1,4 +1,4 @@
-"""What comes in: each quantity of a record goes to its track, or is refused with a reason."""
+"""Passes each quantity of a record to its track, or refuses it with a reason."""
 
 import math
 from functools import lru_cache
@@ -32,11 +32,11 @@ class IntakeState(NamedTuple):
     """State of an `Intake`.
 
     Attributes:
-        anchor: turn and shift (3,) from the source's world to the map.
-        rejoin: the position's world turned with the attitude's.
-        north_of: senders of headings, and whether north is their reference.
-        origin_rad: latitude and longitude of the map's zero.
-        position, attitude, depth, velocity, reckoning: of its parts.
+        anchor: rotation and shift (3,) from the source's world to the map.
+        rejoin: the position's world rotated with the attitude's.
+        north_of: whether north is the reference, by sender of headings.
+        origin_rad: latitude and longitude of the map's origin.
+        position, attitude, depth, velocity, reckoning: states of the parts.
     """
 
     anchor: tuple[float, Floats]
@@ -51,15 +51,15 @@ class IntakeState(NamedTuple):
 
 
 class Intake:
-    """The tracks, and what may enter them.
+    """The tracks, and the checks before them.
 
     Args:
-        settings: owners, limits, what a jump means.
-        max_gap_ns: longest interval between velocities to integrate over.
+        settings: owners, limits, handling of jumps.
+        max_gap_ns: maximum interval between velocities that is integrated.
 
     Attributes:
         position, attitude, depth, velocity: the tracks.
-        reckoning: the way by velocity.
+        reckoning: dead reckoning by velocity.
     """
 
     def __init__(self, settings: OdometryFusionConfig, max_gap_ns: int) -> None:
@@ -81,13 +81,13 @@ class Intake:
         self.reckoning = DeadReckoning(max_gap_ns, settings.dead_reckoning.noise)
 
     def reconfigure(self, settings: OdometryFusionConfig, max_gap_ns: int) -> None:
-        """Take other limits, noise, and another meaning of a jump; owners and origin stay."""
+        """Use other limits, noise and handling of jumps; owners and origin stay."""
         self._settings = settings
         self.reckoning.max_gap_ns = max_gap_ns
         self.reckoning.noise = settings.dead_reckoning.noise
 
     def state(self) -> IntakeState:
-        """Everything that `restore` needs to continue exactly."""
+        """Return the state for `restore`."""
         origin = self._origin
         return IntakeState(
             (self._anchor.yaw_rad, self._anchor.shift_m),
@@ -102,7 +102,7 @@ class Intake:
         )
 
     def restore(self, state: IntakeState) -> None:
-        """Continue as the one of which `state` was taken, with the same settings."""
+        """Restore a state taken with the same settings."""
         self._anchor, self._rejoin = Anchor(*state.anchor), state.rejoin
         self._north_of = dict(state.north_of)
         self._origin = None if state.origin_rad is None else Origin(*state.origin_rad)
@@ -113,7 +113,7 @@ class Intake:
         self.reckoning.restore(state.reckoning)
 
     def take(self, who: Owner, odometry: Odometry, t_ns: int) -> Reject | None:
-        """Let the record's quantities in; None when any was used, else why none was."""
+        """Process a record; return None if any quantity was used, otherwise the reason."""
         if (mixed := self._mixed(who, odometry)) is not None:
             return mixed
         results = []
@@ -126,7 +126,7 @@ class Intake:
             results.append(self.position.counted(taken))
         if odometry.depth_m is not None and self.depth.owned_by(who, t_ns):
             results.append(self.depth.counted(self._take_depth(odometry.depth_m, t_ns)))
-        # A report without a velocity may break the way of its owner, not make it one.
+        # A report without a velocity may interrupt its owner's dead reckoning, but owns nothing.
         mine = self.velocity.owner == who or _velocity(odometry)[0] is not None
         if _has_velocity(odometry) and mine and self.velocity.owned_by(who, t_ns):
             results.append(self.velocity.counted(self._take_velocity(who, odometry, t_ns)))
@@ -142,11 +142,11 @@ class Intake:
         return None
 
     def expected(self, t_ns: int) -> tuple[Floats | None, Floats | None]:
-        """Where the vehicle is by all that came before: position (3,) and attitude (4,)."""
+        """Return position (3,) and attitude (4,) from all records before."""
         return self._expected_position(t_ns), self._expected_attitude(t_ns)
 
     def _mixed(self, who: Owner, odometry: Odometry) -> Reject | None:
-        """A world of arbitrary heading and a compass do not make one pose."""
+        """Return why the record's heading reference does not match; None if it does."""
         if not _has_heading(odometry):
             return None
         owners = {track.owner for track in (self.position, self.attitude, self.velocity)}
@@ -155,7 +155,7 @@ class Intake:
             for owner, north in self._north_of.items()
             if owner != who and owner in owners
         }
-        # A world of its own heading cannot be matched with another's attitude, come or to come.
+        # A world with an arbitrary heading does not match the attitude of another sender.
         astray = not odometry.north_referenced and not self.attitude.open_to(who)
         if astray or any(north != odometry.north_referenced for north in others.values()):
             other = self._settings.owners.attitude if astray else next(iter(others))[0]
@@ -182,7 +182,7 @@ class Intake:
             if expected is not None:
                 yaw_rad = yaw_between(source_q_base, expected)
                 self._anchor = Anchor(yaw_rad, self._anchor.shift_m)
-                self._rejoin = True  # the position's world has turned with it
+                self._rejoin = True  # the position's world rotated with it
         value = Attitude(
             self._anchor.attitude(source_q_base), rate, self._attitude_covariance(odometry)
         )
@@ -198,13 +198,13 @@ class Intake:
         jumped = jumped or self._returns_elsewhere(t_ns, self._anchor.place(source_m))
         if (jumped or self._rejoin) and self._settings.at_jump == "continue":
             expected = self._expected_position(t_ns)
-            # Nothing is placed by one record: where that was a stray, the map is not moved there.
+            # One record alone does not set the anchor: it may be an outlier.
             if expected is not None and self.position.taken > 1:
                 self._anchor = Anchor.joining(source_m, expected, self._anchor.yaw_rad)
             jumped, self._rejoin = True, False
         way = self.reckoning.ways.newest
         if not self.position.taken and way is not None and not self._settings.owners.position:
-            # Until now the way was reckoned from a zero of its own.
+            # Until now dead reckoning had its own origin.
             self.position.segment, jumped = way.segment + 1, True
         value = BasePosition(
             self._anchor.place(source_m),
@@ -220,7 +220,7 @@ class Intake:
         jumped = self.depth.judge(t_ns, height, 0)
         if isinstance(jumped, Reject):
             return jumped
-        self.depth.take(t_ns, height, jumped=False)  # one pressure: no other world to jump to
+        self.depth.take(t_ns, height, jumped=False)  # depth has no world that could jump
         return None
 
     def _take_velocity(self, who: Owner, odometry: Odometry, t_ns: int) -> Reject | None:
@@ -236,12 +236,12 @@ class Intake:
             self.reckoning.add(t_ns, None, in_map=in_map)
             return Reject("no_lock", "the source marks its velocity as invalid")
         if in_map and who in (self.position.owner, self.attitude.owner):
-            velocity = self._anchor.direction(velocity)  # of the world that jumped, no other's
+            velocity = self._anchor.direction(velocity)  # only of the world that jumped
         self.velocity.take(t_ns, velocity, jumped=False)
         self.reckoning.add(t_ns, velocity, in_map=in_map, noise=_velocity_noise(odometry))
         return None
 
-    # What is expected, and what is too much.
+    # Expected values and limits.
 
     def _expected_position(self, t_ns: int) -> Floats | None:
         last = self.position.series.newest
@@ -256,7 +256,7 @@ class Intake:
         return np.asarray(last.value.position_m + (t_ns - last.t_ns) / 1e9 * velocity)
 
     def _returns_elsewhere(self, t_ns: int, map_m: Floats) -> bool:
-        """Whether a position after a silence is off from where dead reckoning has come to."""
+        """Whether a position after a silence differs from dead reckoning."""
         last = self.position.series.newest
         if last is None or t_ns - last.t_ns <= self.reckoning.max_gap_ns:
             return False
@@ -267,7 +267,7 @@ class Intake:
         return off_m > self._settings.limits.max_jump
 
     def way_m(self, from_ns: int, to_ns: int) -> Floats | None:
-        """The way by velocity (3,) between two moments, map axes; None where it is not known."""
+        """Return the displacement (3,) by velocity between two times, map axes; None if unknown."""
         start, end = self.reckoning.at(from_ns), self.reckoning.at(to_ns)
         if start is None or end is None or start.segment != end.segment:
             return None
@@ -282,7 +282,7 @@ class Intake:
         return carried.map_q_base if carried is not None and near else last.value.map_q_base
 
     def _anchors_attitude(self) -> bool:
-        """Whether the attitude's world moves with a jump: a compass always means north."""
+        """Whether a jump moves the attitude's world; a compass always refers to north."""
         alone = self.position.owner is None or self.position.owner == self.attitude.owner
         return alone and self._settings.at_jump == "continue"
 
@@ -301,17 +301,17 @@ class Intake:
         speed = 0.0 if velocity is None else length(velocity)
         return Reject("too_fast", f"{speed:.1f} m/s; at most {limit:g}") if speed > limit else None
 
-    # Conversions that need what is known already.
+    # Conversions that need the current state.
 
     @property
     def origin_deg(self) -> tuple[float, float] | None:
-        """Latitude and longitude of the map's zero; None before the first place on Earth."""
+        """Latitude and longitude of the map's origin; None before the first geographic position."""
         if self._origin is None:
             return None
         return math.degrees(self._origin.latitude_rad), math.degrees(self._origin.longitude_rad)
 
     def _source_position(self, odometry: Odometry) -> Floats:
-        """Position of a record; the owner's first geographic position is the map's origin."""
+        """Return the position of a record; the owner's first geographic position is the origin."""
         if (geo := odometry.geo) is None:
             return np.asarray(odometry.position_m)
         if self._origin is None:
@@ -352,7 +352,7 @@ class Intake:
 
 
 def _orientation(odometry: Odometry) -> Floats | None:
-    """The attitude; of a heading alone, that of a level vehicle."""
+    """Return the attitude; for a heading alone, that of a level vehicle."""
     if not odometry.valid:
         return None
     if odometry.map_q_base is None and odometry.heading_rad is not None:
@@ -365,7 +365,7 @@ def _has_position(odometry: Odometry) -> bool:
 
 
 def _has_heading(odometry: Odometry) -> bool:
-    """Whether it holds directions in a world: they mean something only beside the same north."""
+    """Whether the record has directions, which need the same reference as the others."""
     given = (odometry.position_m, odometry.velocity_map_mps, _orientation(odometry))
     return any(quantity is not None for quantity in given)
 
@@ -376,12 +376,12 @@ def _has_anything(odometry: Odometry) -> bool:
 
 
 def _has_velocity(odometry: Odometry) -> bool:
-    """Whether it is a report of a velocity, even of one that was not had."""
+    """Whether the record reports a velocity or its loss."""
     return not odometry.valid or _velocity(odometry)[0] is not None
 
 
 def _velocity(odometry: Odometry) -> tuple[Floats | None, bool]:
-    """Velocity (3,) and whether its axes are the map's."""
+    """Return the velocity (3,), and whether it is in map axes."""
     if not odometry.valid:
         return None, False
     if odometry.velocity_map_mps is not None:
@@ -392,7 +392,7 @@ def _velocity(odometry: Odometry) -> tuple[Floats | None, bool]:
 
 
 def _velocity_noise(odometry: Odometry) -> float | None:
-    """The source's own standard deviation, m/s: that of its worst axis."""
+    """Return the source's standard deviation of the worst axis, m/s."""
     if odometry.twist_covariance is None:
         return None
     worst = float(np.max(np.diag(odometry.twist_covariance)[:3]))
@@ -400,7 +400,7 @@ def _velocity_noise(odometry: Odometry) -> float | None:
 
 
 def _known(covariance: Floats | None, part: slice, own_std: float) -> Floats:
-    """Block (3, 3) of the source's covariance, or the configured value without one."""
+    """Return a block (3, 3) of the source's covariance, or the configured value."""
     if covariance is not None:
         block = covariance[part, part]
         variances = block.diagonal().tolist()
@@ -411,7 +411,7 @@ def _known(covariance: Floats | None, part: slice, own_std: float) -> Floats:
 
 @lru_cache(maxsize=8)
 def _alike(std: float) -> Floats:
-    """The covariance (3, 3) of three quantities of one deviation, read-only."""
+    """Return the covariance (3, 3) for one standard deviation, read-only."""
     covariance = std**2 * np.eye(3)
     covariance.setflags(write=False)
     return covariance

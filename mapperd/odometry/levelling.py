@@ -1,8 +1,8 @@
 """Levelling: the tilt of an odometry's world, from gravity while the vehicle stands still.
 
-The rotation is the shortest one that takes the mean direction of the specific force, in the
-odometry's world, to straight up. It is applied as a rotation, not as negated angles: that is exact
-at any tilt, and leaves the heading of level vehicles alone.
+The rotation is the shortest one from the mean direction of the specific force, in the odometry's
+world, to straight up. Applied as a rotation, not as negated angles, it is exact at any tilt and
+does not change the heading of level vehicles.
 """
 
 import math
@@ -20,13 +20,13 @@ __all__ = ["Levelling", "LevellingState"]
 Floats = NDArray[np.float64]
 
 GRAVITY_MPS2 = (9.0, 10.6)
-"""What standing still feels like, with some margin for an accelerometer's own errors."""
+"""Range of the specific force at rest, with a margin for errors of the accelerometer."""
 
 OPPOSITE = 1e-9
 
 
 class LevellingState(NamedTuple):
-    """State of a `Levelling`: the forces (3,) so far, and its attributes."""
+    """State of a `Levelling`: the forces (3,) so far, and the attributes."""
 
     forces: list[Floats]
     level_q_odometry: Floats | None
@@ -38,7 +38,7 @@ class Levelling:
 
     Attributes:
         level_q_odometry: (4,), from the odometry's world to the level one; None until known.
-        refused: samples that were thrown away because the vehicle moved.
+        refused: number of samples dropped because the vehicle moved.
     """
 
     def __init__(self, settings: WorldInitConfig) -> None:
@@ -48,17 +48,17 @@ class Levelling:
         self.refused = 0
 
     def state(self) -> LevellingState:
-        """Everything that `restore` needs to continue exactly."""
+        """Return the state for `restore`."""
         return LevellingState(list(self._forces), self.level_q_odometry, self.refused)
 
     def restore(self, state: LevellingState) -> None:
-        """Continue as the one of which `state` was taken."""
+        """Restore a state that `state` returned."""
         self._forces = list(state.forces)
         self.level_q_odometry, self.refused = state.level_q_odometry, state.refused
 
     @property
     def pending(self) -> Reject | None:
-        """Why nothing can be mapped yet; None once level, or where levelling is off."""
+        """Return why mapping has to wait; None once level, or if levelling is off."""
         if not self._settings.enabled or self.level_q_odometry is not None:
             return None
         return Reject(
@@ -74,16 +74,16 @@ class Levelling:
         map_q_base: Floats,
         speed_mps: float | None = None,
     ) -> Reject | None:
-        """Take an acceleration as an accelerometer measures it: (0, 0, 9.8) when level.
+        """Process an acceleration as an accelerometer measures it: (0, 0, 9.8) when level.
 
         Args:
             specific_force_mps2: (3,), base axes.
-            rate_radps: (3,), about base axes; None is not known.
-            map_q_base: (4,), the odometry's own attitude at that moment.
-            speed_mps: of the vehicle; None is not known.
+            rate_radps: (3,), about base axes; None if unknown.
+            map_q_base: (4,), the odometry's attitude at that time.
+            speed_mps: speed of the vehicle; None if unknown.
 
         Returns:
-            Why it was thrown away, with all before it; None when it was taken.
+            Why it and all before were dropped; None if it was used.
         """
         if self.pending is None:
             return None
@@ -99,7 +99,7 @@ class Levelling:
         return None
 
     def status(self) -> dict[str, Any] | None:
-        """For a person: the two frames and the turn between them; None where levelling is off."""
+        """Status for people: both frames and their rotation; None if levelling is off."""
         settings, level = self._settings, self.level_q_odometry
         if not settings.enabled:
             return None
@@ -126,7 +126,7 @@ class Levelling:
             turn_dps = math.degrees(float(np.linalg.norm(rate)))
             return Reject("moving", f"turns at {turn_dps:.1f} deg/s; at most {settings.max_rate:g}")
         if self._forces:
-            # Compared in the world, where the gravity of a vehicle that stands still is one vector.
+            # Compare in the world frame, where gravity is constant while the vehicle stands still.
             spread = float(np.linalg.norm(force - np.mean(self._forces, axis=0)))
             if spread > settings.max_spread:
                 return Reject("moving", f"accelerations differ by {spread:.2f} m/s2")
@@ -134,14 +134,14 @@ class Levelling:
 
 
 def _upright(force: Floats) -> Floats:
-    """Shortest rotation (4,) that takes a direction to +z (half-angle form of Rodrigues)."""
+    """Return the shortest rotation (4,) from a direction to +z (half-angle form of Rodrigues)."""
     x, y, z = force / np.linalg.norm(force)
-    if z < OPPOSITE - 1.0:  # upside down: any horizontal axis will do
+    if z < OPPOSITE - 1.0:  # upside down: any horizontal axis works
         return np.array([0.0, 1.0, 0.0, 0.0])
     quaternion = np.array([1.0 + z, y, -x, 0.0])
     return np.asarray(quaternion / np.linalg.norm(quaternion), dtype=np.float64)
 
 
 def levelled(level_q_odometry: Floats, map_q_base: Floats) -> Floats:
-    """An attitude in the level world."""
+    """Return an attitude in the level world."""
     return quaternion_product(level_q_odometry, map_q_base)

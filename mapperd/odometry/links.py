@@ -1,6 +1,6 @@
-"""Links to the vehicle: opened, read within limits, and opened again when they are lost.
+"""Links to the vehicle: opens them, reads within limits, and reopens lost ones.
 
-What a link does, as a state machine with names that a person can read; no I/O, no clock.
+The phases of a link form a state machine without I/O and clock:
 
 opening ─▶ waiting ─▶ receiving ⇄ silent
    ▲          │            │         │
@@ -32,27 +32,27 @@ __all__ = [
 ]
 
 OnBytes = Callable[[bytes], bool]
-"""Gets what arrived; returns whether more may come at once."""
+"""Receives data; returns whether to read on at once."""
 
 OnOpen = Callable[[], None]
 
 MAX_READ_BYTES = 1 << 16
 CONNECT_S = 5.0
 PAUSE_S = 0.05
-"""A port that receives more than its limit is read after such pauses; the system drops the rest."""
+"""Pause before a port over its limit is read again; the system drops the rest."""
 
 
 async def listen_to(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) -> NoReturn:
-    """Open a link and hand on what it brings.
+    """Open a link and pass on its data.
 
     Args:
-        address: which link.
-        on_open: called once it is open.
-        on_bytes: called with each datagram, or each piece of the stream.
+        address: the link.
+        on_open: called when it is open.
+        on_bytes: called with each datagram or piece of the stream.
 
     Raises:
-        OSError: it cannot be opened, or was lost; the text states the reason.
-        ConfigError: a library that it needs is not installed.
+        OSError: it cannot be opened or was lost; the text states the reason.
+        ConfigError: a required library is not installed.
     """
     if address.kind == "udp":
         await _listen_udp(address, on_open, on_bytes)
@@ -139,7 +139,7 @@ async def _read_serial(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes)
     def read() -> None:
         try:
             data = port.read(MAX_READ_BYTES)
-            if not data:  # readable and empty is what an unplugged line looks like
+            if not data:  # an unplugged line is readable and empty
                 raise ConnectionResetError("the line was unplugged")
         except OSError as error:
             loop.remove_reader(port.fileno())
@@ -171,7 +171,7 @@ def _opened(address: LinkAddress) -> "Serial":
 SECOND_NS = 1_000_000_000
 SILENT_NS = 5 * SECOND_NS
 RECONNECT_NS = 15 * SECOND_NS
-"""A connection that is silent for this time may be dead."""
+"""Silence after which a connection counts as dead."""
 BACK_OFF_NS = doubling_steps(SECOND_NS // 2, 5 * SECOND_NS)
 
 
@@ -191,12 +191,12 @@ class OdometryLinkStatus:
     """The link at one moment.
 
     Attributes:
-        phase: what it does.
-        since_ns: when that began, host clock.
-        reason: why, for a person.
-        bytes_received: since the start.
-        opened: times that it was opened.
-        losses: times that it was lost or could not be opened.
+        phase: current phase.
+        since_ns: start of the phase, host clock.
+        reason: the reason, for people.
+        bytes_received: number of bytes since the start.
+        opened: number of times it was opened.
+        losses: number of times it was lost or could not be opened.
     """
 
     phase: LinkPhase
@@ -207,15 +207,15 @@ class OdometryLinkStatus:
     losses: int
 
     def time_in_phase_s(self, now_ns: int) -> float:
-        """How long it has been so."""
+        """Return the time in this phase."""
         return (now_ns - self.since_ns) / SECOND_NS
 
 
 class OdometryLinkState:
-    """Follows one link. Every method takes the host's time in nanoseconds.
+    """State machine of one link. Every method takes the host's time in nanoseconds.
 
     Args:
-        where: the link, for the reasons.
+        where: name of the link in reasons.
         connects: reconnect after silence, which may mean a dead connection.
     """
 
@@ -231,14 +231,14 @@ class OdometryLinkState:
 
     @property
     def status(self) -> OdometryLinkStatus:
-        """The link as it is now."""
+        """The current status."""
         return OdometryLinkStatus(
             self._phase, self._since_ns, self._reason, self._bytes, self._opened, self._losses
         )
 
     @property
     def overdue_ns(self) -> int | None:
-        """Next time for `tick`; None if only an event can change the state."""
+        """Time for the next `tick`; None if only an event can change the state."""
         if self._phase in (LinkPhase.WAITING, LinkPhase.RECEIVING):
             return self._heard_ns + SILENT_NS
         if self._phase is LinkPhase.SILENT and self._connects:
@@ -246,17 +246,17 @@ class OdometryLinkState:
         return None
 
     def opening(self, now_ns: int) -> None:
-        """It is being opened."""
+        """Note that the link is being opened."""
         self._enter(LinkPhase.OPENING, f"opening {self._where}", now_ns)
 
     def opened(self, now_ns: int) -> None:
-        """It is open; nothing has come yet."""
+        """Note that the link is open."""
         self._opened += 1
         self._heard_ns = now_ns
         self._enter(LinkPhase.WAITING, f"{self._where} is open, nothing received yet", now_ns)
 
     def received(self, size: int, now_ns: int) -> None:
-        """Bytes came."""
+        """Note received bytes."""
         self._bytes += size
         self._heard_ns = now_ns
         self._back_off.succeeded()
@@ -264,7 +264,7 @@ class OdometryLinkState:
             self._enter(LinkPhase.RECEIVING, f"bytes come from {self._where}", now_ns)
 
     def tick(self, now_ns: int) -> bool:
-        """Look at the time; True where the connection is to be given up."""
+        """Check the time; return True if the connection should be closed."""
         overdue_ns = self.overdue_ns
         if overdue_ns is None or now_ns < overdue_ns:
             return False
@@ -277,13 +277,13 @@ class OdometryLinkState:
         return False
 
     def lost(self, reason: str, now_ns: int) -> int:
-        """It was lost, or could not be opened; returns when to try again."""
+        """Note that the link was lost or not opened; return the time of the next attempt."""
         self._losses += 1
         self._enter(LinkPhase.BACKING_OFF, reason, now_ns)
         return now_ns + round(self._back_off.failed())
 
     def closed(self, now_ns: int) -> None:
-        """It was closed on purpose."""
+        """Note that the link was closed."""
         self._enter(LinkPhase.CLOSED, "closed", now_ns)
 
     def _enter(self, phase: LinkPhase, reason: str, now_ns: int) -> None:
@@ -292,27 +292,27 @@ class OdometryLinkState:
 
 KIB = 1024
 RATE = 256 * KIB
-"""Bytes per second that a link may bring; no vehicle sends as much odometry."""
+"""Limit in bytes per second, well above any vehicle's odometry."""
 BURST = 128 * KIB
 RESUME = 64 * KIB
-"""Room in which a link that was over its limit is read again: a run holds whole frames."""
+"""Allowance at which a limited link is read again; large enough for whole frames."""
 GARBAGE_RATE = KIB
-"""The same for a link that brings nothing but garbage: its recording must not displace others."""
+"""Limit for a link with garbage only, so that its recording does not displace others."""
 GARBAGE_BURST = 4 * KIB
 GARBAGE = 64 * KIB
-"""Bytes without a valid frame after which a link brings garbage."""
+"""Bytes without a valid frame after which a link counts as garbage."""
 MIN_PIECE = 32
-"""Minimum accounted size of a piece: the work that it makes."""
+"""Minimum size that a piece counts as, for its processing time."""
 LIMITED_NS = 10 * SECOND_NS
-"""A link is within its limit again when nothing was dropped for this time."""
+"""Time without drops after which a link counts as within its limit."""
 
 
 class InputLimit:
-    """Limits the bytes of one link, in runs long enough to hold whole frames; reads no clock.
+    """Limits the bytes of one link in runs that hold whole frames; reads no clock.
 
     Attributes:
         bytes_dropped: bytes beyond the limit.
-        reason: why bytes are dropped lately; empty while none are.
+        reason: why bytes are being dropped; empty if none are.
     """
 
     def __init__(self) -> None:
@@ -325,12 +325,12 @@ class InputLimit:
         self._dropped_ns = 0
 
     def passed(self, data: bytes, now_ns: int, decoded: tuple[int, int] = (0, 0)) -> bytes:
-        """Return the part of a piece that is within the limit; the rest is dropped.
+        """Return the part of a piece within the limit; drop the rest.
 
         Args:
             data: the received piece.
             now_ns: clock of the arrivals.
-            decoded: bytes and valid frames that the link's decoder has counted so far.
+            decoded: bytes and valid frames counted by the link's decoder.
         """
         is_garbage = self._is_garbage(*decoded)
         rate, burst = (GARBAGE_RATE, GARBAGE_BURST) if is_garbage else (RATE, BURST)
@@ -359,32 +359,32 @@ class InputLimit:
 
 
 LOOK_S = 1.0
-"""So often the state is looked at where nothing is due: it may have been opened meanwhile."""
+"""Interval of checks while nothing is due, because the link may have been opened meanwhile."""
 
 T = TypeVar("T")
 
 
 class TakeBytes(Protocol):
-    """Gets bytes, their arrival, and whether bytes before them are missing."""
+    """Receives bytes, their arrival time, and whether bytes before them are missing."""
 
     def __call__(self, data: bytes, arrival_ns: int, /, *, gap: bool) -> None:
-        """Take them."""
+        """Process the bytes."""
 
 
 class OdometryLink:
-    """Keeps a link open until it is cancelled.
+    """Keeps a link open until cancelled.
 
     Args:
-        name: of the source.
-        address: where it is.
-        take: gets what comes.
-        clock: the host's, nanoseconds.
-        on_status: called with each new state.
-        decoded: returns how many bytes and valid frames of the link were decoded so far.
+        name: name of the source.
+        address: address of the link.
+        take: receives the data.
+        clock: the host's clock, nanoseconds.
+        on_status: called with each new status.
+        decoded: returns the bytes and valid frames decoded so far.
 
     Attributes:
         name, address: as given.
-        limit: of what it may bring.
+        limit: limit of its data rate.
     """
 
     def __init__(
@@ -409,14 +409,14 @@ class OdometryLink:
 
     @property
     def status(self) -> OdometryLinkStatus:
-        """What it does now."""
+        """The current status."""
         return self._state.status
 
     async def run(self) -> NoReturn:
-        """Open, read, open again.
+        """Open and read the link, and reopen it when it is lost.
 
         Raises:
-            ConfigError: a library that it needs is not installed: trying again would not help.
+            ConfigError: a required library is not installed.
         """
         try:
             while True:
@@ -439,7 +439,7 @@ class OdometryLink:
         await asyncio.sleep((retry_ns - self._clock()) / SECOND_NS)
 
     async def _watch(self, reading: "asyncio.Future[NoReturn]") -> str:
-        """Wait until the link is lost, which is raised, or too silent to be alive."""
+        """Wait until the link is lost, which raises, or silent for too long."""
         while not self._change(self._state.tick):
             due_ns = self._state.overdue_ns
             wait_s = LOOK_S if due_ns is None else max(due_ns - self._clock(), 0) / SECOND_NS
@@ -456,7 +456,7 @@ class OdometryLink:
         self._change(lambda now_ns: self._state.received(len(data), now_ns))
         kept = self.limit.passed(data, now_ns, self._decoded())
         if kept or not data:
-            # What was under way when the link broke, or bytes were dropped, will not be completed.
+            # Partial data from before a loss or a drop is never completed.
             self._take(kept, now_ns, gap=self._broken)
             self._broken = False
         is_whole = len(kept) == len(data)
@@ -464,7 +464,7 @@ class OdometryLink:
         return is_whole
 
     def _change(self, change: "Callable[[int], T]") -> "T":
-        """Change the state, and report a new one."""
+        """Change the state and report it if it differs."""
         before = self._state.status.phase
         result = change(self._clock())
         status = self._state.status

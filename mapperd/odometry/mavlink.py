@@ -1,10 +1,8 @@
 """MAVLink 1 and 2 from one vehicle: frames, the sender, and its time.
 
-MAVLink 1 and 2 frames out of any bytes. Packets' checks and layouts are pymavlink's business.
-
-A frame whose check fails may only have begun at a wrong byte, so the search goes on one byte
-later: a garbled length costs one frame, not those behind it. These may come late, by what the
-wrong length made us wait for: 280 bytes at most, none of a datagram.
+Frames are found in any bytes; pymavlink checks and decodes packets. If a checksum is wrong, the
+search continues one byte later, so that a garbled length loses one frame only. Later frames may be
+delayed by the wrong length: by at most 280 bytes, and not at all in datagrams.
 """
 
 from collections.abc import Iterator
@@ -36,19 +34,19 @@ __all__ = [
 V1, V2 = 0xFE, 0xFD
 V1_OVERHEAD, V2_OVERHEAD, SIGNATURE = 8, 12, 13
 SIGNED = 0x01
-"""The one incompatibility flag there is; a frame with another cannot be understood."""
+"""The only known incompatibility flag; frames with others cannot be decoded."""
 
 MAX_FRAME_BYTES = 255 + V2_OVERHEAD + SIGNATURE
 
 
 class MavlinkFrames:
-    """Cuts a stream, or datagrams, into messages.
+    """Splits a stream or datagrams into messages.
 
     Attributes:
-        skipped: bytes so far that belong to no frame.
+        skipped: number of bytes outside of frames.
 
     Args:
-        datagrams: no frame goes on into the next piece.
+        datagrams: frames do not continue in the next piece.
     """
 
     def __init__(self, *, datagrams: bool) -> None:
@@ -64,15 +62,15 @@ class MavlinkFrames:
         self._buffer.clear()
 
     def state(self) -> tuple[int, bytes, bool]:
-        """Bytes skipped, bytes of a frame that is not complete, and whether frames follow on."""
+        """Return the skipped bytes, the bytes of a partial frame, and if frames may continue."""
         return self.skipped, bytes(self._buffer), self._in_sync
 
     def restore(self, skipped: int, buffer: bytes, *, in_sync: bool) -> None:
-        """Continue as the one of which `state` was taken."""
+        """Restore a state that `state` returned."""
         self.skipped, self._buffer, self._in_sync = skipped, bytearray(buffer), in_sync
 
     def feed(self, data: bytes) -> Iterator[Any]:
-        """Messages, and one Reject for each time that bytes belonged to none."""
+        """Yield messages, and one Reject for each run of bytes outside of frames."""
         self._buffer += data
         place = 0
         while (end := self._frame_end(place)) is not None:
@@ -89,7 +87,7 @@ class MavlinkFrames:
         del self._buffer[:place]
 
     def _frame_end(self, place: int) -> int | None:
-        """End of what would be a frame at `place`; `place` itself for none; None to wait."""
+        """Return the end of a possible frame at `place`; `place` if there is none; None to wait."""
         buffer = self._buffer
         size = frame_size(buffer, place)
         if place < len(buffer) and (size is None or place + size > len(buffer)):
@@ -97,7 +95,7 @@ class MavlinkFrames:
         return None if size is None else place + size
 
     def _decoded(self, place: int, end: int) -> Any:  # noqa: ANN401 pymavlink's messages
-        """The message, a Reject for a good one that cannot be understood, None for no frame."""
+        """Return the message, a Reject if it is valid but unknown, or None if it is no frame."""
         message = self._parsed(place, end)
         if isinstance(message, common.MAVLink_unknown) and not self._is_likely(place, end):
             return None
@@ -114,9 +112,9 @@ class MavlinkFrames:
             return None
 
     def _is_likely(self, place: int, end: int) -> bool:
-        """Whether this is a frame of another dialect: their checksums are unknown.
+        """Whether this is a frame of another dialect, whose checksum is unknown.
 
-        It stands between others, and no frame of ours begins within it.
+        It stands between frames, and no known frame begins within it.
         """
         buffer = self._buffer
         if not self._in_sync or (end < len(buffer) and buffer[end] not in (V1, V2)):
@@ -131,7 +129,7 @@ class MavlinkFrames:
 
 
 def frame_size(buffer: bytearray | bytes | mmap, place: int) -> int | None:
-    """Length of the frame at `place`; 0 if none begins there, None with too few bytes."""
+    """Return the length of the frame at `place`; 0 without a frame, None with too few bytes."""
     if place >= len(buffer):
         return None
     if buffer[place] not in (V1, V2):
@@ -147,7 +145,7 @@ _USED = frozenset(getattr(common, f"MAVLINK_MSG_ID_{name}") for name in (*READER
 
 
 def navigation_frame(frame: bytes, settings: FormatSettings) -> bool:
-    """Return whether a whole frame is a message for `MavlinkDecoder`, by its header alone."""
+    """Return whether a frame is a message for `MavlinkDecoder`, by its header."""
     if frame[0] == V1:
         sender, number = frame[3:5], frame[5]
     else:
@@ -160,13 +158,13 @@ def navigation_frame(frame: bytes, settings: FormatSettings) -> bool:
 
 WRAP_MS = 1 << 32
 NEAR_WRAP_MS = 3_600_000
-"""A counter this near its end, and then this near its beginning, has wrapped: after 49.7 days."""
+"""Distance from the end and then the start of the counter that shows a wrap (after 49.7 days)."""
 
 REBOOT_MS = 1000
-"""Datagrams overtake each other by less than this."""
+"""Step back that shows a reboot; reordered datagrams differ by less."""
 
 _UNIX_FROM_US = 10**15
-"""A number of microseconds that is 2001 or later in Unix time; nothing runs for 30 years."""
+"""Microseconds from which a number is Unix time (2001); no uptime is that long."""
 
 
 class BootClock:
@@ -182,20 +180,20 @@ class BootClock:
         self._last_ms: int | None = None
 
     def state(self) -> tuple[int, int, int | None]:
-        """Reboots, wraps, and the last number."""
+        """Return reboots, wraps and the last number."""
         return self.reboots, self._wraps, self._last_ms
 
     def restore(self, reboots: int, wraps: int, last_ms: int | None) -> None:
-        """Continue as the clock of which `state` was taken."""
+        """Restore the state of a clock."""
         self.reboots, self._wraps, self._last_ms = reboots, wraps, last_ms
 
     def stamp_ns(self, boot_ms: int) -> int:
-        """Nanoseconds since boot."""
+        """Return nanoseconds since boot."""
         last_ms = boot_ms if self._last_ms is None else self._last_ms
         if last_ms >= WRAP_MS - NEAR_WRAP_MS and boot_ms < NEAR_WRAP_MS:
             self._wraps += 1
         elif boot_ms >= WRAP_MS - NEAR_WRAP_MS and last_ms < NEAR_WRAP_MS and self._wraps:
-            # Overtaken by the wrap: of before, and not to be followed.
+            # From before the wrap, received late: do not follow it.
             return ((self._wraps - 1) * WRAP_MS + boot_ms) * 1_000_000
         elif boot_ms < last_ms - REBOOT_MS:
             self.reboots += 1
@@ -205,20 +203,20 @@ class BootClock:
 
 
 def stamp_of_us(time_us: int) -> tuple[int, Clock]:
-    """Stamp and clock of a number of microseconds that is since boot or of Unix, by its size."""
+    """Return stamp and clock of microseconds since boot or Unix, decided by their size."""
     return time_us * 1000, "unix" if time_us >= _UNIX_FROM_US else "boot"
 
 
 RESETS = 256
-"""The estimator's own counter has 8 bits; each reboot counts as a step above them."""
+"""Range of the estimator's 8-bit counter; each reboot adds one range."""
 
 
 MAX_APART_NS = 200_000_000
-"""An acceleration belongs to the next attitude that arrives within this time."""
+"""Maximum time between an acceleration and its attitude."""
 
 
 class _Force(NamedTuple):
-    """An acceleration that waits for its attitude: what was measured, and when it arrived."""
+    """An acceleration that waits for its attitude: value and arrival time."""
 
     mps2: NDArray[np.float64]
     arrival_ns: int | None
@@ -235,12 +233,12 @@ class _MavlinkState(NamedTuple):
 
 
 class MavlinkDecoder:
-    """Reads one link, UDP or serial.
+    """Decodes one link, UDP or serial.
 
-    Accelerations come in messages of their own; each is added to the next attitude.
+    Accelerations arrive in separate messages; each is added to the next attitude.
 
     Attributes:
-        counters: what came in and what became of it.
+        counters: counters of this decoder.
     """
 
     def __init__(self, settings: FormatSettings, *, datagrams: bool = False) -> None:
@@ -317,7 +315,7 @@ class MavlinkDecoder:
         return self._with_force(odometry_or_less, arrival_ns)
 
     def _felt(self, rank: int, message: Any, arrival_ns: int | None) -> Reject | None:  # noqa: ANN401
-        """Remember an acceleration, unless a better message with one is there."""
+        """Note an acceleration, unless a better message provides one."""
         force = specific_force(message) if rank <= self._force_rank else None
         if force is None:
             self.counters.ignore("superseded")

@@ -1,4 +1,4 @@
-"""MAVLink messages in our frames, one function each.
+"""Converts MAVLink messages to our frames, one function each.
 
 Fields, units and frames: the common message set of MAVLink (mavlink.io). World frames are NED
 unless the message states otherwise, body frames are FRD and angles radians.
@@ -41,23 +41,23 @@ from mapperd.odometry.records import (
 __all__ = ["ACCELERATIONS", "ORDER", "READERS", "Fields", "specific_force"]
 
 Fields = dict[str, Any]
-"""Fields of an `Odometry`, but for its time."""
+"""Fields of an `Odometry` without its time."""
 
 Floats = NDArray[np.float64]
 
 GRAVITY_MPS2 = 9.80665
 HPA_PA = 100.0
-MIN_AIR_HPA = 500.0  # thinner air is above all lakes: an unpowered sensor reports 0
-MAX_TIME_US = 9e15  # in nanoseconds it still has 64 bits
+MIN_AIR_HPA = 500.0  # minimum air pressure: an unpowered sensor reports 0
+MAX_TIME_US = 9e15  # fits in 64 bits as nanoseconds
 UNKNOWN_HEADING = 65535
 DOWN = 25  # MAV_SENSOR_ROTATION_PITCH_270
 FAILED, FULL = -1, 100  # quality of ODOMETRY; 0 is unknown
 
 WORLDS: dict[int, World] = {1: "ned", 4: "enu", 20: "local_frd", 21: "local_flu"}
-"""MAV_FRAME of a pose. The local ones have an arbitrary heading."""
+"""World axes by MAV_FRAME of a pose; local frames have an arbitrary heading."""
 
 FRD_BODIES = (12, 8, 9)
-"""MAV_FRAME of a velocity: BODY_FRD, and BODY_NED and BODY_OFFSET_NED, its old names."""
+"""MAV_FRAME of a velocity: BODY_FRD and its former names BODY_NED, BODY_OFFSET_NED."""
 
 ORDER = (
     "ODOMETRY",
@@ -71,7 +71,7 @@ ORDER = (
 
 @dataclass(frozen=True, slots=True)
 class _Odometry:
-    """The parts of an ODOMETRY that are known; NaN or never filled is None."""
+    """Return the known parts of an ODOMETRY; NaN or unset parts are None."""
 
     position: Sequence[float] | None
     quaternion: Sequence[float] | None
@@ -93,7 +93,7 @@ class _Odometry:
         )
 
     def problem(self) -> Reject | None:
-        """The first thing wrong with it."""
+        """Return the first problem of the message."""
         limits = (
             ("position", self.position, MAX_DISTANCE_M),
             ("q", self.quaternion, 1e3),
@@ -183,7 +183,7 @@ def _global_position(m: Any, _: FormatSettings) -> Fields | Reject:  # noqa: ANN
     bad = bad_number("lat", latitude_deg, -90, 90) or bad_number("lon", longitude_deg, -180, 180)
     if bad:
         return bad
-    if m.lat == 0 and m.lon == 0:  # what autopilots send before they know
+    if m.lat == 0 and m.lon == 0:  # sent by autopilots before they know
         return Reject("no_fix", "latitude and longitude are 0")
     geo = GeoPoint(math.radians(latitude_deg), math.radians(longitude_deg), m.alt * 1e-3)
     known = m.hdg != UNKNOWN_HEADING
@@ -211,7 +211,7 @@ def _distance(m: Any, _: FormatSettings) -> Fields | Reject | None:  # noqa: ANN
 
 
 ACCELERATIONS = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "SCALED_IMU2")
-"""Messages with an acceleration, best first; their units are those of ArduPilot and PX4."""
+"""Messages with an acceleration, best first; units as ArduPilot and PX4 use them."""
 
 MG_MPS2 = GRAVITY_MPS2 / 1000
 ACCELERATION_UPDATED = 0b111
@@ -219,10 +219,10 @@ MAX_ACCELERATION_MPS2 = 1e3
 
 
 def specific_force(m: Any) -> Floats | Reject | None:  # noqa: ANN401
-    """What the accelerometer of one of `ACCELERATIONS` measures: (3,) m/s2, base axes.
+    """Return the specific force (3,) in a message of `ACCELERATIONS`, m/s2, base axes.
 
     Returns:
-        None where the message has no new acceleration.
+        None if the message has no new acceleration.
     """
     unit = MG_MPS2
     if m.get_type() == "HIGHRES_IMU":
@@ -245,12 +245,12 @@ READERS: dict[str, Callable[[Any, FormatSettings], Fields | Reject | None]] = {
 
 
 def _known(numbers: Sequence[float]) -> Sequence[float] | None:
-    """None where all are NaN, which is how a sender leaves out a part."""
+    """Return None if all are NaN, which marks an absent part."""
     return None if all(math.isnan(number) for number in numbers) else numbers
 
 
 def _filled(triangle: Sequence[float]) -> Sequence[float] | None:
-    """None where the first is NaN, as agreed, or all are 0: nobody is that sure."""
+    """Return None if the first is NaN, which marks it absent, or all are 0, which is impossible."""
     return None if math.isnan(triangle[0]) or not any(triangle) else triangle
 
 

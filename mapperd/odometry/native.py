@@ -8,20 +8,17 @@
 | `b` | `frd`/`flu` | body axes, never guessed |
 | `p`, `q` | 3 floats m, 4 floats w,x,y,z | either may be absent |
 | `u`, `r` | 3 floats m/s body, 3 floats rad/s body | may be absent |
-| `a` | 3 floats m/s² | specific force in body axes, as an accelerometer has it; may be absent |
+| `a` | 3 floats m/s² | specific force in body axes, as accelerometers measure it; may be absent |
 | `pc`, `uc` | 21 floats | upper triangles, row by row; absent = unknown |
 | `rst`, `src` | int, str | reset counter (0), sender name (empty) |
 
-`t` may be left out where `clk` is `arrival`. Unknown keys are refused: a misspelt one would
-otherwise vanish.
+`t` may be absent if `clk` is `arrival`. Unknown keys are errors, so that misspelt ones are found.
 
-The native record on a stream of bytes: record and CRC-32, stuffed, ended by a zero byte.
+On a byte stream a frame is the record and its CRC-32, byte-stuffed, followed by a zero byte. The
+CRC is that of Ethernet and zip (`zlib.crc32`) over the record, little endian. After any loss the
+next zero byte starts a new frame.
 
-The CRC is that of Ethernet and zip (`zlib.crc32`) over the record, little endian. After any loss
-the next zero byte begins a new frame.
-
-Consistent overhead byte stuffing: bytes without zeros, so that a zero can end a frame.
-
+Byte stuffing (COBS) removes zeros from the data, so that a zero can end a frame:
 S. Cheshire and M. Baker, "Consistent overhead byte stuffing", IEEE/ACM Transactions on
 Networking 7(2), 1999.
 """
@@ -84,7 +81,7 @@ Floats = NDArray[np.float64]
 
 
 class NativeRecord(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """The record as it stands on the wire, in the sender's conventions."""
+    """The record on the wire, in the sender's conventions."""
 
     v: int
     clk: Clock
@@ -107,12 +104,12 @@ _ENCODER = msgspec.msgpack.Encoder()
 
 
 def encode_native(record: NativeRecord) -> bytes:
-    """Write a record; what is None stays absent."""
+    """Encode a record; None values are absent."""
     return _ENCODER.encode(record)
 
 
 def decode_native(data: bytes) -> Odometry | Reject:
-    """Read one record and convert it to our frames; total: any bytes give one of the two.
+    """Decode one record and convert it to our frames; any bytes give a record or a reject.
 
     Args:
         data: exactly one MessagePack map.
@@ -133,7 +130,7 @@ def _wire_of(data: bytes) -> NativeRecord | Reject:
 
 
 def odometry_of(wire: NativeRecord) -> Odometry | Reject:
-    """A well-formed record in our frames, or what is wrong with it."""
+    """Return a well-formed record in our frames, or what is invalid in it."""
     return _problem(wire) or _converted(wire)
 
 
@@ -185,7 +182,7 @@ def _covariance(rotation: Floats, triangle: tuple[float, ...] | None) -> Floats 
 
 
 class NativeDecoder:
-    """Datagrams of one MessagePack record each.
+    """Decodes datagrams of one MessagePack record each.
 
     Attributes:
         counters: what came in and what became of it.
@@ -195,14 +192,14 @@ class NativeDecoder:
         self.counters = DecoderCounters()
 
     def feed(self, data: bytes, arrival_ns: int | None) -> Iterator[Odometry | Reject]:  # noqa: ARG002 the stamp is in the record
-        """Take one datagram."""
+        """Decode one datagram."""
         self.counters.bytes_total += len(data)
         wire = _wire_of(data)
         self.counters.heard("record", len(data), whole=isinstance(wire, NativeRecord))
         yield self.counters.out(wire if isinstance(wire, Reject) else odometry_of(wire))
 
     def restart(self) -> None:
-        """Nothing is half received: each datagram is whole."""
+        """Do nothing: datagrams are never partial."""
 
     def state(self) -> CountersState:
         """As `Decoder.state`."""
@@ -221,7 +218,7 @@ _JSON_ENCODER = msgspec.json.Encoder()
 
 
 def encode_native_json(record: NativeRecord) -> bytes:
-    """One line, with its end; what is None stays absent."""
+    """Return one line with its end; None values are absent."""
     return _JSON_ENCODER.encode(record) + b"\n"
 
 
@@ -241,11 +238,11 @@ def read_native_json(
     return odometry_of(wire)
 
 
-_RUN = 254  # bytes between two code bytes, at most
+_RUN = 254  # maximum bytes between two code bytes
 
 
 def cobs_encoded(data: bytes) -> bytes:
-    """The data without zero bytes, at most one byte in 254 and one longer; no delimiter."""
+    """Return the data without zero bytes, longer by one byte and one in 254; no delimiter."""
     out = bytearray()
     pieces = data.split(b"\0")
     for place, piece in enumerate(pieces):
@@ -254,7 +251,7 @@ def cobs_encoded(data: bytes) -> bytes:
             out.append(_RUN + 1)
             out += piece[start : start + _RUN]
             start += _RUN
-        # A full run that ends the data needs no more; anywhere else, a zero follows.
+        # After a full run no zero follows, and none is added at the end of the data.
         if start < len(piece) or not start or place < len(pieces) - 1:
             out.append(len(piece) - start + 1)
             out += piece[start:]
@@ -262,10 +259,10 @@ def cobs_encoded(data: bytes) -> bytes:
 
 
 def cobs_decoded(stuffed: bytes) -> bytes | None:
-    """What was encoded, or None where these bytes are no such encoding.
+    """Return the decoded data, or None if the encoding is invalid.
 
     Args:
-        stuffed: what stood between two delimiters.
+        stuffed: bytes between two delimiters.
     """
     if not stuffed or 0 in stuffed:
         return None
@@ -288,7 +285,7 @@ MAX_FRAME_BYTES = MAX_RECORD_BYTES + CRC_BYTES + MAX_RECORD_BYTES // 254 + 2
 
 
 def encode_native_serial(record: NativeRecord) -> bytes:
-    """One frame, with its delimiter behind it."""
+    """Return one frame with its delimiter."""
     data = encode_native(record)
     return cobs_encoded(data + zlib.crc32(data).to_bytes(CRC_BYTES, "little")) + b"\0"
 
@@ -300,7 +297,7 @@ class _SerialState(NamedTuple):
 
 
 class NativeSerialDecoder:
-    """Frames between zero bytes, however the stream was split.
+    """Decodes frames between zero bytes, split in any way.
 
     Attributes:
         counters: what came in and what became of it.
@@ -320,7 +317,7 @@ class NativeSerialDecoder:
             if self._skipping or len(frame) > MAX_FRAME_BYTES:
                 yield from self._too_long(frame)
                 self._skipping = False
-            elif frame:  # between two delimiters in a row is nothing
+            elif frame:  # two delimiters in a row enclose nothing
                 yield self.counters.out(self._record(frame))
         if self._skipping or len(rest) > MAX_FRAME_BYTES:
             yield from self._too_long(rest)
@@ -354,7 +351,7 @@ class NativeSerialDecoder:
         return decode_native(data[:-CRC_BYTES])
 
     def _too_long(self, piece: bytes) -> Iterator[Reject]:
-        """Skip a piece of a frame; one reject for each such frame."""
+        """Skip a piece of a too long frame; each such frame is one reject."""
         self.counters.bytes_skipped += len(piece)
         if not self._skipping:
             self._skipping = True

@@ -1,8 +1,8 @@
 """NMEA 0183: GGA and RMC (place), VTG (course), HDT (heading), PRDID, PASHR (attitude).
 
-Sentences are taken apart by pynmea2; the numbers in them are read here, strictly: a field that
-is empty is unknown, not 0. Angles of PRDID and PASHR are the vehicle's own: pitch nose up, roll
-starboard down, heading clockwise from true north.
+pynmea2 splits sentences; numbers are parsed here, strictly: an empty field is unknown, not 0.
+Angles of PRDID and PASHR are those of the vehicle: pitch nose up, roll starboard down, heading
+clockwise from true north.
 """
 
 import math
@@ -28,34 +28,34 @@ if TYPE_CHECKING:
 
 __all__ = ["MAX_LINE_BYTES", "NmeaReader", "UtcDay"]
 
-FIRST_YEAR, LAST_YEAR = 1980, 2199  # of satellite navigation, and of 64-bit nanoseconds
+FIRST_YEAR, LAST_YEAR = 1980, 2199  # years of satellite navigation, and of 64-bit nanoseconds
 DAY_NS = 86_400 * 10**9
 UNIX_FROM_NS = 10**18
-"""A host stamp of 2001 or later is Unix time; a smaller one counts from some other moment."""
+"""Host stamps from 2001 on are Unix time; smaller ones count from another origin."""
 
 _TIME = re.compile(r"([01]\d|2[0-3])([0-5]\d)([0-5]\d|60)(?:\.(\d{0,9})\d*)?")
 
 
 class UtcDay:
-    """Remembers the last date of the sender, and the last stamp made from it."""
+    """Notes the sender's last date, and the last stamp made from it."""
 
     def __init__(self) -> None:
         self._midnight_ns: int | None = None
         self._last_ns: int | None = None
 
     def state(self) -> tuple[int | None, int | None]:
-        """Midnight of the last date, and the last stamp."""
+        """Return midnight of the last date, and the last stamp."""
         return self._midnight_ns, self._last_ns
 
     def restore(self, midnight_ns: int | None, last_ns: int | None) -> None:
-        """Continue as the one of which `state` was taken."""
+        """Restore a state that `state` returned."""
         self._midnight_ns, self._last_ns = midnight_ns, last_ns
 
     def learn(self, day: str, month: str, year: str) -> None:
-        """Take a date in digits.
+        """Note a date in digits.
 
         Raises:
-            ValueError: there is no such date.
+            ValueError: the date does not exist.
         """
         if not FIRST_YEAR <= int(year) <= LAST_YEAR:
             raise ValueError(f"the year {year[:20]} is not ours")
@@ -65,14 +65,14 @@ class UtcDay:
             self._midnight_ns, self._last_ns = midnight_ns, None
 
     def stamp(self, text: str, arrival_ns: int | None) -> tuple[int, Clock]:
-        """Stamp and clock of a time of day; (0, "arrival") if unknown.
+        """Return stamp and clock of a time of day; (0, "arrival") if unknown.
 
         Args:
             text: hhmmss or hhmmss.ss, or nothing.
-            arrival_ns: of the sentence, host clock.
+            arrival_ns: arrival of the sentence, host clock.
 
         Raises:
-            ValueError: the text is no time of day.
+            ValueError: the text is not a time of day.
         """
         if not text:
             return 0, "arrival"
@@ -92,12 +92,12 @@ class UtcDay:
 
 
 def _nearest(stamp_ns: int, near_ns: int) -> int:
-    """The stamp, moved by whole days to where it is nearest to the other one."""
+    """Return the stamp, moved by whole days to be nearest to the other one."""
     return stamp_ns + round((near_ns - stamp_ns) / DAY_NS) * DAY_NS
 
 
 MAX_LINE_BYTES = 512
-"""The standard allows 82; longer ones exist."""
+"""Maximum length of a line; the standard allows 82 bytes, but longer lines exist."""
 
 ORDER = ("PASHR", "PRDID", "GGA", "RMC", "VTG", "HDT")
 """Sentences with the same quantity, best first."""
@@ -107,7 +107,7 @@ KNOT_MPS = 1852 / 3600
 KMH_MPS = 1 / 3.6
 MAX_ALTITUDE_M = 20e3
 
-# pynmea2 has its own errors (all ValueErrors) and lets some of Python's through.
+# pynmea2 raises its own errors (all ValueErrors) and some of Python's.
 _PYNMEA2_ERRORS = (ValueError, IndexError, KeyError, TypeError, AttributeError)
 _NUMBER = re.compile(r"[+-]?\d{1,12}(\.\d{0,12})?|[+-]?\.\d{1,12}")
 _ANGLE = re.compile(r"(\d{2,3})(\d{2}(?:\.\d{0,12})?)")
@@ -127,7 +127,7 @@ class _NmeaState(NamedTuple):
 
 
 class NmeaReader:
-    """Reads sentences of one link; remembers the date between them."""
+    """Decodes sentences of one link; notes the date."""
 
     def __init__(self) -> None:
         self._day = UtcDay()
@@ -160,7 +160,7 @@ class NmeaReader:
         if not text.startswith("$"):
             return Reject("not_a_sentence", f"{len(line)} bytes without a $")
         try:
-            # Some devices write the check in lower case, which the parser does not know.
+            # Some devices write the checksum in lower case, which the parser rejects.
             sentence: Any = pynmea2.parse(text[:-2] + text[-2:].upper(), check=True)
         except pynmea2.ChecksumError:
             return Reject("bad_checksum", f"{text[:6]}: the check is missing or wrong")
@@ -260,20 +260,20 @@ def _attitude(roll: str, pitch: str, heading: str) -> Floats:
 
 
 def _along(course: str, speed_mps: float) -> Floats:
-    """East and north parts of a speed along a compass course."""
+    """Return east and north components of a speed along a compass course."""
     angle_rad = compass_to_map(_limited(course, 360))
     return np.array([speed_mps * math.cos(angle_rad), speed_mps * math.sin(angle_rad)])
 
 
 def _place(fields: Fields) -> tuple[float, float]:
-    """Latitude and longitude in radians."""
+    """Return latitude and longitude in radians."""
     latitude = _angle(fields["lat"], 2, 90) * _sign(fields["lat_dir"], "NS")
     longitude = _angle(fields["lon"], 3, 180) * _sign(fields["lon_dir"], "EW")
     return latitude, longitude
 
 
 def _angle(text: str, digits: int, max_deg: float) -> float:
-    """Radians of degrees (so many digits) and minutes written as one number."""
+    """Return radians of degrees (so many digits) and minutes written as one number."""
     match = _ANGLE.fullmatch(text)
     if match is None or len(match[1]) != digits:
         raise ValueError(f"{text[:20]!r} is not an angle")
@@ -291,7 +291,7 @@ def _sign(text: str, letters: str) -> float:
 
 
 def _limited(text: str, limit: float) -> float:
-    """A number that is written out, between -limit and limit."""
+    """Parse a plain decimal number between -limit and limit."""
     if _NUMBER.fullmatch(text) is None:
         raise ValueError(f"{text[:20]!r} is not a number")
     number = float(text)
@@ -301,7 +301,7 @@ def _limited(text: str, limit: float) -> float:
 
 
 def _name(sentence: Any) -> str:  # noqa: ANN401 pynmea2 has no types
-    """GGA of a talker, PRDID and PASHR of a maker."""
+    """Return the kind of a sentence: GGA for a talker, PRDID or PASHR for a maker."""
     if isinstance(sentence, pynmea2.TalkerSentence):
         return str(sentence.sentence_type)
     if isinstance(sentence, RDID):

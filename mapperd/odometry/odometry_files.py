@@ -1,6 +1,6 @@
-"""Odometry from other files than the recording, merged into it by time.
+"""Odometry from separate files, merged into a recording by time.
 
-A replay decodes and fuses it as if it had been recorded with the sonar.
+A replay decodes and fuses it like recorded odometry.
 """
 
 import hashlib
@@ -42,7 +42,7 @@ LEAD_NS = 60 * NS
 """Poses further than this before the recording are skipped."""
 
 REST_NS = 10 * NS
-"""Odometry further than this behind the end of the recording is skipped."""
+"""Odometry further than this after the end of the recording is skipped."""
 
 ID_BYTES = 1 << 20
 PROBE = 1 << 12
@@ -72,17 +72,17 @@ class OdometryFile(Protocol):
 
     @property
     def is_finished(self) -> bool:
-        """Whether it holds finished poses; otherwise what a vehicle sent."""
+        """Whether it holds finished poses, not the bytes of a vehicle."""
 
     @property
     def expected(self) -> str:
-        """What is read of it, for people."""
+        """The content that is read, for people."""
 
     def chunks(self) -> Iterator[Chunk]:
         """Yield the odometry in order of time; every chunk has an arrival stamp.
 
         Raises:
-            RecordingError: the content is malformed: one line with file, place and remedy.
+            RecordingError: the content is malformed; one line with file, position and remedy.
             ConfigError: the format needs a library that is not installed.
         """
 
@@ -113,7 +113,7 @@ def read_odometry(options: OdometryOptions, config: Config) -> "OdometryFiles":
         config: the sources, whose formats apply to captures and logs.
 
     Raises:
-        RecordingError: a file is no odometry, malformed, or empty.
+        RecordingError: a file has no odometry, is malformed, or empty.
         ConfigError: a format needs a library that is not installed.
     """
     offset_ns = round(options.offset_s * NS)
@@ -130,7 +130,7 @@ def _checked(files: Sequence[OdometryFile], offset_ns: int) -> "OdometryFiles":
 
 
 def captured_odometry(paths: Sequence[Path], config: Config) -> "OdometryFiles | None":
-    """Return the odometry in the captures that hold the sonar's data, None without any.
+    """Return the odometry in the captures of the sonar's data; None without any.
 
     Args:
         paths: of the captures.
@@ -239,15 +239,15 @@ class OdometryFiles:
         return ", ".join(f"{file.path} ({file.kind})" for file in self.files)
 
     def merge(self) -> "OdometryMerge":
-        """Return what merges the odometry into one session."""
+        """Return an object that merges the odometry into one session."""
         streams = [file.chunks() for file in self.files]
         return OdometryMerge(heapq.merge(*streams, key=attrgetter("arrival_ns")))
 
     def settings(self, config: Config) -> Config:
         """Return the settings for the poses.
 
-        Owners are links of the files. Finished poses are followed as they are: nothing levels
-        them, continues them at jumps, or waits for their confidence.
+        Owners are links of the files. Finished poses are used unchanged: without levelling,
+        continuation at jumps, or a confidence gate.
         """
         replace = msgspec.structs.replace
         if all(file.is_finished for file in self.files):
@@ -271,7 +271,7 @@ class OdometryFiles:
         return digest.digest()
 
     def summary(self) -> dict[str, Any]:
-        """Return what the results state about the files."""
+        """Return facts about the files for the results."""
         return {
             "files": [str(file.path) for file in self.files],
             "formats": [file.kind for file in self.files],
@@ -282,7 +282,7 @@ class OdometryFiles:
 
 
 class OdometryMerge:
-    """Merges odometry into the chunks of one session, in place of the recorded odometry.
+    """Replaces the recorded odometry of one session by odometry from files.
 
     Args:
         odometry: in order of time; every chunk has an arrival stamp.
@@ -315,7 +315,7 @@ class OdometryMerge:
             yield from self._until(self._last_ns + REST_NS)
 
     def _before(self, chunk: Chunk, following: Chunk) -> Iterator[Chunk]:
-        """Yield what comes before a chunk; a single stamp far ahead of the next is wrong."""
+        """Yield the odometry before a chunk; a single stamp far ahead is an error."""
         if chunk.arrival_ns is None or chunk.damaged:
             return
         t_ns = chunk.arrival_ns
@@ -328,7 +328,7 @@ class OdometryMerge:
         yield from self._until(t_ns)
 
     def _is_long_before(self, t_ns: int) -> bool:
-        """Return whether the next one is a pose that no ping needs; logs are read as a whole."""
+        """Return whether the next chunk is a pose that no ping needs; logs are read entirely."""
         chunk = self._next
         if chunk is None or chunk.arrival_ns is None or chunk.link != POSES_LINK:
             return False

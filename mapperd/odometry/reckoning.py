@@ -1,4 +1,4 @@
-"""Dead reckoning: the way travelled, from velocity over ground and attitude."""
+"""Dead reckoning: the displacement by velocity over ground and attitude."""
 
 from collections import deque
 from collections.abc import Callable
@@ -15,17 +15,17 @@ __all__ = ["DeadReckoning", "DeadReckoningState", "Way"]
 Floats = NDArray[np.float64]
 
 MAX_WAITING = 1024
-"""Velocities that may wait for the attitude at their time."""
+"""Maximum number of velocities that wait for an attitude at their time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Way:
-    """What was travelled since the beginning of a segment.
+    """Displacement since the start of a segment.
 
     Attributes:
-        way_m: (3,), map axes.
+        way_m: (3,) displacement, map axes.
         velocity_mps: (3,) at its end, map axes.
-        variance_m2: that has grown on the way, of each axis.
+        variance_m2: accumulated variance of each axis.
     """
 
     way_m: Floats
@@ -37,10 +37,10 @@ class DeadReckoningState(NamedTuple):
     """State of a `DeadReckoning`.
 
     Attributes:
-        waiting: time, velocity, whether it is in map axes, and noise, of velocities that wait.
-        segment: of the newest way.
-        ways: what was summed up.
-        unattended: as of `DeadReckoning`.
+        waiting: time, velocity, whether in map axes, and noise, of waiting velocities.
+        segment: segment of the newest displacement.
+        ways: displacements.
+        unattended: as in `DeadReckoning`.
     """
 
     waiting: list[tuple[int, Floats | None, bool, float | None]]
@@ -50,15 +50,15 @@ class DeadReckoningState(NamedTuple):
 
 
 class DeadReckoning:
-    """Sums the way up, by the trapezoid rule, from velocities whose attitude is known.
+    """Integrates velocities with known attitude by the trapezoid rule.
 
     Args:
-        max_gap_ns: longest interval between velocities to integrate over.
+        max_gap_ns: maximum interval between velocities that is integrated.
         noise: growth of the standard deviation, m per square root of a second.
 
     Attributes:
-        max_gap_ns, noise: may change.
-        ways: what was summed up.
+        max_gap_ns, noise: may be changed.
+        ways: displacements.
     """
 
     def __init__(self, max_gap_ns: int, noise: float) -> None:
@@ -68,18 +68,18 @@ class DeadReckoning:
         self._segment = 0
         self.ways: Series[Way] = Series()
         self.unattended = 0
-        """Velocities for whose time no attitude ever came."""
+        """Number of velocities without an attitude at their time."""
 
     def add(
         self, t_ns: int, velocity_mps: Floats | None, *, in_map: bool, noise: float | None = None
     ) -> None:
-        """Take a velocity; None is a report without one, which breaks the way.
+        """Add a velocity; None reports its loss, which interrupts dead reckoning.
 
         Args:
             t_ns: host time, later than all before.
             velocity_mps: (3,).
-            in_map: in map axes, else in base axes.
-            noise: standard deviation by the source, m/s.
+            in_map: the velocity is in map axes, otherwise in base axes.
+            noise: standard deviation that the source states, m/s.
         """
         if len(self._waiting) >= MAX_WAITING:
             self._waiting.popleft()
@@ -87,25 +87,25 @@ class DeadReckoning:
         self._waiting.append((t_ns, velocity_mps, in_map, noise))
 
     def state(self) -> DeadReckoningState:
-        """Everything that `restore` needs to continue exactly."""
+        """Return the state for `restore`."""
         return DeadReckoningState(
             list(self._waiting), self._segment, self.ways.state(), self.unattended
         )
 
     def restore(self, state: DeadReckoningState) -> None:
-        """Continue as the one of which `state` was taken."""
+        """Restore a state that `state` returned."""
         self._waiting, self._segment = deque(state.waiting), state.segment
         self.ways.restore(state.ways, Way)
         self.unattended = state.unattended
 
     def restart(self) -> None:
-        """Forget the way: time was set back."""
+        """Discard everything, because time was set back."""
         self._waiting.clear()
         self.ways.clear()
         self._segment += 1
 
     def go_on(self, matrix_at: Callable[[int], Floats | None], known_until_ns: int | None) -> None:
-        """Sum up what can be: velocities up to the newest attitude.
+        """Integrate velocities up to the newest attitude.
 
         Args:
             matrix_at: rotation (3, 3), map from base, at a moment; None where unknown.
@@ -129,13 +129,13 @@ class DeadReckoning:
             self._waiting.popleft()
 
     def at(self, t_ns: int) -> "Sample[Way] | None":
-        """The way up to a moment; beyond the newest velocity for no longer than a gap."""
+        """Return the displacement at a time; at most one gap beyond the newest velocity."""
         before, after = self.ways.around(t_ns)
         if before is None:
             return None
         way, seconds = before.value, (t_ns - before.t_ns) / 1e9
         if after is not None and after.segment == before.segment:
-            # The velocity changes evenly between two reports: the way is a parabola.
+            # Velocity is linear between two reports, so the displacement is a parabola.
             fraction = (t_ns - before.t_ns) / (after.t_ns - before.t_ns)
             velocity = way.velocity_mps + fraction * (after.value.velocity_mps - way.velocity_mps)
         elif t_ns - before.t_ns <= self.max_gap_ns:

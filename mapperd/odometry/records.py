@@ -1,4 +1,4 @@
-"""Odometry records in our conventions, and numbers of the wire turned into them."""
+"""Odometry records in our conventions, and conversions from wire formats."""
 
 import math
 from collections.abc import Sequence
@@ -36,12 +36,12 @@ Clock = Literal["unix", "boot", "arrival"]
 Floats = NDArray[np.float64]
 
 UNKNOWN_VARIANCE = 1e6
-"""m², rad², (m/s)² or (rad/s)²: stands in a covariance for a part the sender does not know."""
+"""Variance of unknown parts in a covariance; m², rad², (m/s)² or (rad/s)²."""
 
 
 @dataclass(frozen=True, slots=True)
 class GeoPoint:
-    """A place on the WGS-84 ellipsoid.
+    """A position on the WGS-84 ellipsoid.
 
     Attributes:
         latitude_rad: north positive.
@@ -56,11 +56,11 @@ class GeoPoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
-    """One record; map frame ENU, base frame FLU, SI units. None is unknown, which is not zero.
+    """One record; map frame ENU, base frame FLU, SI units. None is unknown, not zero.
 
     Attributes:
-        stamp_ns: when it was so, on the clock that `clock` names; 0 for "arrival".
-        clock: "unix", "boot" (some zero of the sender's), or "arrival" (has no clock).
+        stamp_ns: time of validity on the clock `clock`; 0 for "arrival".
+        clock: "unix", "boot" (any origin of the sender), or "arrival" (no clock).
         position_m: (3,) base in map.
         map_q_base: (4,) unit quaternion (w, x, y, z).
         velocity_mps: (3,) of the base, in base axes, over ground.
@@ -70,19 +70,19 @@ class Odometry:
         reset_count: changes when the source's estimate jumped.
         source: the sender's name.
         velocity_map_mps: (3,) of the base over ground, in map axes.
-        velocity_east_north_mps: (2,) over ground, where the vertical part is not known.
+        velocity_east_north_mps: (2,) over ground, if the vertical part is unknown.
         depth_m: below the surface, positive down, from pressure.
-        geo: where the base is on Earth.
-        heading_rad: the base's forward axis from east, counter-clockwise, without the other angles.
+        geo: geographic position of the base.
+        heading_rad: forward axis of the base from east, counter-clockwise, without other angles.
         altitude_m: above the bottom.
-        confidence: the sender's own, 0 (none) to 1.
-        valid: False if the sender reports that it has lost track. Such a record holds a
-            time and breaks dead reckoning.
-        sent_ns: when the record left, on the same clock; None where stamp_ns is all there is.
-            The clock is fitted with it: arrival minus this is the delay of the link alone.
-        specific_force_mps2: (3,) what an accelerometer measures, base axes: (0, 0, 9.8) when level.
-        north_referenced: False where the horizontal axes of the sender's world have an arbitrary
-            heading: its positions and orientations do not mix with compass headings.
+        confidence: confidence that the sender states, 0 (none) to 1.
+        valid: False if the sender lost track. Such a record has only a time and interrupts dead
+            reckoning.
+        sent_ns: time of sending on the same clock, or None. The clock is fitted with it, because
+            arrival minus this is the delay of the link alone.
+        specific_force_mps2: (3,) accelerometer measurement, base axes: (0, 0, 9.8) when level.
+        north_referenced: False if the sender's world has an arbitrary heading; its positions and
+            orientations then do not mix with compass headings.
     """
 
     stamp_ns: int
@@ -127,8 +127,8 @@ _ARRAYS = (
     "specific_force_mps2",
 )
 
-MAX_DISTANCE_M = 1e7  # a quarter of the way around the Earth
-MAX_DEPTH_M = 12e3  # no sea is deeper
+MAX_DISTANCE_M = 1e7  # a quarter of the Earth's circumference
+MAX_DEPTH_M = 12e3  # deeper than any sea
 MAX_SPEED_MPS = 1e3
 MAX_RATE_RADPS = 1e3
 MAX_COVARIANCE = 1e12
@@ -136,13 +136,13 @@ QUATERNION_TOLERANCE = 0.01  # on the norm: text with three digits passes, a wro
 ZERO_NORM = 1e-6
 
 _PLACES = np.zeros((6, 6), dtype=np.intp)
-"""Where in its triangle each element of a symmetric matrix stands."""
+"""Index in the upper triangle of each element of a symmetric matrix."""
 _PLACES[np.triu_indices(6)] = _PLACES.T[np.triu_indices(6)] = np.arange(21)
 _VARIANCES = tuple(np.diag(_PLACES).tolist())
 
 
 def bad_numbers(key: str, numbers: Sequence[float], limit: float) -> Reject | None:
-    """Why these numbers cannot be true, if so: not finite, or larger than `limit`."""
+    """Return why these numbers are invalid (not finite, or above `limit`), or None."""
     for number in numbers:
         if not -limit <= number <= limit:  # also where it is NaN
             if math.isfinite(number):
@@ -152,17 +152,17 @@ def bad_numbers(key: str, numbers: Sequence[float], limit: float) -> Reject | No
 
 
 def bad_number(key: str, number: float, minimum: float, maximum: float) -> Reject | None:
-    """Why this number cannot be true, if so."""
+    """Return why this number is invalid, or None."""
     if minimum <= number <= maximum:
         return None
-    # An integer of hundreds of digits, which text can hold, is no float: it must not become one.
+    # Text can hold integers too large for a float: do not convert them.
     if isinstance(number, float) and not math.isfinite(number):
         return Reject("not_finite", f"{key} is {number}")
     return Reject("out_of_range", f"{key} is {str(number)[:24]}; from {minimum:g} to {maximum:g}")
 
 
 def bad_quaternion(quaternion: Sequence[float]) -> Reject | None:
-    """Why these finite numbers are not an orientation, if so."""
+    """Return why these finite numbers are not an orientation, or None."""
     norm = math.hypot(*quaternion)
     if norm < ZERO_NORM:
         return Reject("zero_quaternion", "q is zero: no orientation")
@@ -172,40 +172,40 @@ def bad_quaternion(quaternion: Sequence[float]) -> Reject | None:
 
 
 def bad_variance(key: str, triangle: Sequence[float]) -> Reject | None:
-    """Why these 21 numbers are the upper triangle of no covariance, if so."""
+    """Return why these 21 numbers are not the upper triangle of a covariance, or None."""
     if min(triangle[place] for place in _VARIANCES) < 0:
         return Reject("negative_variance", f"{key} has a variance below 0")
     return None
 
 
 def orientation(quaternion: ArrayLike, world: World, body: Body) -> Floats:
-    """map_q_base of a sender's nearly unit (w, x, y, z) from its body to its world, normalised."""
+    """Return map_q_base from a sender's almost unit (w, x, y, z), body to world."""
     map_q_base = orientation_to_map(quaternion, world, body)
     return np.asarray(map_q_base / math.hypot(*map_q_base.tolist()), dtype=np.float64)
 
 
 def turned(rotation: Floats, numbers: Sequence[float]) -> Floats:
-    """A vector (3,) in other axes."""
+    """Return a vector (3,) in other axes."""
     return rotation @ np.array(numbers, dtype=np.float64)
 
 
 def symmetric(triangle: Sequence[float]) -> Floats:
-    """(6, 6) from the 21 numbers of its upper triangle, row by row."""
+    """Return (6, 6) from the 21 numbers of its upper triangle, row by row."""
     return np.array(triangle, dtype=np.float64)[_PLACES]
 
 
 def turned_covariance(rotation: Floats, matrix: Floats) -> Floats:
-    """A covariance (6, 6) in other axes; both its blocks, linear and angular, turn alike."""
+    """Return a covariance (6, 6) in other axes; the linear and angular blocks rotate alike."""
     both = np.zeros((6, 6))
     both[:3, :3] = both[3:, 3:] = rotation
     return np.asarray(both @ matrix @ both.T, dtype=np.float64)
 
 
 def linear_covariance(matrix: Floats) -> Floats:
-    """(6, 6) of a linear part (3, 3) alone; the angular part is unknown.
+    """Return (6, 6) from a linear part (3, 3); the angular part is unknown.
 
-    A linear part that knows less than nothing becomes UNKNOWN_VARIANCE, so that a sender's 1e9
-    does not drown the small numbers beside it.
+    Linear variances above UNKNOWN_VARIANCE are limited to it, so that a sender's 1e9 does not
+    drown small numbers next to it.
     """
     whole = UNKNOWN_VARIANCE * np.eye(6)
     if np.diag(matrix).max() <= UNKNOWN_VARIANCE:

@@ -1,7 +1,7 @@
 """Poses in ROS bags: odometry, poses, and transforms; no ROS is needed.
 
-ROS has the map's and the vehicle's axes (REP-103). Frames whose names end in `_ned` or `_frd`
-have those axes instead.
+ROS uses the same axes as map and vehicle here (REP-103). Frames whose names end in `_ned` or `_frd`
+use those axes instead.
 """
 
 import contextlib
@@ -39,7 +39,7 @@ POSES = {
     "geometry_msgs/msg/PoseWithCovarianceStamped": "pose.pose",
     "geometry_msgs/msg/PoseStamped": "pose",
 }
-"""Types of messages with a pose, and where it is."""
+"""Message types with a pose, and the path to it."""
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 STATIC = "/tf_static"
@@ -58,7 +58,7 @@ def is_ros_bag(path: Path) -> bool:
             return (path / "metadata.yaml").is_file()
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)
-    except OSError:  # who reads it reports why not
+    except OSError:  # the reader reports the cause
         return False
     return path.suffix in SUFFIXES and (
         head.startswith((b"#ROSBAG", b"SQLite format 3\0"))
@@ -90,7 +90,7 @@ def open_ros_bag(path: Path) -> "Iterator[AnyReader]":
 
 @lru_cache(maxsize=1)
 def _default_types() -> "Typestore":
-    """Return the types of bags that do not define theirs."""
+    """Return message types for bags without definitions."""
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 an extra
 
     return get_typestore(Stores.ROS2_HUMBLE)
@@ -114,7 +114,7 @@ def ros_messages(
 
 
 def message_time_ns(header: Any, bag_ns: int) -> int:  # noqa: ANN401 made at run time
-    """Return the time of a header; that of the bag if it has none."""
+    """Return the time of a header; without one, that of the bag."""
     stamp = header.stamp
     return int(stamp.sec) * NS + int(stamp.nanosec) or bag_ns
 
@@ -236,7 +236,7 @@ class RosPoses:
     def _transforms(
         self, reader: "AnyReader", topics: Sequence[str], fixed: str, body: str
     ) -> Iterator[Chunk]:
-        """Yield the body in the fixed frame whenever the moving transform nearest to it comes."""
+        """Yield the body in the fixed frame at each message of the nearest moving transform."""
         edges: dict[str, str] = {}
         poses: dict[str, Pose] = {}
         still: set[str] = set()
@@ -304,7 +304,7 @@ def _pose_of(transform: Any) -> Pose | None:  # noqa: ANN401 made at run time
 
 
 def _chained(poses: Sequence[Pose]) -> Pose:
-    """Return the last frame of a chain in the first one's parent."""
+    """Return the last frame of a chain in the parent of the first."""
     whole = poses[0]
     for pose in poses[1:]:
         turn = quaternion_product(whole.map_q_base, pose.map_q_base)
@@ -322,7 +322,7 @@ def _body(frame: str) -> Body:
 
 
 def _covariance(values: Sequence[float]) -> list[float] | None:
-    """Return the upper triangle of a covariance (36,); None if it is unknown or no covariance."""
+    """Return the upper triangle of a covariance (36,); None if unknown or invalid."""
     matrix = np.asarray(values, np.float64).reshape(6, 6)
     diagonal = np.diag(matrix)
     if not np.isfinite(matrix).all() or diagonal.min() <= 0 or diagonal.max() > MAX_COVARIANCE:

@@ -1,4 +1,4 @@
-"""One quantity of the vehicle over the recent past, and its value at a moment."""
+"""Recent values of one quantity of the vehicle, and its value at a time."""
 
 from bisect import bisect_right
 from collections import deque
@@ -27,20 +27,20 @@ __all__ = [
 ]
 
 MAX_SAMPLES = 8192
-"""Bound of the memory: 20 s at 400 Hz; the oldest go first."""
+"""Maximum number of samples: 20 s at 400 Hz; the oldest are dropped."""
 
 V = TypeVar("V")
 
 
 @dataclass(frozen=True, slots=True)
 class Sample(Generic[V]):
-    """A value at a moment.
+    """A value at one time.
 
     Attributes:
         t_ns: host time.
-        value: whatever the series is of.
-        segment: two samples of different segments have no motion between them: the estimate
-            jumped there, the vehicle did not.
+        value: value of the quantity.
+        segment: samples of different segments are separated by a jump of the estimate, not by
+            motion.
     """
 
     t_ns: int
@@ -53,8 +53,8 @@ class SeriesState(NamedTuple):
 
     Attributes:
         t_ns, segment: int64 (n,).
-        columns: values of each field of the samples' values, in their order: (n, ...) where all
-            are arrays of one shape or numbers, else a list of n.
+        columns: values of each field, in order: (n, ...) if all are numbers or arrays of one
+            shape, otherwise a list of n.
     """
 
     t_ns: NDArray[np.int64]
@@ -66,7 +66,7 @@ class Series(Generic[V]):
     """Samples, oldest first.
 
     Args:
-        max_samples: bound of the memory.
+        max_samples: maximum number of samples.
     """
 
     def __init__(self, max_samples: int = MAX_SAMPLES) -> None:
@@ -81,7 +81,7 @@ class Series(Generic[V]):
         return self._samples[-1] if self._samples else None
 
     def state(self) -> SeriesState:
-        """All samples; their values are arrays, or records of a few fields."""
+        """Return all samples; values are arrays or records of a few fields."""
         samples = self._samples
         return SeriesState(
             np.array([one.t_ns for one in samples], dtype=np.int64),
@@ -90,11 +90,11 @@ class Series(Generic[V]):
         )
 
     def restore(self, state: SeriesState, make: Callable[..., V]) -> None:
-        """Hold the samples of which `state` was taken.
+        """Restore the samples of a state.
 
         Args:
-            state: of a series of the same values.
-            make: a value of its fields.
+            state: state of a series of the same values.
+            make: makes a value from its fields.
         """
         rows = zip(
             state.t_ns.tolist(), state.segment.tolist(), *map(_values, state.columns), strict=True
@@ -105,7 +105,7 @@ class Series(Generic[V]):
         )
 
     def problem(self, t_ns: int) -> Reject | None:
-        """Why a sample of that time could not be taken."""
+        """Return why a sample of that time is refused, or None."""
         if self._samples and t_ns <= self._samples[-1].t_ns:
             late_s = (self._samples[-1].t_ns - t_ns) / 1e9
             return Reject("back_in_time", f"{late_s:g} s before the newest record, or equal to it")
@@ -116,11 +116,11 @@ class Series(Generic[V]):
         self._samples.append(Sample(t_ns, value, segment))
 
     def clear(self) -> None:
-        """Forget all samples."""
+        """Remove all samples."""
         self._samples.clear()
 
     def around(self, t_ns: int) -> "tuple[Sample[V] | None, Sample[V] | None]":
-        """The last sample at or before a moment, and the first after it."""
+        """Return the last sample at or before a time, and the first after it."""
         samples = self._samples
         if not samples:
             return None, None
@@ -131,12 +131,12 @@ class Series(Generic[V]):
         )
 
     def next_to(self, sample: "Sample[V]", step: int) -> "Sample[V] | None":
-        """The sample `step` places (-1 or 1) from one of this series, where there is one."""
+        """Return the next (1) or previous (-1) sample of one, or None."""
         place = self._place(sample.t_ns) - 1 + step
         return self._samples[place] if 0 <= place < len(self._samples) else None
 
     def _place(self, t_ns: int) -> int:
-        """Index of the first sample after a moment; asked near the new end, so look there first."""
+        """Return the index of the first sample after a time; search near the newest first."""
         samples = self._samples
         if samples[-1].t_ns <= t_ns:
             return len(samples)
@@ -144,14 +144,14 @@ class Series(Generic[V]):
 
 
 def _columns(values: list[Any]) -> list[list[Any]]:
-    """The values of each field, in the order of the fields; of arrays there is one column."""
+    """Return the values of each field, in order; arrays give one column."""
     if not values or isinstance(values[0], np.ndarray):
         return [values] if values else []
     return [list(map(attrgetter(field.name), values)) for field in fields(values[0])]
 
 
 def _column(values: list[Any]) -> Any:  # noqa: ANN401 an array or a list
-    """As one array, where the values are alike; products round by the order of an array."""
+    """Return one array if the values are alike; keep its order, which affects rounding."""
     kinds = set(map(type, values))
     if kinds == {np.ndarray}:
         forms = {(one.shape, one.dtype, one.strides) for one in values}
@@ -164,26 +164,27 @@ def _column(values: list[Any]) -> Any:  # noqa: ANN401 an array or a list
 
 
 def _values(column: Any) -> list[Any]:  # noqa: ANN401 an array or a list
-    """The rows of a column, each with memory of its own."""
+    """Return copies of the rows of a column."""
     if not isinstance(column, np.ndarray):
         return list(column)
     return column.tolist() if column.ndim == 1 else [row.copy() for row in column]
 
 
 STRETCH_NS = 100_000_000
-"""To either side of a moment: over less, noise would be taken for motion, over more, turns are cut.
+"""Interval on both sides of a time from which velocity is computed.
 
-Of 1 cm of noise it leaves 7 cm/s, which moves a sample by 1 mm in 20 ms.
+A shorter one takes noise for motion, a longer one cuts turns. 1 cm of noise gives 7 cm/s, which
+moves a sample by 1 mm in 20 ms.
 """
 
 
 class Course(Generic[V]):
-    """How a quantity goes from one moment to another.
+    """Interpolation and extrapolation of a quantity.
 
     Attributes:
-        blend: from the value at 0 to that at 1, at a fraction that may lie beyond either.
-        carry: a value so many seconds on (or back) by its own rate of change; None where it has
-            none.
+        blend: interpolates from the value at 0 to that at 1; the fraction may lie outside.
+        carry: extrapolates a value by its own rate for some seconds, also backwards; None
+            without a rate.
     """
 
     def __init__(
@@ -195,12 +196,12 @@ class Course(Generic[V]):
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """How far records are believed.
+    """Limits of interpolation and extrapolation.
 
     Attributes:
         policy: `time_sync.policy`.
-        max_gap_ns: two samples further apart than this are not interpolated between.
-        max_reach_ns: how far beyond a sample its motion may be carried on.
+        max_gap_ns: maximum interval between samples that is interpolated.
+        max_reach_ns: maximum time of extrapolation from a sample.
     """
 
     policy: str
@@ -209,7 +210,7 @@ class Reach:
 
     @classmethod
     def of(cls, settings: TimeSyncConfig) -> "Reach":
-        """The limits as they are set."""
+        """Return the limits of the settings."""
         return cls(
             settings.policy,
             round(settings.max_gap_sec * 1e9),
@@ -218,11 +219,11 @@ class Reach:
 
 
 def value_at(series: Series[V], t_ns: int, reach: Reach, course: Course[V]) -> "Sample[V] | Reject":
-    """The quantity at a moment.
+    """Return the quantity at a time.
 
-    interpolate: enclosed by two samples of one segment at most `max_gap` apart, blended; else
-    from the nearest sample, if it is at most `max_reach` away, carried on by its own rate, or by
-    the motion beside it for no longer than that was seen, or held.
+    interpolate: blend the two enclosing samples if they are of one segment and at most `max_gap`
+    apart. Otherwise extrapolate the nearest sample if it is at most `max_reach` away: by its own
+    rate, by the motion next to it for no longer than that was observed, or constant.
     nearest and latest: that sample, if it is at most `max_reach` away.
     """
     before, after = series.around(t_ns)
@@ -242,14 +243,14 @@ def value_at(series: Series[V], t_ns: int, reach: Reach, course: Course[V]) -> "
 def enclosing(
     before: "Sample[V] | None", after: "Sample[V] | None", reach: Reach
 ) -> "tuple[Sample[V], Sample[V]] | None":
-    """Both samples, where there is a motion between them."""
+    """Return both samples if there is motion between them."""
     if before is None or after is None or before.segment != after.segment:
         return None
     return (before, after) if after.t_ns - before.t_ns <= reach.max_gap_ns else None
 
 
 def is_settled(series: Series[V], t_ns: int, reach: Reach) -> bool:
-    """Whether no later sample can make the quantity at a moment better."""
+    """Whether later samples cannot improve the quantity at a time."""
     before, after = series.around(t_ns)
     if before is not None and before.t_ns == t_ns:
         return True
@@ -264,10 +265,10 @@ def is_settled(series: Series[V], t_ns: int, reach: Reach) -> bool:
 
 
 def stretch(series: Series[V], t_ns: int, reach: Reach) -> "tuple[Sample[V], Sample[V]] | None":
-    """Samples around a moment that determine its velocity, or None.
+    """Return the samples that determine the velocity at a time, or None.
 
-    As far as `STRETCH_NS` to either side; where records are rarer, or one of them jumps, the two
-    that enclose the moment.
+    They are up to `STRETCH_NS` away on both sides; if records are rarer, or one jumps, the two
+    enclosing samples.
     """
     _, first = series.around(t_ns - STRETCH_NS - 1)
     last, _ = series.around(t_ns + STRETCH_NS)
@@ -288,7 +289,7 @@ def _carried(
     if carried is not None:
         return Sample(t_ns, carried, near.segment)
     pair = _beside(series, near, reach, later=near.t_ns > t_ns)
-    # Farther than the two are apart would magnify their noise.
+    # Extrapolating farther than their distance would magnify noise.
     if pair is None or abs(t_ns - near.t_ns) > pair[1].t_ns - pair[0].t_ns:
         return Sample(t_ns, near.value, near.segment)
     return _blended(*pair, t_ns, course)
@@ -297,7 +298,7 @@ def _carried(
 def _beside(
     series: Series[V], near: "Sample[V]", reach: Reach, *, later: bool
 ) -> "tuple[Sample[V], Sample[V]] | None":
-    """A sample and one up to `STRETCH_NS` from it, or its neighbour where records are rarer."""
+    """Return a sample and one up to `STRETCH_NS` away, or its neighbour if records are rarer."""
     if later:
         other, _ = series.around(near.t_ns + STRETCH_NS)
     else:

@@ -1,4 +1,4 @@
-"""What is followed over time: position and attitude, and how each goes on by itself."""
+"""Position and attitude over time, with interpolation and extrapolation."""
 
 import math
 from dataclasses import dataclass
@@ -26,13 +26,13 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BasePosition:
-    """Where the base is.
+    """Position of the base.
 
     Attributes:
         position_m: (3,), map frame.
-        velocity_mps: (3,), map frame; None is unknown.
+        velocity_mps: (3,), map frame; None if unknown.
         covariance_m2: (3, 3), map axes.
-        has_height: False where only the place on Earth is known, such as a surface fix.
+        has_height: False if only the horizontal position is known, as from a surface fix.
     """
 
     position_m: Floats
@@ -43,11 +43,11 @@ class BasePosition:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attitude:
-    """How the base is turned.
+    """Attitude of the base.
 
     Attributes:
         map_q_base: (4,), unit quaternion (w, x, y, z).
-        rate_radps: (3,), about base axes; None is unknown.
+        rate_radps: (3,), about base axes; None if unknown.
         covariance_rad2: (3, 3), rotations about map axes.
     """
 
@@ -57,12 +57,12 @@ class Attitude:
 
 
 def _blend_numbers(a: Floats, b: Floats, fraction: float) -> Floats:
-    """On the straight line from a to b."""
+    """Interpolate linearly from a to b."""
     return a + fraction * (b - a)
 
 
 def _blend_position(a: BasePosition, b: BasePosition, fraction: float) -> BasePosition:
-    """On the straight line; the covariance is that of the worse end."""
+    """Interpolate linearly; the covariance is that of the worse end."""
     velocity = None
     if a.velocity_mps is not None and b.velocity_mps is not None:
         velocity = _blend_numbers(a.velocity_mps, b.velocity_mps, fraction)
@@ -76,7 +76,7 @@ def _blend_position(a: BasePosition, b: BasePosition, fraction: float) -> BasePo
 
 
 def _carry_position(position: BasePosition, seconds: float) -> BasePosition | None:
-    """On by its own velocity."""
+    """Extrapolate by the velocity."""
     if position.velocity_mps is None:
         return None
     moved = position.position_m + seconds * position.velocity_mps
@@ -84,7 +84,7 @@ def _carry_position(position: BasePosition, seconds: float) -> BasePosition | No
 
 
 def blend_attitude(a: Attitude, b: Attitude, fraction: float) -> Attitude:
-    """Along the shorter arc at a constant rate."""
+    """Interpolate along the shorter arc at a constant rate."""
     rate = None
     if a.rate_radps is not None and b.rate_radps is not None:
         rate = _blend_numbers(a.rate_radps, b.rate_radps, fraction)
@@ -94,7 +94,7 @@ def blend_attitude(a: Attitude, b: Attitude, fraction: float) -> Attitude:
 
 
 def carry_attitude(attitude: Attitude, seconds: float) -> Attitude | None:
-    """On by its own rate."""
+    """Extrapolate by the rate."""
     if attitude.rate_radps is None:
         return None
     turned = quaternion_product(attitude.map_q_base, _rotation(attitude.rate_radps * seconds))
@@ -107,12 +107,12 @@ def _carry_nothing(value: Floats, seconds: float) -> Floats | None:  # noqa: ARG
 
 
 def length(vector: Floats) -> float:
-    """Euclidean, of a vector (n,); several times as fast as numpy's norm on so few numbers."""
+    """Return the Euclidean norm of a vector (n,); faster than numpy's for few numbers."""
     return math.sqrt(float(vector @ vector))
 
 
 def turn_between(start: Floats, end: Floats) -> Floats:
-    """Rotation vector (3,), rad, about base axes, from one attitude to another, the shorter way."""
+    """Return the shorter rotation vector (3,) between two attitudes, rad, base axes."""
     conjugate = start * np.array([1.0, -1.0, -1.0, -1.0])
     w, *xyz = quaternion_product(conjugate, end)
     axis = np.asarray(xyz, dtype=np.float64) * math.copysign(1.0, w)
@@ -122,9 +122,9 @@ def turn_between(start: Floats, end: Floats) -> Floats:
 
 
 def _rotation(vector_rad: Floats) -> Floats:
-    """Quaternion (4,) of a rotation vector (3,)."""
+    """Return the quaternion (4,) of a rotation vector (3,)."""
     angle = length(vector_rad)
-    # sin(angle/2)/angle without 0/0; numpy's sine, as `np.sinc` has it, but none of its arrays.
+    # sin(angle/2)/angle without 0/0; numpy's sine, as in `np.sinc`, without its arrays.
     half = math.pi * (angle / (2.0 * math.pi))
     scale = 0.5 * (float(np.sin(half)) / half if half else 1.0)
     return np.array([math.cos(angle / 2.0), *(scale * vector_rad)])

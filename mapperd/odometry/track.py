@@ -1,4 +1,4 @@
-"""One quantity from its one source: what is believed, and how jumps are handled."""
+"""One quantity from its owner: checks of values, and jumps."""
 
 import math
 from collections import Counter
@@ -22,8 +22,8 @@ class JumpWatch(Generic[V]):
     """Distinguishes motion, faults and jumps.
 
     Args:
-        excess: how far two values are apart beyond what so many seconds of motion explain, as a
-            multiple of the allowed jump: above 1 is too far.
+        excess: returns how far two values are apart beyond the motion in some seconds, as a
+            multiple of the allowed jump; above 1 is too far.
     """
 
     def __init__(self, excess: Callable[[V, V, float], float]) -> None:
@@ -35,8 +35,8 @@ class JumpWatch(Generic[V]):
         """Judge a value that is newer than all before it.
 
         Returns:
-            False where it follows from the last one, True where a jump is confirmed by it, and
-            None where it stands alone and is not to be used.
+            False if it follows from the last one, True if it confirms a jump, None if it is an
+            outlier and must not be used.
         """
         last, suspect = self._last, self._suspect
         if last is None or self._follows(last, t_ns, value):
@@ -49,15 +49,15 @@ class JumpWatch(Generic[V]):
         return None
 
     def state(self) -> "tuple[tuple[int, V] | None, tuple[int, V] | None]":
-        """The last value and the suspected one, each with its time."""
+        """Return the last value and the suspected one, each with its time."""
         return self._last, self._suspect
 
     def restore(self, last: tuple[int, V] | None, suspect: tuple[int, V] | None) -> None:
-        """Continue as the one of which `state` was taken."""
+        """Restore a state that `state` returned."""
         self._last, self._suspect = last, suspect
 
     def moved(self, t_ns: int, value: V) -> None:
-        """Take a jump that is known to be one."""
+        """Accept a known jump."""
         self._last, self._suspect = (t_ns, value), None
 
     def _follows(self, before: tuple[int, V], t_ns: int, value: V) -> bool:
@@ -69,26 +69,27 @@ Owner = tuple[str, str]
 """Name of the source, and of the sender on it."""
 
 AUTO = ""
-"""As a configured owner: the first source that provides the quantity."""
+"""Configured owner that means the first source to provide the quantity."""
 
 TAKE_OVER_NS = 2_000_000_000
-"""So long a sender is silent before another one on the same source takes its place."""
+"""Silence of a sender after which another one on the same source replaces it."""
 
 RESTART_NS = 1_000_000_000
 RESTART_RECORDS = 10
-"""So many records in a row, in order, and all so much before the newest one: the host's clock was
-set back, or a stamp far ahead was believed. Without this nothing would be taken any more."""
+"""Consecutive ordered records, all well before the newest one, that restart the series: the host's
+clock was set back, or a stamp far ahead was accepted. Without this, nothing would be accepted any
+more."""
 
 
 class TrackState(NamedTuple):
     """State of a `Track`.
 
     Attributes:
-        series, segment, owner, taken, rejects: its attributes.
-        reset_count: of the last value; None before one.
+        series, segment, owner, taken, rejects: as in `Track`.
+        reset_count: count of the last value; None before the first.
         taken_over: another sender has just become the owner.
-        behind: records in a row before the newest value, and the time of the last of them.
-        last, suspect: time and value by which jumps are judged.
+        behind: number of consecutive records before the newest value, and the last one's time.
+        last, suspect: time and value that jumps are judged against.
     """
 
     series: SeriesState
@@ -108,14 +109,14 @@ class Track(Generic[V]):
 
     Args:
         owner: configured name of the source, or `AUTO`.
-        excess: see `mapperd.odometry.track.JumpWatch`; None is of a quantity that may jump.
+        excess: see `mapperd.odometry.track.JumpWatch`; None for a quantity that may jump.
 
     Attributes:
-        series: what was taken.
-        segment: counts up where the quantity jumped.
-        owner: source and format that provide it; None before the first.
-        taken: records that were used.
-        rejects: reason to count, of the owner's records that were not.
+        series: accepted values.
+        segment: increases at each jump of the quantity.
+        owner: source and sender that provide it; None before the first.
+        taken: number of used records.
+        rejects: number of the owner's rejected records, by reason.
     """
 
     def __init__(
@@ -133,7 +134,7 @@ class Track(Generic[V]):
         self.rejects: Counter[str] = Counter()
 
     def state(self) -> TrackState:
-        """Everything that `restore` needs to continue exactly."""
+        """Return the state for `restore`."""
         return TrackState(
             self.series.state(),
             self.segment,
@@ -157,10 +158,10 @@ class Track(Generic[V]):
             self._watch.restore(state.last, state.suspect)
 
     def owned_by(self, who: Owner, t_ns: int) -> bool:
-        """Return whether a source may provide this quantity; the first that may owns it.
+        """Return whether a source may provide this quantity; the first that may becomes the owner.
 
-        Another sender on the owner's own source takes over once that is silent: a bridge that was
-        started again under another name.
+        Another sender on the owner's source takes over after a silence, as when a bridge restarts
+        under another name.
         """
         if self.owner is None and self.open_to(who):
             self.owner = who
@@ -175,15 +176,15 @@ class Track(Generic[V]):
         return self._named in (AUTO, who[0])
 
     def judge(self, t_ns: int, raw: Floats, reset_count: int) -> Reject | bool:
-        """Whether a value can be taken.
+        """Judge a value.
 
         Args:
             t_ns: host time.
-            raw: in the source's own frame, before any anchor.
-            reset_count: the source's.
+            raw: value in the source's frame, before any anchor.
+            reset_count: the source's count.
 
         Returns:
-            Why not, else whether a new segment begins with it.
+            A reject, otherwise whether the value starts a new segment.
         """
         if (problem := self.series.problem(t_ns)) is not None:
             if not self._restarts(t_ns):
@@ -214,19 +215,19 @@ class Track(Generic[V]):
         return self._behind[0] >= RESTART_RECORDS
 
     def take(self, t_ns: int, value: V, *, jumped: bool) -> None:
-        """Follow a value that was judged good."""
+        """Add an accepted value."""
         self.segment += jumped
         self.taken += 1
         self.series.add(t_ns, value, self.segment)
 
     def counted(self, result: Reject | None) -> Reject | None:
-        """Count what became of the owner's value, and hand it on."""
+        """Count the outcome of the owner's value and return it."""
         if result is not None:
             self.rejects[result.reason] += 1
         return result
 
     def status(self) -> dict[str, Any]:
-        """For a person: owner, counts, time of the newest value."""
+        """Status for people: owner, counts, time of the newest value."""
         newest = self.series.newest
         return {
             "owner": None if self.owner is None else self.owner[0],
@@ -240,11 +241,11 @@ class Track(Generic[V]):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchor:
-    """A turn about the vertical and a shift, from the source's world to the map.
+    """A rotation about the vertical and a shift, from the source's world to the map.
 
     Attributes:
-        yaw_rad: of the source's world in the map.
-        shift_m: (3,), its origin in the map.
+        yaw_rad: heading of the source's world in the map.
+        shift_m: (3,) its origin in the map.
     """
 
     yaw_rad: float
@@ -257,16 +258,16 @@ class Anchor:
 
     @classmethod
     def joining(cls, source_m: Floats, map_m: Floats, yaw_rad: float) -> "Anchor":
-        """The one that turns by an angle and takes one place to another."""
+        """Return the anchor with this heading that maps one position to another."""
         turn_only = cls(yaw_rad, np.zeros(3))
         return cls(yaw_rad, map_m - turn_only.place(source_m))
 
     def place(self, source_m: Floats) -> Floats:
-        """A position (3,) in the map."""
+        """Return a position (3,) in the map."""
         return self.direction(source_m) + self.shift_m
 
     def direction(self, source: Floats) -> Floats:
-        """A vector (3,) in map axes."""
+        """Return a vector (3,) in map axes."""
         if self.yaw_rad == 0.0:
             return source
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
@@ -274,7 +275,7 @@ class Anchor:
         return np.array([c * x - s * y, s * x + c * y, z])
 
     def attitude(self, source_q_base: Floats) -> Floats:
-        """An orientation (4,) in the map."""
+        """Return an orientation (4,) in the map."""
         if self.yaw_rad == 0.0:
             return source_q_base
         half = self.yaw_rad / 2.0
@@ -282,7 +283,7 @@ class Anchor:
 
 
 def yaw_between(source_q_base: Floats, map_q_base: Floats) -> float:
-    """Turn about the vertical that takes one attitude nearest to another, rad.
+    """Return the rotation about the vertical that best aligns one attitude with another, rad.
 
     The twist about z of map_q_base · source_q_base⁻¹.
     """

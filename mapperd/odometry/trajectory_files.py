@@ -1,6 +1,6 @@
 """Trajectories in text files: TUM, and CSV with a header.
 
-Each pose becomes a chunk with a native record, as if it had been recorded with the sonar.
+Each pose becomes a chunk with a native record, like recorded odometry.
 """
 
 import csv
@@ -25,7 +25,7 @@ MAX_TIME_S = 10**11
 """Larger times are not in seconds."""
 
 MAX_DIGITS = 12
-"""Of whole seconds."""
+"""Maximum digits of whole seconds."""
 
 MAX_ANGLE_DEG = 720.0
 MAX_LINE = 1 << 16
@@ -41,12 +41,12 @@ def pose_chunk(
     body: Body = "flu",
     covariance: Sequence[float] | None = None,
 ) -> Chunk:
-    """Return a pose as a recorded chunk; its decoder rejects what is no pose.
+    """Return a pose as a recorded chunk; its decoder rejects invalid poses.
 
     Args:
         stamp_ns: Unix time.
-        position_m: (3,) of the body in the world; None is unknown.
-        wxyz: (4,) orientation of the body in the world; None is unknown.
+        position_m: (3,) of the body in the world; None if unknown.
+        wxyz: (4,) orientation of the body in the world; None if unknown.
         world: its axes.
         body: its axes.
         covariance: upper triangle of 21, x y z then rotations about world axes; m and rad.
@@ -79,10 +79,10 @@ Row = tuple[int, int, list[float], list[float]]
 
 
 class _TextPoses:
-    """Poses in lines of text; the times must not go back.
+    """Poses in lines of text; times must not decrease.
 
     Args:
-        path: of the file.
+        path: the file.
         offset_ns: added to all times.
 
     Attributes:
@@ -97,7 +97,7 @@ class _TextPoses:
         self._offset_ns = offset_ns
 
     def chunks(self) -> Iterator[Chunk]:
-        """Yield the poses in order of time; of equal times the first one.
+        """Yield the poses in order of time; for equal times the first one.
 
         Raises:
             RecordingError: a line is malformed.

@@ -1,7 +1,7 @@
 """Logs of a vehicle: ArduPilot's .tlog and .BIN, network captures, and other recordings.
 
-Logs of links (.tlog, captures, recordings) hold what the vehicle sent; their bytes go through the
-decoder of the format. The log of the autopilot (.BIN) holds poses of its own estimator.
+Logs of links (.tlog, captures, recordings) hold the bytes of the vehicle, which the decoder of
+their format reads. The log of the autopilot (.BIN) holds poses of its estimator.
 """
 
 import contextlib
@@ -34,7 +34,7 @@ STAMP_BYTES = 8
 
 
 class TelemetryLog:
-    """A .tlog: MAVLink frames as a ground station received them, each with its time.
+    """A .tlog: MAVLink frames that a ground station received, each with its time.
 
     Args:
         path: of the file.
@@ -101,7 +101,7 @@ class ArduPilotLog:
     Args:
         path: of the file.
         offset_ns: added to all times.
-        config: its origin is the zero of POS; by default the first position.
+        config: its origin is the origin of POS; by default the first position.
 
     Attributes:
         path: as given.
@@ -147,7 +147,7 @@ class ArduPilotLog:
                 yield pose_chunk(self._stamp_ns(message), place, _attitude(message))
 
     def _positions(self, reader: Any) -> Iterator[Chunk]:  # noqa: ANN401
-        """Yield positions and attitudes, each by itself: they are interpolated."""
+        """Yield positions and attitudes separately; they are interpolated."""
         for message in self._messages(reader, "POS", "ATT"):
             stamp_ns = self._stamp_ns(message)
             if message.get_type() == "ATT":

@@ -1,14 +1,14 @@
 """Reports of Water Linked DVLs (A50, A125), by TCP JSON or serial sentences.
 
-Fields, units and axes: the maker's protocol pages, "DVL A50/A125 TCP JSON API" and "serial
-protocol". The reports are in the frame of the DVL or, once a mounting rotation offset is set in
-it, of the vehicle: x forward, y to starboard, z down. Positions count from where and how the DVL
-stood at its last reset. Of its times, those of a velocity are in microseconds, that of a
-position in seconds; before its clock is set they count from an arbitrary zero.
+Fields, units and axes are those of the maker's pages "DVL A50/A125 TCP JSON API" and "serial
+protocol". Reports are in the frame of the DVL, or of the vehicle if a mounting rotation offset is
+set in the DVL: x forward, y to starboard, z down. Positions refer to the DVL's pose at its last
+reset. Times of velocities are in microseconds, those of positions in seconds; before the DVL's
+clock is set their origin is arbitrary.
 
 The serial protocol of Water Linked DVLs: sentences such as `wrz,...*50`.
 
-The check is CRC-8 (polynomial 0x07, start 0) of all before the star, two lower-case hex digits.
+The checksum is CRC-8 (polynomial 0x07, start 0) of all before the star, two lower-case hex digits.
 """
 
 import math
@@ -54,10 +54,10 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 NO_CONFIDENCE_FOM_MPS = 0.4
-"""Figure of merit at which the confidence is 0, as BlueOS's extension for this DVL has it."""
+"""Figure of merit at which the confidence is 0, as in the BlueOS extension for this DVL."""
 
 OVERHEATING = 1
-"""Bit of a velocity report's status: about to switch itself off."""
+"""Bit of a velocity report's status: the DVL is about to switch off."""
 
 SOURCE = "water_linked"
 MAX_STAMP_S = 9e9
@@ -67,16 +67,16 @@ _UNIX_FROM_NS = 10**18
 
 @dataclass(frozen=True, slots=True)
 class Velocity:
-    """One velocity report over ground, as it stood on the wire.
+    """One velocity report over ground, as on the wire.
 
     Attributes:
         velocity_mps: vx, vy, vz.
-        valid: whether the DVL saw the bottom; else velocity and altitude mean nothing.
+        valid: the DVL detected the bottom; otherwise velocity and altitude are meaningless.
         altitude_m: along z; negative if unknown.
         fom_mps: figure of merit.
         covariance: 9 numbers, (m/s)^2, row by row.
-        validity_us: when the sound met the bottom; None from old firmware.
-        sent_us: when the report left.
+        validity_us: time at which the sound met the bottom; None from old firmware.
+        sent_us: time of sending.
     """
 
     velocity_mps: Sequence[float]
@@ -88,7 +88,7 @@ class Velocity:
     sent_us: int | None
 
     def odometry(self) -> Odometry | Reject:
-        """In our frames; a report without bottom is a record too, and not valid."""
+        """Convert to our frames; a report without bottom gives an invalid record."""
         stamp_us = self.validity_us
         if stamp_us is not None and (
             bad := bad_number("time_of_validity", stamp_us, 0, MAX_STAMP_S * 1e6)
@@ -123,7 +123,7 @@ class Velocity:
         )
 
     def _covariance(self) -> Floats | None:
-        """(6, 6) covariance; from the figure of merit if the matrix is invalid."""
+        """Return the covariance (6, 6); from the figure of merit if the matrix is invalid."""
         matrix = np.array(self.covariance, dtype=np.float64)
         if matrix.size == 9 and np.diag(matrix.reshape(3, 3)).min() > 0:  # noqa: PLR2004 3 x 3
             matrix = matrix.reshape(3, 3)
@@ -134,14 +134,14 @@ class Velocity:
 
 @dataclass(frozen=True, slots=True)
 class DeadReckoningReport:
-    """One dead reckoning report, as it stood on the wire.
+    """One dead reckoning report, as on the wire.
 
     Attributes:
         stamp_s: time of the report.
-        position_m: x, y, z from where it was reset.
-        std_m: of the position.
-        rpy_deg: roll, pitch, yaw; yaw from where it was reset.
-        status: 0 when nothing is wrong.
+        position_m: x, y, z relative to the reset.
+        std_m: standard deviation of the position.
+        rpy_deg: roll, pitch, yaw; yaw relative to the reset.
+        status: 0 if there is no problem.
     """
 
     stamp_s: float
@@ -151,7 +151,7 @@ class DeadReckoningReport:
     status: int
 
     def odometry(self) -> Odometry | Reject:
-        """In our frames; a report of a DVL in trouble is a record too, and not valid."""
+        """Convert to our frames; a report with a problem gives an invalid record."""
         bad = bad_number("ts", self.stamp_s, 0, MAX_STAMP_S)
         if bad:
             return bad
@@ -230,7 +230,7 @@ def read_water_linked_json(
     arrival_ns: int | None,  # noqa: ARG001 the stamp is in the report
     counters: DecoderCounters,
 ) -> Odometry | Reject | None:
-    """Read one report. Velocity through the water and answers to commands are ignored."""
+    """Decode one report; velocity through the water and answers to commands are ignored."""
     try:
         return _report(line, counters)
     except msgspec.ValidationError as error:
@@ -298,7 +298,7 @@ def read_water_linked_serial(
     arrival_ns: int | None,  # noqa: ARG001 the stamp is in the sentence
     counters: DecoderCounters,
 ) -> Odometry | Reject | None:
-    """Read one sentence. All but `wrz` and `wrp` are ignored."""
+    """Decode one sentence; all but `wrz` and `wrp` are ignored."""
     body, _, check = line.rpartition(b"*")
     if not body.startswith(b"wr") or len(check) != 2:  # noqa: PLR2004 hex digits
         return Reject("not_a_sentence", f"{len(line)} bytes that are no wr...*hh")
