@@ -1,4 +1,4 @@
-"""The architecture page names files that exist and lie near; packages keep their number of modules."""
+"""The architecture page names files that exist and lie near; packages have few modules."""
 
 import re
 from pathlib import Path

@@ -1,6 +1,7 @@
 """Builds the pipeline: the one place where its parts are put together.
 
-The live daemon, a replay, a recovery, a replay into a store and a survey all use it.
+The live daemon, a replay, a recovery, a replay into a store and the dives of a survey all use it.
+The calibration, which maps nothing, builds only the decoder.
 """
 
 import time
