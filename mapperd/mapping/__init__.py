@@ -1,1 +1,1 @@
-"""The map over the C++ core, and questions to it."""
+"""The map, a wrapper of the C++ core, and its queries."""

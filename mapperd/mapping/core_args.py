@@ -1,4 +1,4 @@
-"""Arguments of the core, and what its errors mean: pings and map files."""
+"""Arguments for the core, and the meaning of its errors."""
 
 import math
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ from mapperd.io import atomic_file
 __all__ = ["Fan", "check_size", "fan_arguments", "load_map", "refusals", "save_map"]
 
 MAX_FAN_VOXELS = 500_000_000
-"""A fan with more voxels than this would take gigabytes for a single ping."""
+"""Limit of a ping's voxels: more would take gigabytes."""
 
 AT_REST = PingMotion(np.zeros(3), np.zeros(3), 0.0, 1500.0)
 
@@ -32,7 +32,7 @@ class Fan(TypedDict):
 
 
 def fan_arguments(config: Config, motion: PingMotion | None) -> Fan:
-    """What both integrators want to know beside the ping.
+    """Return the arguments that both integrators need besides the ping.
 
     Raises:
         ValueError: the motion is invalid.
@@ -85,7 +85,7 @@ def _core_motion(motion: PingMotion | None) -> _core.PingMotion:
 
 
 def save_map(core: _core.VoxelMap, path: Path) -> None:
-    """Write a map into a file, whole or not at all. Equal maps give equal files.
+    """Write a map to a file atomically; equal maps give equal files.
 
     Raises:
         ExportError: the file cannot be written.
@@ -96,17 +96,17 @@ def save_map(core: _core.VoxelMap, path: Path) -> None:
 
 
 def load_map(core: _core.VoxelMap, path: Path) -> None:
-    """Replace a map's content by that of a file; on any error it is as before.
+    """Replace a map's content by that of a file; an error leaves it unchanged.
 
     Raises:
-        MapError: the file cannot be read (`unreadable`), is not a whole map file, or is one of
+        MapError: the file cannot be read (`unreadable`), is not a complete map file, or has
             another resolution, clamps or learning rate (`bad_map_file`).
     """
     magic = _core.MAP_FILE_MAGIC
     try:
         with path.open("rb") as file:
             begin = file.read(len(magic))
-            # A device or a huge file of another kind is not read to its end.
+            # Do not read a device or a huge file of another kind to its end.
             data = begin + file.read() if begin == magic else begin
     except OSError as error:
         raise MapError(f"{path}: cannot be read: {os_reason(error)}", "unreadable") from error

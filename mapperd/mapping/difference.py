@@ -1,7 +1,7 @@
-"""Differences of two maps, both ways: which occupied voxels the other map has too, and how far.
+"""Differences of two maps in both directions: occupied voxels that only one has, and distances.
 
 Distances are from centre to centre on the grid of the coarser map: an occupied voxel of the finer
-map makes its cell of that grid occupied. Maps of one resolution are compared voxel by voxel.
+map makes its cell of that grid occupied. Maps of equal resolution are compared voxel by voxel.
 """
 
 import math
@@ -25,13 +25,13 @@ __all__ = [
 ]
 
 MAX_REACH_VOXELS = 60
-"""A distance that is looked for: less than a brick, and than the core's field of distances."""
+"""Maximum distance that is measured: below a brick and the limit of the core's distance field."""
 
 REACH_TOLERANCES = 5
 """Distances are measured up to this number of tolerances; greater ones are `farther`."""
 
 CUBE_VOXELS = 64
-"""Edge of the space whose distances are computed at a time."""
+"""Edge of the cube whose distances are computed at once."""
 
 SURE = 3.0
 """Log-odds of the cells of the common grid."""
@@ -47,9 +47,9 @@ class OneWayDifference:
 
     Attributes:
         centres_m: (N, 3) of the voxels, map frame.
-        distance_m: (N,) to the nearest of the other map; infinite beyond the reach.
+        distance_m: (N,) to the nearest of the other map; infinite beyond the limit.
         same: (N,) the other map has one within the tolerance.
-        seen: (N,) the other map has observed the place, or has one within the tolerance.
+        seen: (N,) the other map observed the place or has one within the tolerance.
     """
 
     centres_m: Floats
@@ -63,7 +63,7 @@ class OneWayDifference:
         return self.seen & ~self.same
 
     def quantile_m(self, share: float) -> float | None:
-        """Return a quantile of the distances where the other map looked; None beyond the reach."""
+        """Return a quantile of the distances in observed space; None beyond the limit."""
         distance_m = np.sort(self.distance_m[self.seen])
         if not len(distance_m):
             return None
@@ -73,7 +73,7 @@ class OneWayDifference:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapDifference:
-    """Two maps against each other.
+    """Differences of two maps in both directions.
 
     Attributes:
         tolerance_m: distance within which voxels are the same.
@@ -153,12 +153,12 @@ class _Measure:
 def squares_to_nearest(
     core: _core.VoxelMap, index: Ints, reach: int, occupied_log_odds: float
 ) -> Ints:
-    """Squared distances (N,), in voxels, to the nearest occupied voxel of a map.
+    """Return squared distances (N,), in voxels, to the nearest occupied voxel of a map.
 
     Args:
         core: the map.
         index: (N, 3) of voxels that lie near each other, N at least 1.
-        reach: in voxels; greater distances are its square and 1.
+        reach: limit in voxels; greater distances give its square plus 1.
         occupied_log_odds: voxels above are occupied.
     """
     low, high = index.min(axis=0), index.max(axis=0) + 1

@@ -1,8 +1,6 @@
-"""Probabilities and log-odds, and a caller's arrays as the core takes them.
+"""Probabilities and log-odds, and conversion of a caller's lists and arrays for the core.
 
-Lists and arrays of a caller as the arrays that the core takes.
-
-Shapes, and that numbers are finite, are checked by the core, in one place.
+The core checks shapes and that numbers are finite.
 """
 
 import math
@@ -13,15 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = ["flags_of", "log_odds_of", "numbers_of", "points_of", "probabilities_of"]
 
 MAX_EXPONENT = 700.0
-"""Beyond it exp overflows a double; a probability of so many log-odds is 1e-304."""
+"""Limit above which exp overflows a double; its probability is 1e-304."""
 
 
 def log_odds_of(probability: float, name: str) -> float:
-    """Natural log-odds of a probability.
+    """Return the natural log-odds of a probability.
 
     Args:
         probability: strictly between 0 and 1.
-        name: what to call it in the message.
+        name: its name in the message.
 
     Raises:
         ValueError: it lies outside.
@@ -32,7 +30,7 @@ def log_odds_of(probability: float, name: str) -> float:
 
 
 def probabilities_of(log_odds: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Probabilities, float64, of log-odds of any shape."""
+    """Return probabilities, float64, of log-odds of any shape."""
     exponent = np.minimum(-log_odds.astype(np.float64), MAX_EXPONENT)
     return np.asarray(1 / (1 + np.exp(exponent)), dtype=np.float64)
 
@@ -41,7 +39,7 @@ Floats = NDArray[np.float64]
 
 
 def numbers_of(values: ArrayLike) -> Floats:
-    """Float64, C order.
+    """Return an array as float64, C order.
 
     Raises:
         ValueError: not an array of real numbers.
@@ -53,7 +51,7 @@ def numbers_of(values: ArrayLike) -> Floats:
 
 
 def points_of(points: ArrayLike) -> Floats:
-    """(N, 3) float64, C order; an empty list is no points.
+    """Return points as (N, 3) float64, C order; an empty list has no points.
 
     Raises:
         ValueError: as `numbers_of`.
@@ -63,10 +61,10 @@ def points_of(points: ArrayLike) -> Floats:
 
 
 def flags_of(flags: ArrayLike) -> NDArray[np.bool_]:
-    """(N,) bool, C order, from booleans or from whole numbers 0 and 1.
+    """Return flags as (N,) bool, C order, from booleans or the integers 0 and 1.
 
     Raises:
-        ValueError: anything else, because a probability or NaN is no flag.
+        ValueError: other values, such as probabilities or NaN.
     """
     array = np.asarray(flags)
     if array.size == 0:

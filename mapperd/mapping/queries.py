@@ -1,10 +1,10 @@
-"""Queries of a map: cells, rays, distances, and the memory that it takes.
+"""Queries of a map: voxels, rays, distances, memory.
 
 Positions are in metres in the map frame, and those of voxels are their centres. A box holds the
-voxels whose centres lie in low <= centre < high, so that boxes side by side share none. Everything
-is answered by the one map; nothing is kept.
+voxels whose centres lie in low <= centre < high, so that adjacent boxes share none. Queries keep no
+copies.
 
-`MapContent` is what a map holds, to be read: in memory or in its file, whole or part by part.
+`MapContent` is the readable content of a map: in memory or in its file, whole or in parts.
 """
 
 from collections.abc import Iterator
@@ -36,7 +36,7 @@ __all__ = [
 
 
 class VoxelCloud(Protocol):
-    """Voxels in the map's fixed order, of which a part is in memory at a time."""
+    """Voxels in the map's fixed order; only a part is in memory at a time."""
 
     def __len__(self) -> int:
         """Return their number."""
@@ -46,11 +46,11 @@ class VoxelCloud(Protocol):
         """(2, 3) float64, lowest and highest centre, map frame; zeros without voxels."""
 
     def batches(self) -> Iterator[Voxels]:
-        """Yield all voxels; every call begins again."""
+        """Yield all voxels; every call starts again."""
 
 
 class MapContent(Protocol):
-    """A map to be written as files; `SonarMap` in memory, `StoredMap` in its file."""
+    """Content of a map for exports: `SonarMap` in memory, `StoredMap` in its file."""
 
     config: Config
 
@@ -60,7 +60,7 @@ class MapContent(Protocol):
 
     @property
     def memory_bytes(self) -> int:
-        """Memory that the map takes while it is read."""
+        """Memory of the map while it is read."""
 
     @property
     def bricks_lost(self) -> int:
@@ -76,7 +76,7 @@ class MapContent(Protocol):
         """Return the fingerprint of the content; see `SonarMap.sha256`."""
 
     def parts(self) -> Iterator[_core.VoxelMap]:
-        """Yield maps without common blocks that together are this one, in its fixed order.
+        """Yield disjoint parts of the map in its fixed order.
 
         Each is valid until the next.
         """
@@ -88,7 +88,7 @@ class MapContent(Protocol):
         """Write OctoMap's tree: `.bt` with classes, `.ot` with log-odds."""
 
     def close(self) -> None:
-        """Close what is read from."""
+        """Close the source."""
 
 
 UNKNOWN: Final = -1
@@ -98,7 +98,7 @@ FREE: Final = 0
 OCCUPIED: Final = 1
 
 EVEN: Final = 0.5
-"""The probability of a voxel that nothing is known about."""
+"""Probability of an unknown voxel."""
 
 Number = TypeVar("Number", np.int8, np.float32)
 
@@ -120,7 +120,7 @@ class BoxGrid(Generic[Number]):
 
 
 class MapQueries:
-    """Answers questions about a map, as it is when they are asked.
+    """Queries of a map; answers reflect its current content.
 
     Args:
         core: the map.
@@ -129,7 +129,7 @@ class MapQueries:
             occupied_threshold.
 
     Raises:
-        ValueError: the thresholds are no probabilities or out of order.
+        ValueError: the thresholds are not probabilities or out of order.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class MapQueries:
         return self._core.resolution_m
 
     def classify(self, points: ArrayLike) -> NDArray[np.int8]:
-        """OCCUPIED, FREE or UNKNOWN at points; beyond the map's reach all is unknown.
+        """Return OCCUPIED, FREE or UNKNOWN at points; UNKNOWN outside the map's range.
 
         Args:
             points: (N, 3).
@@ -161,7 +161,7 @@ class MapQueries:
         return self._core.classify(points_of(points), self._occupied, self._free)
 
     def classify_box(self, low: ArrayLike, high: ArrayLike) -> BoxGrid[np.int8]:
-        """OCCUPIED, FREE or UNKNOWN for every voxel of a box.
+        """Return OCCUPIED, FREE or UNKNOWN for every voxel of a box.
 
         Args:
             low: (3,) corner.
@@ -177,19 +177,19 @@ class MapQueries:
     def ray_cast_depth(
         self, origins: ArrayLike, directions: ArrayLike, max_range: float
     ) -> NDArray[np.float64]:
-        """Distance from each origin to where its ray enters the first occupied voxel.
+        """Return the distance from each origin to where its ray enters an occupied voxel.
 
         Every voxel on the ray is tested (the fixed steps of sonar_3d_reconstruction miss corners).
         Unknown space does not stop a ray.
 
         Args:
             origins: (N, 3).
-            directions: (N, 3), of any length but 0.
+            directions: (N, 3), of any length except 0.
             max_range: metres, at most a million voxels.
 
         Returns:
-            (N,) float64, metres: 0 where the ray starts in an occupied voxel, -1 where it meets
-            none within max_range.
+            (N,) float64, metres: 0 if the ray starts in an occupied voxel, -1 if it meets none
+            within max_range.
 
         Raises:
             ValueError: wrong shapes, numbers that are not finite, a direction of length 0.
@@ -201,9 +201,9 @@ class MapQueries:
     def distance_field(
         self, low: ArrayLike, high: ArrayLike, max_distance: float
     ) -> BoxGrid[np.float32]:
-        """Exact Euclidean distance from voxel centres to the nearest occupied voxel's centre.
+        """Return the exact Euclidean distance from voxel centres to the nearest occupied centre.
 
-        Occupied voxels outside the box count as well. Distances are truncated at max_distance.
+        Occupied voxels outside the box count too. Distances are truncated at max_distance.
 
         Args:
             low: (3,) corner.
@@ -221,7 +221,7 @@ class MapQueries:
     def distance_slice(
         self, low: ArrayLike, high: ArrayLike, z: float, max_distance: float
     ) -> BoxGrid[np.float32]:
-        """The layer of `distance_field` that holds the height z, shape (nx, ny, 1).
+        """Return the layer of `distance_field` at height z, shape (nx, ny, 1).
 
         Args:
             low: (2,) corner, x and y.
@@ -237,7 +237,7 @@ class MapQueries:
         return BoxGrid(field, first, self._core.resolution_m)
 
     def occupied_in(self, low: ArrayLike, high: ArrayLike) -> Voxels:
-        """Occupied voxels of a box of any size, in the map's fixed order.
+        """Return the occupied voxels of a box of any size, in the map's fixed order.
 
         Args:
             low: (3,) corner.
@@ -252,7 +252,7 @@ class MapQueries:
 
 
 def voxels_above(core: _core.VoxelMap, min_probability: float) -> NDArray[np.float64]:
-    """Voxels of a map above a probability; 0 means all observed ones, negative means 0.5.
+    """Return the voxels above a probability; 0 means all observed ones, negative means 0.5.
 
     Returns:
         (N, 4): x, y, z of the centre, probability.
@@ -271,7 +271,7 @@ def voxels_above(core: _core.VoxelMap, min_probability: float) -> NDArray[np.flo
 
 @dataclass(frozen=True, slots=True)
 class MemoryStats:
-    """sonar_3d_reconstruction's fields, truthful: they counted 1/12 to 1/18 of the memory.
+    """Memory, in the fields of sonar_3d_reconstruction, which reported 1/12 to 1/18 of it.
 
     Attributes:
         num_nodes: observed voxels and the blocks that hold them.

@@ -34,21 +34,21 @@ __all__ = [
 ]
 
 PingStats = _core.PingStats
-"""What one ping changed, in voxels."""
+"""Numbers of voxels that one ping changed."""
 
 BLOCK_VOXELS = _core.BLOCK_EDGE
-"""Voxels along the edge of a block, the least that the map keeps as one."""
+"""Voxels along the edge of a block, the unit of memory."""
 
 BRICK_VOXELS = _core.BRICK_VOXELS
-"""Voxels along the edge of a brick, the least that its file keeps as one."""
+"""Voxels along the edge of a brick, the unit of the map's file."""
 
 HASH_VERSION = 2
-"""Part of the fingerprint: another layout of its input is another version."""
+"""Version of the fingerprint's input; part of the fingerprint."""
 
 BLOCKS_AT_ONCE = 1024
 
 OCTOMAP_REACH_VOXELS = 32768
-"""OctoMap numbers voxels with 16 bits, the origin in the middle."""
+"""Range of OctoMap's 16-bit keys in voxels, to each side of the origin."""
 
 Floats = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ class Voxels:
 
     Attributes:
         centres_m: (N, 3) float64, map frame.
-        probability: (N,) float32, of being occupied.
+        probability: (N,) float32, probability of being occupied.
         count: (N,) uint16, number of pings that observed it (saturates).
     """
 
@@ -79,7 +79,7 @@ class Voxels:
         return np.stack([centres_m.min(axis=0), centres_m.max(axis=0)])
 
     def batches(self) -> Iterator[Self]:
-        """Yield all of them at once."""
+        """Yield all voxels at once."""
         yield self
 
 
@@ -95,13 +95,13 @@ class MapCounts:
 class SonarMap:
     """A 3D occupancy map that sonar pings are integrated into.
 
-    Where a `TileStore` keeps it on disk, voxels and counts are those of the tiles in memory.
+    If a `TileStore` keeps it on disk, voxels and counts cover only the tiles in memory.
 
     Args:
-        config: the settings; the map keeps them.
+        config: the settings.
 
     Raises:
-        ConfigError: the core refuses the rule's constants.
+        ConfigError: the core refuses constants of the rule.
     """
 
     def __init__(self, config: Config) -> None:
@@ -110,11 +110,11 @@ class SonarMap:
         self._base_T_sonar = mounting(config)
 
     def reconfigure(self, config: Config) -> None:
-        """Take other settings for the pings to come; nobody integrates meanwhile.
+        """Use other settings for the next pings; no other thread may integrate meanwhile.
 
         Raises:
-            ConfigError: they are for another map: of another grid or another rule, the intensity
-                threshold aside. The settings are as before.
+            ConfigError: they change the grid or the rule (except the intensity threshold). The old
+                settings stay.
         """
         for section in ("octree", "iwlo", "adaptive"):
             if getattr(config, section) != getattr(self.config, section):
@@ -126,7 +126,7 @@ class SonarMap:
 
     @property
     def core(self) -> _core.VoxelMap:
-        """The one store of voxels, for what reads or writes it without a ping."""
+        """The core's map of voxels, for access without a ping."""
         return self._map
 
     @property
@@ -136,7 +136,7 @@ class SonarMap:
 
     @property
     def memory_bytes(self) -> int:
-        """Memory that the voxels take."""
+        """Memory of the voxels."""
         return self._map.memory_bytes
 
     @property
@@ -146,7 +146,7 @@ class SonarMap:
 
     @property
     def octomap_reach_m(self) -> float:
-        """How far from the origin, along each axis, a voxel may lie for `octomap_bt`."""
+        """Maximum distance of a voxel from the origin along each axis for `octomap_bt`."""
         return OCTOMAP_REACH_VOXELS * self.resolution_m
 
     def integrate(
@@ -155,18 +155,18 @@ class SonarMap:
         map_T_sonar: Floats,  # noqa: N803 frames are named
         motion: PingMotion | None = None,
     ) -> PingStats:
-        """Add one ping's evidence with the integrator of the settings.
+        """Integrate one ping with the integrator of the settings.
 
         Args:
             echo: the ping's intensities and geometry.
             map_T_sonar: (4, 4) rigid transform of the sonar at the ping's time.
-            motion: of the sonar during the ping, which `mapping.within_ping_motion` may leave
-                out; None is a sonar at rest.
+            motion: motion of the sonar during the ping, ignored without
+                `mapping.within_ping_motion`; None is a sonar at rest.
 
         Raises:
-            MapError: the geometry is not a ping's, the fan holds too many voxels to be meant, the
-                pose leaves the map's reach, or the sonar cannot move so (faster than a fiftieth of
-                sound, by more than a radian in one ping). The map is as before.
+            MapError: the geometry is invalid, the fan has too many voxels, the pose is out of the
+                map's range, or the motion is impossible (faster than a fiftieth of the speed of
+                sound, or more than a radian in one ping). The map is unchanged.
         """
         check_size(echo, self.config)
         settings = self.config.mapping
@@ -193,7 +193,7 @@ class SonarMap:
         map_T_sonar: Floats,  # noqa: N803 frames are named
         motion: PingMotion | None = None,
     ) -> tuple[Key, Key] | None:
-        """Where `integrate` may change anything: a box, first and last block, from geometry alone.
+        """Return the box that `integrate` may change, first and last block, from the geometry.
 
         Returns:
             the box in blocks of `BLOCK_VOXELS` voxels an edge; None for a ping without evidence.
@@ -214,7 +214,7 @@ class SonarMap:
             )
 
     def voxels(self, kind: Literal["occupied", "free"]) -> Voxels:
-        """Observed voxels of one class.
+        """Return the observed voxels of one class.
 
         Occupied: above `mapping.occupied_threshold`. Free: below `mapping.free_threshold`.
         """
@@ -236,34 +236,34 @@ class SonarMap:
         return MapCounts(*self._map.class_counts(self._occupied_log_odds, self._free_log_odds))
 
     def sha256(self) -> str:
-        """Fingerprint of the content: equal maps have equal ones, on every machine.
+        """Return the fingerprint of the content; equal maps have equal ones on every machine.
 
         The hash runs over a header (name, version, resolution) and, for every block with an
         observed voxel in order of its key: key as int32, log-odds in units of 2**-24 as int32,
-        counts as uint16, all little endian; unobserved voxels are zeros. Nobody writes to the map
-        meanwhile.
+        counts as uint16, all little endian; unobserved voxels are zeros. No other thread may change
+        the map meanwhile.
 
         Raises:
-            MapError: the map is in tiles (`in_tiles`), as are the files below.
+            MapError: the map is in tiles (`in_tiles`); this also holds for the files below.
         """
         self.check_whole()
         return fingerprint([self._map], self.resolution_m)
 
     def parts(self) -> Iterator[_core.VoxelMap]:
-        """Yield a copy of the map, for what takes long to read."""
+        """Yield a copy of the map, for slow readers."""
         self.check_whole()
         yield self._map.with_rule(iwlo_params(self.config))
 
     @property
     def bricks_lost(self) -> int:
-        """Always 0: damage is found in files."""
+        """Always 0; only files can be damaged."""
         return 0
 
     def close(self) -> None:
         """Do nothing: there is no file."""
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the map into a file, without loss, whole or not at all; `.map` is customary.
+        """Write the map to a file (`.map`), atomically and without loss.
 
         Equal maps give equal files.
 
@@ -274,11 +274,11 @@ class SonarMap:
         save_map(self._map, Path(path))
 
     def load(self, path: str | PathLike[str]) -> None:
-        """Replace the content by that of a file of `save`; it goes on as the saved map would have.
+        """Replace the content by that of a file of `save`; further pings give the same map.
 
         Raises:
             MapError: the file cannot be read, is damaged, or was saved with another resolution,
-                other clamps or another learning rate. The map is as before.
+                other clamps or another learning rate. The map is unchanged.
         """
         self.check_whole()
         load_map(self._map, Path(path))
@@ -295,7 +295,7 @@ class SonarMap:
             file.write(data)
 
     def octomap_bt(self) -> bytes:
-        """The map as an OctoMap binary tree, classes by the thresholds of the settings.
+        """Return the map as an OctoMap binary tree with classes by the settings' thresholds.
 
         Raises:
             MapError: a voxel lies farther than `octomap_reach_m` from the origin.
@@ -307,10 +307,10 @@ class SonarMap:
             raise MapError(str(error), "out_of_reach") from error
 
     def octomap_ot(self) -> bytes:
-        """The map as a full OctoMap tree: log-odds of all observed voxels, without counts.
+        """Return the map as a full OctoMap tree: log-odds of all observed voxels, without counts.
 
         Raises:
-            MapError: a voxel lies outside OctoMap's reach of 32768 voxels from the origin.
+            MapError: a voxel lies outside OctoMap's range of 32768 voxels from the origin.
         """
         self.check_whole()
         try:
@@ -321,13 +321,12 @@ class SonarMap:
     def load_octomap(self, data: bytes) -> None:
         """Replace the map's content by that of an OctoMap file, `.bt` or `.ot`.
 
-        The file does not know how often a voxel was observed: counts become 1. A `.bt` has classes
-        only; free becomes log-odds -2 and occupied 3.5 (probabilities 0.12 and 0.97), which
-        thresholds further out would call uncertain.
+        The file has no counts: they become 1. A `.bt` has classes only: free becomes log-odds -2
+        and occupied 3.5 (probabilities 0.12 and 0.97); more extreme thresholds make them unknown.
 
         Raises:
-            MapError: not a whole tree of this map's resolution, or one too large; the text states
-                what and at which byte. The map is as before.
+            MapError: not a complete tree of this map's resolution, or too large; the text states
+                the cause and the byte. The map is unchanged.
         """
         self.check_whole()
         try:
@@ -344,7 +343,7 @@ class SonarMap:
         return _log_odds(self.config.mapping.free_threshold)
 
     def check_whole(self) -> None:
-        """Refuse to take a part for the whole; `mapperd.store.stored_map` has the whole.
+        """Refuse if only a part is in memory; `mapperd.store.stored_map` reads the whole.
 
         Raises:
             MapError: the map is in tiles (`in_tiles`).
@@ -357,7 +356,7 @@ def fingerprint(parts: Iterable[_core.VoxelMap], resolution_m: float) -> str:
     """Return `SonarMap.sha256` of a map.
 
     Args:
-        parts: of the map, in its fixed order, without common blocks.
+        parts: disjoint parts of the map in its fixed order.
         resolution_m: edge of a voxel.
     """
     digest = hashlib.sha256(b"mapperd map\0")
@@ -375,7 +374,7 @@ def fingerprint(parts: Iterable[_core.VoxelMap], resolution_m: float) -> str:
 
 
 def iwlo_params(config: Config) -> _core.IwloParams:
-    """The update rule's constants for the core.
+    """Return the constants of the update rule for the core.
 
     Raises:
         ConfigError: the core refuses them.
@@ -403,7 +402,7 @@ def iwlo_params(config: Config) -> _core.IwloParams:
 
 
 def mounting(config: Config) -> Floats:
-    """`base_T_sonar` of the settings, (4, 4) rigid transform."""
+    """Return `base_T_sonar` of the settings, (4, 4) rigid transform."""
     position, angles = config.mounting.position, config.mounting.orientation
     pose = pose_from_rpy(
         (position.x, position.y, position.z), (angles.roll, angles.pitch, angles.yaw)

@@ -1,7 +1,7 @@
-"""Builds the pipeline: the one place where its parts are put together.
+"""Builds the pipeline; the only place that assembles its parts.
 
 The live daemon, a replay, a recovery, a replay into a store and the dives of a survey all use it.
-The calibration, which maps nothing, builds only the decoder.
+The calibration maps nothing and builds only the decoder.
 """
 
 import time
@@ -23,7 +23,7 @@ __all__ = ["Pipeline", "build_pipeline"]
 
 @dataclass(frozen=True, slots=True)
 class Pipeline:
-    """From the bytes of one session to its map.
+    """The pipeline of one session, from bytes to the map.
 
     Attributes:
         poses: where the pings get their poses from.
@@ -37,7 +37,7 @@ class Pipeline:
 
     @property
     def counters(self) -> PipelineCounters:
-        """Counts of everything that came in."""
+        """Counts of all input."""
         return self.executor.counters
 
 

@@ -1,7 +1,7 @@
-"""From the bytes of all links to pings with their poses, live and recorded.
+"""Decodes the bytes of all links to pings with their poses, live and recorded.
 
-The result depends only on the chunks and their order: nothing here reads a clock. So a recording
-gives the same map as the live session.
+The result depends only on the chunks and their order; nothing here reads a clock. A recording
+therefore gives the same map as the live session.
 """
 
 from collections import deque
@@ -58,7 +58,7 @@ class Arrival(NamedTuple):
 
 
 Parts = list[tuple[int, int]]
-"""Parts of a link's stream, by the offsets of their first byte and of the one behind them."""
+"""Parts of a link's stream, by the offsets of their first byte and of the next one after them."""
 
 
 class PingStreamState(NamedTuple):
@@ -185,7 +185,7 @@ class PingStream:
         if not isinstance(ping, Ping):
             self._unnumbered += link == self._owner
             return Reject(ping.reason, ping.detail)
-        # The mounting is that of one sonar: pings of a second one would be misplaced.
+        # The mounting holds for one sonar: pings of a second one would be misplaced.
         self._owner = self._owner or link
         if link != self._owner:
             return Reject("other_link", f"pings of {link!r}; those of {self._owner!r} are mapped")

@@ -98,10 +98,10 @@ class PingExecutor:
                 self.request(work)
 
     def skip(self, work: Work) -> None:
-        """Pass over work that is in the map already; only localization repeats it."""
+        """Skip work that is already in the map; only localization repeats it."""
         match work:
             case PosedPing(number=number):
-                self.counters.pings_total -= 1  # the run before counted it
+                self.counters.pings_total -= 1  # the previous run counted it
                 if number not in self._remarks.drops:
                     skip_ping(work, self.stages, self._config)
             case NewSettings(config):

@@ -151,7 +151,7 @@ class TilePersistence(MemoryPersistence):
         self._tiles = store
 
     def done(self, work: Work) -> None:  # noqa: ARG002 each may have changed the map
-        """Allow the tiles to leave memory as they are now."""
+        """Allow evicting the tiles in their current state."""
         self._tiles.advance(b"")
 
     def reset(self) -> None:

@@ -111,10 +111,10 @@ class PoseLookup(Protocol):
         """
 
     def state(self) -> PoseLookupState:
-        """Everything that `restore` needs to continue exactly."""
+        """Return the state for `restore`."""
 
     def restore(self, state: PoseLookupState) -> None:
-        """Continue as the one of which `state` was taken, with the same settings.
+        """Restore a state taken with the same settings.
 
         Raises:
             ValueError: it is the state of another kind, or cannot be read here.

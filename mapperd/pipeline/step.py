@@ -1,4 +1,4 @@
-"""The step: what happens to a ping. Live, replayed, recovered and simulated pings all come here."""
+"""The step that processes one ping: live, replayed, recovered or simulated."""
 
 from dataclasses import dataclass
 
@@ -40,7 +40,7 @@ class Stages:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PingResult:
-    """What became of a ping.
+    """Result of a ping.
 
     Attributes:
         posed: the ping with the odometry's pose.
@@ -63,7 +63,7 @@ class PingResult:
 
 
 def process_ping(posed: PosedPing, stages: Stages) -> PingResult:
-    """Put one ping into the map; a rejected ping leaves the map unchanged.
+    """Process one ping; a rejected ping leaves the map unchanged.
 
     Args:
         posed: the ping with the pose of the base at the middle of the image.
@@ -92,14 +92,14 @@ def process_ping(posed: PosedPing, stages: Stages) -> PingResult:
 
 
 def skip_ping(posed: PosedPing, stages: Stages, config: Config) -> None:
-    """Repeat only localization for a ping that is in the map already."""
+    """Repeat only localization, for a ping that is already in the map."""
     if stages.localization is not None and not isinstance(posed.pose, Reject):
         image, _ = filtered_image(posed.ping, config)
         stages.correct(image, posed)
 
 
 def filtered_image(ping: Ping, config: Config) -> tuple[PingImage | Reject, Robots]:
-    """The image that localization and the map use, or why there is none; the robots in it."""
+    """Return the image for localization and the map, or why there is none; and its robots."""
     try:
         return filter_ping_image(ping_image_of(ping, config.sonar), config)
     except MapError as error:

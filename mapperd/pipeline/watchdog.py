@@ -1,4 +1,4 @@
-"""Detects stuck threads by their finished work: a running event loop alone proves nothing."""
+"""Detects stuck threads by their finished work; a running event loop proves nothing."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ def process_progress() -> int:
 def _io_bytes() -> int:
     """Return how many bytes this process has read and written; 0 where the system does not count.
 
-    They are those of its calls, whether or not the disk was needed.
+    This counts its calls, whether or not they reach the disk.
     """
     try:
         counts = dict(line.split(": ") for line in IO_FILE.read_text("ascii").splitlines())

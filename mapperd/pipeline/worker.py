@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["MappingThread", "StatusSnapshot", "snapshot_reader"]
 
 FINISH_TIMEOUT_NS = 10_000_000_000
-"""At the end all waiting pings are mapped for this long; then late pings are dropped again."""
+"""Time at the end in which all waiting pings are mapped; after it late pings are dropped again."""
 
 SNAPSHOT_INTERVAL_NS = 200_000_000
 """Minimum time between two snapshots while the thread is busy."""

@@ -1,8 +1,8 @@
 """States of estimators as bytes: a versioned MessagePack of named tuples, numbers and arrays.
 
 An object that a checkpoint holds has `state()`, which returns a named tuple, and `restore(state)`.
-Named tuples are written by position, so attributes may change their names, and fields with a
-default may be added at the end. Another order, number or meaning of fields is another `FORMAT`.
+Named tuples are written by position: attributes may be renamed, and fields with a default may be
+added at the end. Any other change of fields needs a new `FORMAT`.
 """
 
 import re
@@ -16,7 +16,7 @@ from mapperd.errors import CheckpointError
 __all__ = ["FORMAT", "decode_state", "encode_state"]
 
 FORMAT: Final = 2
-"""Checkpoints of another format are not read."""
+"""Version of the format; checkpoints of others are not read."""
 
 _ARRAY: Final = 1
 """Code of the extension type of an array."""
@@ -29,23 +29,23 @@ T = TypeVar("T")
 
 
 def encode_state(state: object) -> bytes:
-    """Write a state.
+    """Encode a state.
 
     Raises:
-        TypeError: it holds something that no checkpoint can hold; a programming error.
+        TypeError: it holds an object that checkpoints cannot hold; a programming error.
     """
     try:
         return msgspec.msgpack.encode((FORMAT, state), enc_hook=_plain)
-    except OverflowError:  # stamps of a sender may have any number of digits
+    except OverflowError:  # a sender's stamps may have any number of digits
         return msgspec.msgpack.encode((FORMAT, _with_text(state)), enc_hook=_plain)
 
 
 def decode_state(data: bytes, kind: type[T]) -> T:
-    """Read a state that `encode_state` wrote.
+    """Decode a state from `encode_state`.
 
     Args:
         data: the bytes.
-        kind: its type.
+        kind: type of the state.
 
     Raises:
         CheckpointError: the bytes are damaged or of another format.
@@ -70,7 +70,7 @@ def _plain(value: object) -> object:
     if isinstance(value, np.ndarray):
         if _DTYPE.fullmatch(value.dtype.str) is None:
             raise TypeError(f"an array of {value.dtype} cannot be in a checkpoint")
-        # Products round by the order of an array. Slices of larger arrays are taken for rows.
+        # The order of an array affects rounding. Slices of larger arrays are stored by rows.
         order: Literal["C", "F"] = (
             "F" if value.flags.f_contiguous and not value.flags.c_contiguous else "C"
         )
@@ -103,7 +103,7 @@ def _array(kind: type, value: object) -> object:
 
 
 def _with_text(value: Any) -> Any:  # noqa: ANN401 any state
-    """The state with whole numbers of more than 64 bits as text."""
+    """Return the state with integers of more than 64 bits as text."""
     if isinstance(value, int):
         return value if _INT64_MIN <= value <= _UINT64_MAX else str(value)
     if isinstance(value, dict):

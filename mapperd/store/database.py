@@ -1,4 +1,4 @@
-"""The map's file: its connections, its tables, and the lock of its one writer."""
+"""The map's file: connections, tables, and the lock of its single writer."""
 
 import contextlib
 import errno
@@ -26,10 +26,10 @@ __all__ = [
 ]
 
 BUSY_S = 10.0
-"""Only a checkpoint or a migration holds others up, and none for that long."""
+"""Timeout for locks; only checkpoints and migrations hold them, for less than that."""
 
 CACHE_KIB = 8192
-"""Of pages, a connection."""
+"""Page cache of a connection."""
 
 REASONS = {
     sqlite3.SQLITE_BUSY: "busy",
@@ -41,7 +41,7 @@ REASONS = {
     sqlite3.SQLITE_FULL: "disk_full",
     sqlite3.SQLITE_CANTOPEN: "cannot_open",
 }
-"""Primary result codes (sqlite.org/rescode.html); whatever else fails is the disk's."""
+"""Reasons by primary result code (sqlite.org/rescode.html); others mean a disk error."""
 
 ADVICE = {
     "busy": "another program holds it",
@@ -56,10 +56,10 @@ ADVICE = {
 
 @contextlib.contextmanager
 def translated(path: Path) -> Iterator[None]:
-    """Turn SQLite's errors into ours."""
+    """Convert SQLite's errors to `StoreError`."""
     try:
         yield
-    except UnicodeDecodeError as error:  # names of the schema, in SQLite's own message
+    except UnicodeDecodeError as error:  # names in the schema, in SQLite's message
         raise StoreError(f"{path}: {ADVICE['damaged']} ({error})", "damaged") from error
     except sqlite3.Error as error:
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_IOERR)
@@ -68,13 +68,13 @@ def translated(path: Path) -> Iterator[None]:
 
 
 def open_writer(path: Path) -> sqlite3.Connection:
-    """Open the file to read and to write, and make it if it is not there.
+    """Open the file for reading and writing; create it if missing.
 
-    A commit survives the death of the process at once, and the loss of power from the next
-    checkpoint on: until then the file goes back to an older commit, whole, position and all.
+    A commit survives a crash of the process at once, and a power loss from the next checkpoint on.
+    After an earlier power loss the file returns to an older commit, complete with its position.
 
     Raises:
-        StoreError: it cannot be.
+        StoreError: it cannot be opened.
     """
     with translated(path):
         connection = sqlite3.connect(
@@ -95,14 +95,14 @@ def open_writer(path: Path) -> sqlite3.Connection:
 
 
 def open_reader(path: Path, *, finished: bool = False) -> sqlite3.Connection:
-    """Open the file to read only, beside a writer in this or another process.
+    """Open the file read-only; a writer in this or another process may be active.
 
     Args:
-        path: of the file.
-        finished: there is no writer, and none will be: take no locks.
+        path: the file.
+        finished: there is no writer and will be none: use no locks.
 
     Raises:
-        StoreError: it cannot be.
+        StoreError: it cannot be opened.
     """
     name = f"file:{quote(str(path.resolve()))}?mode=ro"
     with translated(path):
@@ -138,14 +138,14 @@ def _checked(name: str) -> sqlite3.Connection:
 
 @contextlib.contextmanager
 def transaction(connection: sqlite3.Connection) -> Iterator[None]:
-    """All or nothing, for one writer."""
+    """Run a transaction of the writer."""
     connection.execute("BEGIN IMMEDIATE")
     yield from _ended(connection)
 
 
 @contextlib.contextmanager
 def reading(connection: sqlite3.Connection) -> Iterator[None]:
-    """One state of the file, whatever is written meanwhile."""
+    """Read one state of the file, regardless of writes meanwhile."""
     connection.execute("BEGIN")
     yield from _ended(connection)
 
@@ -155,27 +155,27 @@ def _ended(connection: sqlite3.Connection) -> Iterator[None]:
         yield
         connection.execute("COMMIT")
     except BaseException:
-        if connection.in_transaction:  # some errors have rolled back already
+        if connection.in_transaction:  # some errors roll back by themselves
             connection.execute("ROLLBACK")
         raise
 
 
 APPLICATION_ID = int.from_bytes(b"mprd", "big")
-"""In the file's header: what made it."""
+"""Application id in the file's header."""
 
 Step = Callable[[sqlite3.Connection], None]
 
 FIRST = (
-    # What the map is; see mapperd.store.metadata.
+    # Identity and settings of the map; see mapperd.store.metadata.
     "CREATE TABLE fact (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT, WITHOUT ROWID",
-    # One row: the map's revision, and the place in the input up to which it is complete.
+    # One row: the map's revision, and the position in the input up to which it is complete.
     """CREATE TABLE progress (
         id INTEGER PRIMARY KEY CHECK (id = 1),
         revision INTEGER NOT NULL,
         position BLOB NOT NULL
     ) STRICT""",
-    # The voxels; see mapperd.store.tiles. What a reader looks for stands before the data, so
-    # that it is found without reading them.
+    # The voxels; see mapperd.store.tiles. Columns that readers search precede the data, so
+    # that they are found without reading it.
     """CREATE TABLE brick (
         x INTEGER NOT NULL, y INTEGER NOT NULL, z INTEGER NOT NULL,
         revision INTEGER NOT NULL,
@@ -185,7 +185,7 @@ FIRST = (
         PRIMARY KEY (x, y, z)
     ) STRICT""",
     "CREATE INDEX brick_by_revision ON brick (revision)",
-    # Rows of `brick` that were found damaged, as they were. The brick is lost until `rebuilt`.
+    # Damaged rows of `brick`, unchanged. The brick is lost until `rebuilt`.
     """CREATE TABLE quarantine (
         id INTEGER PRIMARY KEY,
         x INTEGER NOT NULL, y INTEGER NOT NULL, z INTEGER NOT NULL,
@@ -205,22 +205,22 @@ def _first(connection: sqlite3.Connection) -> None:
 def _second(connection: sqlite3.Connection) -> None:
     """Add the checksum of the settings and the progress; see mapperd.store.metadata."""
     columns = {name for _, name, *_ in connection.execute("PRAGMA table_info(progress)")}
-    if "checksum" not in columns:  # as after damage of the version
+    if "checksum" not in columns:  # as after damage of the version number
         connection.execute("ALTER TABLE progress ADD COLUMN checksum INTEGER")
 
 
 STEPS: tuple[Step, ...] = (_first, _second)
-"""Step n makes version n + 1 of version n; version 0 is an empty file."""
+"""Step n upgrades version n to n + 1; version 0 is an empty file."""
 
 VERSION = len(STEPS)
 
 
 def migrate(connection: sqlite3.Connection, path: Path, steps: Sequence[Step] = STEPS) -> None:
-    """Bring a file to today's version, in one transaction; a new one comes the same way.
+    """Upgrade a file to the current version in one transaction; new files start at version 0.
 
     Raises:
         StoreError: it is of another program, or of a newer version.
-        sqlite3.Error: SQLite refuses; the file is as before.
+        sqlite3.Error: SQLite fails; the file is unchanged.
     """
     if _version(connection, path, len(steps)) == len(steps):
         return
@@ -231,7 +231,7 @@ def migrate(connection: sqlite3.Connection, path: Path, steps: Sequence[Step] = 
 
 
 def check_version(connection: sqlite3.Connection, path: Path) -> None:
-    """Check that a reader, which migrates nothing, can read a file; earlier versions are readable.
+    """Check that a reader can read a file without migration; earlier versions are readable.
 
     Raises:
         StoreError: it is empty, of another program or of a newer version.
@@ -260,10 +260,10 @@ def _version(connection: sqlite3.Connection, path: Path, newest: int) -> int:
 
 @contextlib.contextmanager
 def only_writer(path: Path) -> Iterator[None]:
-    """Hold a lock beside the file, which ends with the process however that ends.
+    """Hold a lock file next to the file; the lock ends with the process.
 
     Raises:
-        StoreError: another process has it, or the folder cannot be written into.
+        StoreError: another process holds it, or the folder is not writable.
     """
     lock = path.with_name(f"{path.name}.lock")
     try:

@@ -1,8 +1,8 @@
-"""Files of maps: verify them, rebuild lost bricks, put damaged files aside, write whole maps.
+"""Maintains files of maps: verification, rebuilding of lost bricks, renaming of damaged files.
 
-The evidence of a ping does not depend on the map, and bricks are independent. Mapping the same
-pings again and keeping only the lost bricks restores them bit by bit. `Verification` checks a large
-file while pings are mapped into it.
+The evidence of a ping does not depend on the map, and bricks are independent. To restore lost
+bricks bit by bit, the same pings are mapped again and only those bricks are kept. `Verification`
+checks a large file while pings are mapped into it.
 """
 
 import sqlite3
@@ -25,22 +25,22 @@ from mapperd.store.transfer import check_structure, damaged_rows
 __all__ = ["Verification", "packed", "put_aside", "rebuild_lost", "write_whole"]
 
 MapAgain = Callable[[SonarMap], bool]
-"""Maps the input again from its beginning up to the store's position; False if any is missing."""
+"""Maps the input again from its start to the store's position; False if parts are missing."""
 
 
 def rebuild_lost(store: TileStore, sonar_map: SonarMap, map_again: MapAgain) -> int:
-    """Rebuild what the store has lost, before anything is mapped into it.
+    """Rebuild lost bricks before anything is mapped into the store.
 
-    Takes as much memory as the lost bricks and one ping.
+    Memory holds the lost bricks and one ping.
 
     Args:
         store: just opened.
         sonar_map: its map, for the settings.
-        map_again: maps the recordings. Where they are not complete, what they give is kept, but
-            the bricks stay on record as lost.
+        map_again: maps the recordings. If they are incomplete, the result is kept, but the bricks
+            still count as lost.
 
     Returns:
-        bricks that were lost.
+        number of bricks that were lost.
 
     Raises:
         StoreError: the file cannot be written.
@@ -57,9 +57,9 @@ def rebuild_lost(store: TileStore, sonar_map: SonarMap, map_again: MapAgain) -> 
 
 
 def _keep_only(scratch: SonarMap, lost: frozenset[Key]) -> None:
-    """Let a map forget, with every ping, what is not lost."""
+    """Remove from a map, after every ping, all bricks that were not lost."""
     here: set[Key] = set()
-    core = weakref.proxy(scratch.core)  # which keeps what it calls alive
+    core = weakref.proxy(scratch.core)  # the core keeps its callbacks alive
 
     def fetch(tiles: list[Key]) -> None:
         core.drop_tiles([tile for tile in here if tile not in lost])
@@ -71,14 +71,14 @@ def _keep_only(scratch: SonarMap, lost: frozenset[Key]) -> None:
 
 
 BESIDE = ("", "-wal", "-shm")
-"""A file of SQLite and those that belong to it."""
+"""Suffixes of SQLite's file and the files that belong to it."""
 
 
 def put_aside(path: Path) -> Path:
-    """Rename a store that is not open, so that its recordings can be mapped into a new one.
+    """Rename a closed store, so that its recordings can be mapped into a new one.
 
     Returns:
-        its new name.
+        the new path.
 
     Raises:
         StoreError: it cannot be renamed.
@@ -87,7 +87,7 @@ def put_aside(path: Path) -> Path:
     while (aside := path.with_name(f"{path.name}.damaged-{number}")).exists():
         number += 1
     try:
-        for suffix in reversed(BESIDE):  # the file itself last: until then it is found as damaged
+        for suffix in reversed(BESIDE):  # the main file last: until then it is detected as damaged
             beside = path.with_name(path.name + suffix)
             if beside.exists():
                 beside.rename(aside.with_name(aside.name + suffix))
@@ -104,21 +104,21 @@ def packed(bricks: Iterable[tuple[Key, int, bytes]]) -> Iterator[BrickRow]:
 
 
 def write_whole(path: Path, config: Config, revision: int, rows: Iterable[BrickRow]) -> int:
-    """Make a map's file that `TileStore` and `StoreReader` open like any other.
+    """Create a map's file for `TileStore` and `StoreReader`.
 
-    The caller renames the file when it is complete: an interruption leaves it damaged.
+    An interruption leaves a damaged file, so the caller renames it when complete.
 
     Args:
-        path: of the file; nothing is there yet.
-        config: the settings that the map came about by.
-        revision: of the map.
+        path: the new file.
+        config: the settings that the map was made with.
+        revision: revision of the map.
         rows: its bricks, each once.
 
     Returns:
-        how many there are.
+        number of bricks.
 
     Raises:
-        StoreError: it cannot be written, or a brick comes twice.
+        StoreError: it cannot be written, or a brick occurs twice.
     """
     count = 0
     with translated(path):
@@ -146,21 +146,21 @@ def write_whole(path: Path, config: Config, revision: int, rows: Iterable[BrickR
 
 
 PAUSE_S = 0.002
-"""Between two reads, which leaves the disk and the processor to the pings."""
+"""Pause between reads, for the disk and the processor of the pings."""
 
 INSTRUCTIONS = 10_000
-"""Of SQLite between two looks at whether to stop."""
+"""SQLite instructions between checks for a stop."""
 
 
 class Verification:
-    """Verifies the checksums and the structure of a whole file once, in a thread of `start`.
+    """Verifies checksums and structure of a whole file once, in a thread.
 
-    The store receives the damaged bricks.
+    Damaged bricks are reported to the store.
 
     Args:
-        store: open.
-        on_end: called in the thread with what is wrong with the structure of the file, or with
-            None if it is sound; not called after `stop`.
+        store: the open store.
+        on_end: called in the thread with the damage of the file's structure, or None; not called
+            after `stop`.
 
     Attributes:
         state: `waiting`, `running`, `done` or `failed`.
@@ -176,12 +176,12 @@ class Verification:
         self._thread = threading.Thread(target=self._run, name="verification", daemon=True)
 
     def start(self) -> None:
-        """Start to read."""
+        """Start the thread."""
         self.state = "running"
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread, whether or not all is read."""
+        """Stop the thread, complete or not."""
         self._stopped.set()
         if self._thread.ident is not None:
             self._thread.join()

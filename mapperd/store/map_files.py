@@ -1,4 +1,4 @@
-"""Maps out of files of any kind, whatever settings they were made with."""
+"""Reads maps from files of any kind and settings."""
 
 import re
 import struct
@@ -25,7 +25,7 @@ SQLITE = b"SQLite format 3\0"
 OCTOMAP = b"# Octomap OcTree"
 
 HEADER = struct.Struct("<Idii")
-"""Of a `.map` after its magic: version, edge of a voxel, clamps in units of log-odds."""
+"""Header of a `.map` after its magic: version, voxel edge, clamps in units of log-odds."""
 
 OCTOMAP_HEADER_BYTES = 4096
 OCTOMAP_RESOLUTION = re.compile(rb"^res\s+(\S+)\s*$", re.MULTILINE)
@@ -33,14 +33,13 @@ OCTOMAP_RESOLUTION = re.compile(rb"^res\s+(\S+)\s*$", re.MULTILINE)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourcedMap:
-    """A map as its file has it.
+    """A map read from a file.
 
     Attributes:
-        map: with the settings that its voxels came about by; the caller closes it.
+        map: the map with the settings that it was made with; the caller closes it.
         origin: geographic position of the map's origin, if the file has one.
         bricks_lost: damaged bricks, whose space is unknown in the map.
-        has_checksum: False if the settings of a daemon's file cannot be verified: it is of
-            version 1.
+        has_checksum: False if a daemon's file is of version 1, whose settings cannot be verified.
     """
 
     map: MapContent
@@ -59,13 +58,13 @@ def map_in(
     """Read a map: a daemon's file, a `.map`, or a tree of OctoMap, recognized by content.
 
     Args:
-        path: of the file.
+        path: the file.
         config: settings that the file does not contain.
-        values: more of them, by name.
-        allow_damaged: read what is left of a daemon's file with damaged bricks.
+        values: further settings, by name.
+        allow_damaged: read the rest of a daemon's file with damaged bricks.
 
     Raises:
-        MapError: it cannot be read, or is no whole map.
+        MapError: it cannot be read, or is not a complete map.
         StoreError: it cannot be read, or is of a later version.
         ConfigError: the values are not allowed.
     """
@@ -90,7 +89,7 @@ def map_in(
 
 
 def holds_map(path: Path) -> bool:
-    """Whether a file begins like a map; what cannot be read does not."""
+    """Return whether a file starts like a map; False if it cannot be read."""
     try:
         return _beginning(path).startswith((SQLITE, _core.MAP_FILE_MAGIC, OCTOMAP))
     except MapError:
@@ -99,7 +98,7 @@ def holds_map(path: Path) -> bool:
 
 def _beginning(path: Path) -> bytes:
     try:
-        if not path.is_file():  # a pipe would keep us waiting
+        if not path.is_file():  # a pipe would block
             raise MapError(f"{path}: there is no such file", "unreadable")
         with path.open("rb") as file:
             return file.read(OCTOMAP_HEADER_BYTES)

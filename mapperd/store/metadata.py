@@ -1,12 +1,11 @@
-"""Which map a file holds: its identity, its settings, and its progress.
+"""Metadata of a map's file: identity, settings and progress.
 
-Revisions of a map go on from session to session, but what a session mapped after its last save is
-gone with it, and its revisions are used again. A session's revisions therefore mean something up
-to what the file held when the next one began, and no further.
+Revisions continue from session to session. A crash loses what a session mapped after its last
+save, and the next session uses those revisions again. A session's revisions are therefore valid
+only up to the revision that the file had when the next session started.
 
-What a stored map is: the settings that its voxels came about by.
-
-None of them may change while the program runs, so that all voxels of a file follow one rule.
+The stored settings are those that the voxels depend on. They cannot change while the program runs,
+so that all voxels of a file follow one rule.
 
 The row of the table `progress` holds a CRC-32 of the settings, the revision, the position and the
 keys of the lost bricks. Files of version 1 have none.
@@ -47,20 +46,19 @@ __all__ = [
 ]
 
 NAME = "map.identity"
-"""Of the row in the table `fact`."""
+"""Name of the row in the table `fact`."""
 
 MAX_SESSIONS = 16
 
 
 @dataclass(frozen=True, slots=True)
 class MapIdentity:
-    """Of a map.
+    """Identity of a map.
 
     Attributes:
-        map: id of it; another one after a reset.
-        session: of the program that has the map now.
-        earlier: sessions before it, and the revision up to which each is as the file has it;
-            oldest first.
+        map: id of the map; a reset changes it.
+        session: id of the current session.
+        earlier: earlier sessions, oldest first, each with the last revision that is valid.
     """
 
     map: str
@@ -68,21 +66,21 @@ class MapIdentity:
     earlier: tuple[tuple[str, int], ...] = ()
 
     def valid_up_to(self, session: str) -> int | None:
-        """The revision up to which an earlier session's are good; None for one nobody knows."""
+        """Return the last valid revision of an earlier session; None if unknown."""
         return dict(self.earlier).get(session)
 
 
 def fresh() -> MapIdentity:
-    """Of an empty map."""
+    """Return the identity of an empty map."""
     return MapIdentity(_random(), _random())
 
 
 def begun(connection: sqlite3.Connection, revision: int) -> MapIdentity:
-    """A session begins with what the file holds; in a transaction of the caller.
+    """Start a session with the file's content, in a transaction of the caller.
 
     Args:
-        connection: to the file.
-        revision: of the map in it.
+        connection: connection to the file.
+        revision: revision of its map.
     """
     found = connection.execute("SELECT value FROM fact WHERE name = ?", (NAME,)).fetchone()
     before = _decoded(found[0]) if found is not None else None
@@ -96,7 +94,7 @@ def begun(connection: sqlite3.Connection, revision: int) -> MapIdentity:
 
 
 def renewed(connection: sqlite3.Connection, identity: MapIdentity) -> MapIdentity:
-    """The map was emptied; in a transaction of the caller."""
+    """Note that the map was emptied, in a transaction of the caller."""
     emptied = MapIdentity(_random(), identity.session)
     _put(connection, emptied)
     return emptied
@@ -108,10 +106,10 @@ def _put(connection: sqlite3.Connection, identity: MapIdentity) -> None:
 
 
 def _decoded(text: str) -> MapIdentity | None:
-    """None if it is damaged: clients then receive the whole map again."""
+    """Return the identity; None if damaged: clients then receive the whole map again."""
     try:
         return msgspec.json.decode(text, type=MapIdentity)
-    except ValueError:  # malformed, or text that is not UTF-8
+    except ValueError:  # malformed, or not UTF-8
         return None
 
 
@@ -123,7 +121,7 @@ SECTIONS = ("iwlo", "adaptive")
 
 
 def kind_of(config: Config) -> dict[str, str]:
-    """Settings by their full names, as JSON."""
+    """Return the settings by full name, as JSON."""
     facts = {"octree.voxel_resolution": json.dumps(config.octree.voxel_resolution)}
     for section in SECTIONS:
         for name, value in msgspec.to_builtins(getattr(config, section)).items():
@@ -137,10 +135,10 @@ def write_kind(connection: sqlite3.Connection, config: Config) -> None:
 
 
 def kind_in(connection: sqlite3.Connection, path: Path) -> dict[str, Any]:
-    """What a file's map is: settings by their full names, such as this program knows.
+    """Return the stored settings by full name, those that this program knows.
 
     Raises:
-        StoreError: one of them is not as it was written.
+        StoreError: one of them is damaged.
     """
     known = kind_of(Config()).keys()
     rows = connection.execute("SELECT name, value FROM fact")
@@ -151,10 +149,10 @@ def kind_in(connection: sqlite3.Connection, path: Path) -> dict[str, Any]:
 
 
 def check_kind(connection: sqlite3.Connection, path: Path, config: Config) -> None:
-    """Refuse settings that are not those of the file; such that it does not know are new.
+    """Check that settings are those of the file; settings that the file lacks are new.
 
     Raises:
-        StoreError: with all that differ.
+        StoreError: some differ; the text names all of them.
     """
     ours = kind_of(config)
     differ = [
@@ -173,11 +171,11 @@ def check_kind(connection: sqlite3.Connection, path: Path, config: Config) -> No
 
 
 MAX_REVISION = 1 << 62
-"""No map changes that often; SQLite's numbers end at twice that."""
+"""Maximum revision; no map changes that often, and SQLite's integers end at twice that."""
 
 
 def progress_in(connection: sqlite3.Connection, path: Path) -> tuple[int, bytes] | None:
-    """Revision and position of the last save; None in a new file.
+    """Return revision and position of the last save; None in a new file.
 
     Raises:
         StoreError: they are invalid, as after a flipped bit.
@@ -197,7 +195,7 @@ Key = tuple[int, int, int]
 
 
 def lost_in(connection: sqlite3.Connection, path: Path) -> set[Key]:
-    """Return the keys of the bricks that were found damaged and are not rebuilt.
+    """Return the keys of damaged bricks that are not rebuilt.
 
     Raises:
         StoreError: one of them is not a key.
@@ -215,10 +213,10 @@ def checksum_of(settings: int, lost: int, revision: int, position: bytes) -> int
     """Compute the checksum of a file.
 
     Args:
-        settings: as of `settings_crc`.
-        lost: as of `lost_crc`.
-        revision: of the map.
-        position: in the input.
+        settings: result of `settings_crc`.
+        lost: result of `lost_crc`.
+        revision: revision of the map.
+        position: position in the input.
     """
     return zlib.crc32(msgspec.msgpack.encode((settings, lost, revision, position)))
 
@@ -234,25 +232,25 @@ def lost_crc(connection: sqlite3.Connection) -> int:
 
 
 def _crc_of(rows: Iterable[tuple[Any, ...]]) -> int:
-    """CRC-32 of rows in any order; damaged ones may hold values of any type."""
+    """Return the CRC-32 of rows in any order; damaged rows may hold values of any type."""
     return zlib.crc32(msgspec.msgpack.encode(sorted(rows, key=repr)))
 
 
 def write_checksum(connection: sqlite3.Connection) -> None:
-    """Write the checksum of what the file holds, in a transaction of the caller."""
+    """Write the checksum of the file's metadata, in a transaction of the caller."""
     found = connection.execute("SELECT revision, position FROM progress").fetchone()
     checksum = checksum_of(settings_crc(connection), lost_crc(connection), *found)
     connection.execute("UPDATE progress SET checksum = ?", (checksum,))
 
 
 def check_facts(connection: sqlite3.Connection, path: Path) -> bool:
-    """Check the settings, the revision, the position and the lost bricks by their checksum.
+    """Verify settings, revision, position and lost bricks by their checksum.
 
     Returns:
-        False if the file has no checksum, as files of version 1.
+        False if the file has no checksum (version 1).
 
     Raises:
-        StoreError: one of them is not as it was written.
+        StoreError: one of them is damaged.
     """
     found = connection.execute("SELECT * FROM progress").fetchone()
     if found is None:
@@ -273,10 +271,10 @@ def check_facts(connection: sqlite3.Connection, path: Path) -> bool:
 
 
 def restore_settings(connection: sqlite3.Connection, config: Config) -> bool:
-    """Replace damaged settings of a file by others if these have the checksum of the file.
+    """Replace damaged settings of a file by others if these match its checksum.
 
     Returns:
-        whether they have, and the file is sound again.
+        whether they match.
     """
     revision, position, checksum = connection.execute(
         "SELECT revision, position, checksum FROM progress"

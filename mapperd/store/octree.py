@@ -1,8 +1,8 @@
-"""OctoMap trees, written brick by brick.
+"""Writes OctoMap trees brick by brick.
 
-A brick is a node of the tree, ten levels below its root, and the file is depth first: the trees of
-the bricks follow one another in Morton order. The records above them are written ahead and filled
-in when their children are known.
+A brick is a node ten levels below the root of the tree. The file is depth first, so the trees of
+the bricks follow in Morton order. Records of nodes above them are reserved and filled in when
+their children are known.
 """
 
 import re
@@ -22,26 +22,26 @@ BRICK_DEPTH = 16 - (_core.BRICK_VOXELS.bit_length() - 1)
 """Levels from the root down to a brick."""
 
 KEY_ORIGIN = 32768 // _core.BRICK_VOXELS
-"""The tree's key of brick 0, along each axis."""
+"""Key of brick 0 in the tree, along each axis."""
 
 SIZE = re.compile(rb"^size (\d+)$", re.MULTILINE)
 DATA = b"\ndata\n"
 
 INNER = 3
-"""Two bits for a child in a record of a `.bt`: 0 unknown, 1 free, 2 occupied, 3 with children."""
+"""Bits of a child in a record of a `.bt`: 0 unknown, 1 free, 2 occupied, 3 with children."""
 
 CHILDREN = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Subtree:
-    """A node and all below it.
+    """A node with its subtree.
 
     Attributes:
-        data: records as in the file; none for a node of a `.bt` that is a leaf.
-        nodes: number of nodes, itself among them.
-        value: log-odds in a `.ot`, the maximum of those below; the class of a leaf in a `.bt`.
-        is_leaf: it has no children.
+        data: records as in the file; none for a leaf of a `.bt`.
+        nodes: number of nodes, including itself.
+        value: in a `.ot` the maximum log-odds below; in a `.bt` the class of a leaf.
+        is_leaf: whether it has no children.
     """
 
     data: bytes
@@ -51,14 +51,14 @@ class Subtree:
 
     @property
     def kind(self) -> int:
-        """Its two bits in the record of its parent in a `.bt`."""
+        """Bits of the node in its parent's record in a `.bt`."""
         return int(self.value) if self.is_leaf else INNER
 
 
 def brick_paths(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the paths (N,) from the root to bricks (N, 3), three bits a level.
 
-    Bricks beyond OctoMap's reach have the path -1.
+    Bricks outside OctoMap's range have the path -1.
     """
     places = keys + KEY_ORIGIN
     inside = ((places >= 0) & (places < 2 * KEY_ORIGIN)).all(axis=1)
@@ -70,7 +70,7 @@ def brick_paths(keys: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def subtree_in(file: bytes, *, binary: bool) -> Subtree | None:
-    """Take a brick's tree out of a file that holds nothing else; None if that is empty."""
+    """Extract a brick's tree from a file with nothing else; None if it is empty."""
     found = SIZE.search(file)
     nodes = 0 if found is None else int(found[1])
     if not nodes:
@@ -90,8 +90,8 @@ class TreeFile:
     """Writes the records of a tree.
 
     Args:
-        file: at its beginning; it can seek, and can be cut off.
-        binary: as in a `.bt`; else as in a `.ot`.
+        file: at its start; it must support seek and truncate.
+        binary: write a `.bt`, otherwise a `.ot`.
 
     Attributes:
         nodes: number of nodes written.
@@ -106,8 +106,8 @@ class TreeFile:
         """Write the tree.
 
         Args:
-            paths: of the bricks, ascending.
-            brick_at: returns the tree of the brick at a place in `paths`; called in order.
+            paths: paths of the bricks, ascending.
+            brick_at: returns the tree of the brick at an index in `paths`; called in order.
         """
         if paths:
             self._node(paths, brick_at, 0, len(paths), 0)
@@ -120,7 +120,7 @@ class TreeFile:
         end: int,
         depth: int,
     ) -> Subtree | None:
-        """Write the node over bricks [begin, end); nothing where they hold nothing."""
+        """Write the node over bricks [begin, end); nothing if they are empty."""
         if depth == BRICK_DEPTH:
             brick = brick_at(begin)
             if brick is not None:

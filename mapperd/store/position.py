@@ -1,4 +1,4 @@
-"""Up to where a map is complete: the place in its recordings, and all that the estimators knew."""
+"""Position up to which a map is complete: place in the recordings and state of the estimators."""
 
 import zlib
 from typing import Any, Protocol
@@ -12,11 +12,11 @@ __all__ = ["Position", "RecordingOffset", "RecordingOffsets", "position_in"]
 
 
 class RecordingOffset(Struct, frozen=True, order=True):
-    """Between two chunks of a session's recordings.
+    """A position between two chunks of a session's recordings.
 
     Attributes:
         file: number in the file's name; 0 is the first file of the session.
-        chunks: of that file that lie before it.
+        chunks: number of chunks of that file before it.
     """
 
     file: int = 0
@@ -24,11 +24,11 @@ class RecordingOffset(Struct, frozen=True, order=True):
 
 
 class RecordingOffsets(Protocol):
-    """Knows where the pieces of a recording lie."""
+    """Returns positions of pieces in a recording."""
 
     @property
     def missing(self) -> str:
-        """Why the recording lacks a part of the session; empty if it does not."""
+        """Why the recording is incomplete; empty if it is complete."""
 
     @property
     def newest(self) -> int:
@@ -36,34 +36,34 @@ class RecordingOffsets(Protocol):
 
     @property
     def end(self) -> RecordingOffset | None:
-        """Where the recording ends behind the newest piece; None while that is not written."""
+        """End of the recording after the newest piece; None until that is written."""
 
     def place_of(self, number: int) -> RecordingOffset | None:
-        """Where the recording goes on behind a piece; None while that is not written."""
+        """Return the position after a piece; None until that is written."""
 
     def wait_for(self, number: int, timeout_s: float) -> bool:
-        """Wait until a piece is on the disk, where it survives a power cut."""
+        """Wait until a piece is on the disk and survives a power failure."""
 
 
 class Position(Struct, frozen=True):
-    """The map holds the first `done` pieces of work that come after a checkpoint, and all before.
+    """Position of a map: it holds all before a checkpoint and `done` pieces of work after it.
 
     Attributes:
-        session: id of the session that made the map last.
-        whole: nothing of the session is missing; then nothing below matters.
+        session: id of the last session of the map.
+        whole: nothing of the session is missing; the fields after `crc` then do not matter.
         sessions: ids of all sessions since the map was empty, this one included.
-        emptied: ids of sessions that a reset has removed from the map.
-        incomplete: sessions of which the map lacks a part, and why.
-        unrecorded: ids of sessions of which the recordings lack a part that the map has.
-        ends: end of the recordings by session when all of it was mapped; earlier files lack it.
+        emptied: ids of sessions that a reset removed from the map.
+        incomplete: reasons by session of which the map lacks a part.
+        unrecorded: ids of sessions whose recordings lack a part of the map.
+        ends: end of the recordings by session at completion; earlier files lack it.
         crc: CRC-32 of all encoded bytes before it; the last field, None in earlier files.
-        place: of the checkpoint.
-        done: pieces of work that are in the map since then.
-        config: the settings in force at the checkpoint, as plain values.
+        place: position of the checkpoint.
+        done: number of pieces of work in the map since then.
+        config: the settings at the checkpoint, as plain values.
         fixed: the vehicle stood still.
-        checkpoint: the estimators.
-        localization: its state when the work before the checkpoint was done; empty where the map
-            does not depend on it.
+        checkpoint: state of the estimators.
+        localization: state of localization at the checkpoint; empty if the map does not depend on
+            it.
         origin_deg: latitude and longitude of the map's origin; None if unknown.
     """
 
@@ -84,7 +84,7 @@ class Position(Struct, frozen=True):
     crc: int | None = None
 
     def encoded(self) -> bytes:
-        """As the map's file holds it."""
+        """Return the bytes for the map's file."""
         data = msgspec.msgpack.encode(msgspec.structs.replace(self, crc=MAX_CRC))
         return data[:-CRC_BYTES] + zlib.crc32(data[:-CRC_BYTES]).to_bytes(CRC_BYTES, "big")
 
@@ -92,7 +92,7 @@ class Position(Struct, frozen=True):
 CRC_BYTES = 4
 MAX_CRC = (1 << 32) - 1
 CRC_TAG = b"\xa3crc\xce"
-"""MessagePack of the key and of the type of the value."""
+"""MessagePack of the key, and the type of its value."""
 
 KEYS = (b"\xa8sessions", b"\xa5whole")
 """Keys of a position; damage of one byte leaves one of them."""
@@ -108,7 +108,7 @@ def position_in(data: bytes) -> Position | None:
     """
     try:
         position = _DECODER.decode(data)
-    except ValueError as error:  # malformed, or text that is not UTF-8
+    except ValueError as error:  # malformed, or not UTF-8
         if any(name in data for name in KEYS):
             text = f"the position in the map file is damaged: {error}"
             raise StoreError(text, "damaged") from error

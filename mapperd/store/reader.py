@@ -1,4 +1,4 @@
-"""Look into the map's file while another process writes to it, without ever changing it."""
+"""Reads the map's file, also while another process writes it; never changes it."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -22,10 +22,10 @@ from mapperd.store.transfer import check_structure
 __all__ = ["BRICK_VOXELS", "Loaded", "StoreReader"]
 
 BRICK_VOXELS = _core.BRICK_VOXELS
-"""Along an edge of a brick: the brick k of an axis begins at voxel k times this."""
+"""Voxels along an edge of a brick: brick k of an axis begins at voxel k times this."""
 
 AT_ONCE = 64
-"""Bricks decoded before they are put into the map: they may be 1.5 MB each."""
+"""Bricks decoded at once; each may take 1.5 MB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +33,10 @@ class Loaded:
     """One saved state of a map.
 
     Attributes:
-        revision: of it, to ask for what comes later.
-        position: in the input, up to which it is complete.
-        bricks: how many were read.
-        lost: bricks that it does not hold because their rows are damaged, now or before.
+        revision: its revision, for requests of later changes.
+        position: position in the input up to which it is complete.
+        bricks: number of bricks read.
+        lost: bricks that are missing because their rows are or were damaged.
     """
 
     revision: int
@@ -46,12 +46,12 @@ class Loaded:
 
 
 class StoreReader:
-    """The file of a map, opened to be read, `with`.
+    """The file of a map, open for reading; a context manager.
 
     Args:
-        path: of the file.
-        finished: nobody will ever write to it again, and it is closed: it is read without locks,
-            which a network's folder may not have.
+        path: the file.
+        finished: it is closed and will not be written again: read it without locks, which network
+            folders may lack.
 
     Raises:
         StoreError: it cannot be read, or has another version.
@@ -80,7 +80,7 @@ class StoreReader:
         self._open.close()
 
     def kind(self) -> dict[str, Any]:
-        """Settings, by name, that the file's map came about by: those that `load` insists on.
+        """Return the settings, by name, that the map was made with; `load` requires them.
 
         Raises:
             StoreError: the file cannot be read.
@@ -90,7 +90,7 @@ class StoreReader:
             return kind_in(self._connection, self.path)
 
     def rows(self) -> Iterator[BrickRow]:
-        """All bricks as the file holds them, to be put into another file of the same settings.
+        """Yield all bricks as stored, for another file with the same settings.
 
         Raises:
             StoreError: the file cannot be read, or a row of it is damaged.
@@ -109,11 +109,11 @@ class StoreReader:
                 yield row
 
     def load(self, sonar_map: SonarMap, since: int = 0) -> Loaded:
-        """Bring a map that is in memory as a whole up to the last saved state.
+        """Update a map in memory to the last saved state.
 
         Args:
-            sonar_map: of the same settings; bricks that changed are replaced in it.
-            since: the `revision` of what it holds already; 0 is nothing.
+            sonar_map: a map with the same settings; changed bricks are replaced.
+            since: the `revision` of its content; 0 if it is empty.
 
         Raises:
             StoreError: the file cannot be read, or is of other settings.
@@ -124,7 +124,7 @@ class StoreReader:
             revision, position = progress_in(self._connection, self.path) or (0, b"")
             lost = lost_in(self._connection, self.path)
             found = self._connection.execute(
-                # All, if all are wanted: even those whose revision is damaged.
+                # For 0 read all rows, even those with a damaged revision.
                 f"SELECT {COLUMNS} FROM brick WHERE revision > ? OR NOT ?",  # noqa: S608 our own
                 (since, since),
             )
@@ -134,7 +134,7 @@ class StoreReader:
         return Loaded(revision, position, bricks, frozenset(lost))
 
     def keys(self) -> NDArray[np.int64]:
-        """Keys (N, 3) of all bricks in ascending order, those that are lost among them.
+        """Return the keys (N, 3) of all bricks, ascending, including lost ones.
 
         Raises:
             StoreError: the file cannot be read.
@@ -147,15 +147,15 @@ class StoreReader:
         return keys[np.lexsort(keys.T[::-1])]
 
     def load_box(self, sonar_map: SonarMap, low: Key, high: Key) -> frozenset[Key]:
-        """Put a part of the map into another, in memory that this part alone takes.
+        """Load a part of the map into another; memory holds only that part.
 
         Args:
-            sonar_map: of the same settings, in memory as a whole; bricks of the box are replaced.
+            sonar_map: a map in memory with the same settings; bricks of the box are replaced.
             low: key of the box's first brick.
-            high: key of its last brick, which belongs to it.
+            high: key of its last brick, included.
 
         Returns:
-            bricks of the box that are lost.
+            lost bricks of the box.
 
         Raises:
             StoreError: the file cannot be read, or is of other settings.
@@ -180,7 +180,7 @@ class StoreReader:
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """One state of the file, which is checked once, before an index is used."""
+        """Read one state of the file; it is checked once, before an index is used."""
         with translated(self.path), reading(self._connection):
             if not self._is_sound:
                 check_facts(self._connection, self.path)

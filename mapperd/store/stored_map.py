@@ -1,4 +1,4 @@
-"""A map in its file, read part by part: it may be larger than memory."""
+"""Reads a map from its file part by part; it may be larger than memory."""
 
 import itertools
 import struct
@@ -41,7 +41,7 @@ from mapperd.store.transfer import check_structure
 __all__ = ["StoredMap"]
 
 BRICKS_AT_ONCE = 16
-"""Bricks of a part that is in memory: with lists of their voxels, they may take 10 MB each."""
+"""Bricks of a part in memory; with lists of their voxels each may take 10 MB."""
 
 DECODED_AT_ONCE = 8
 """Bricks decoded before they are put into a part."""
@@ -49,7 +49,7 @@ DECODED_AT_ONCE = 8
 COPIED_AT_ONCE = 1 << 20
 
 Columns = tuple[int, int, int]
-"""Bricks of one x and of a range of y, both ends with."""
+"""Bricks of one x and of a range of y, both ends included."""
 
 
 class StoredMap:
@@ -59,7 +59,7 @@ class StoredMap:
 
     Args:
         path: of the file.
-        config: settings; those that the map came about by are the file's.
+        config: settings; those that the map was made with come from the file.
         unsaved: bricks that replace those of the file.
         incomplete: bricks that count as lost if they are damaged in the file, even if unsaved.
 
@@ -68,9 +68,9 @@ class StoredMap:
 
     Attributes:
         config: as given.
-        position: in the input, up to which the map is complete.
-        lost: damaged bricks, which are missing in the content or incomplete.
-        has_checksum: False if the file is of version 1: its settings cannot be verified.
+        position: position in the input up to which the map is complete.
+        lost: damaged bricks, which are missing or incomplete.
+        has_checksum: False if the file is of version 1, whose settings cannot be verified.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class StoredMap:
             self._closing = weakref.finalize(self, opening.pop_all().close)
 
     def close(self) -> None:
-        """Close the file, as the end of the last reference does."""
+        """Close the file."""
         self._closing()
 
     @property
@@ -116,7 +116,7 @@ class StoredMap:
 
     @property
     def memory_bytes(self) -> int:
-        """Memory that the largest part takes, counted with the voxels."""
+        """Memory of the largest part; counted together with the voxels."""
         return self._survey.memory_bytes
 
     def counts(self) -> MapCounts:
@@ -128,7 +128,7 @@ class StoredMap:
         return fingerprint(self.parts(), self.resolution_m)
 
     def occupied(self) -> "_StoredVoxels":
-        """Return the occupied voxels, counted now and read with each use."""
+        """Return the occupied voxels; they are counted now and read at each use."""
         survey = self._survey
         return _StoredVoxels(self._in_order, survey.counts.occupied, survey.box_m)
 
@@ -168,14 +168,14 @@ class StoredMap:
         """Write OctoMap's tree; the bytes are those of `SonarMap.save_octomap`.
 
         Raises:
-            MapError: a voxel lies beyond OctoMap's reach.
+            MapError: a voxel lies outside OctoMap's range.
             ExportError: the file cannot be written.
             StoreError: the map's file cannot be read.
         """
         binary = path.suffix == ".bt"
         paths = brick_paths(self._keys)
         brick = SonarMap(self.config)
-        for key in self._keys[paths < 0]:  # refused if it holds anything to write
+        for key in self._keys[paths < 0]:  # refused if it has anything to write
             self._subtree(brick, key, binary=binary)
         order = np.argsort(paths, kind="stable")[np.count_nonzero(paths < 0) :]
         keys = self._keys[order]
@@ -215,15 +215,15 @@ class StoredMap:
         return frozenset(lost)
 
     def _sound_keys(self) -> NDArray[np.int64]:
-        """Keys (N, 3) of all bricks but the lost ones, in ascending order."""
+        """Return the keys (N, 3) of all bricks except lost ones, ascending."""
         found = self._connection.execute("SELECT x, y, z FROM brick ORDER BY x, y, z")
         keys = sorted({*found}.difference(self._not_read) | self._unsaved.keys())
         return np.array(keys, dtype=np.int64).reshape(-1, 3)
 
     def _in_order(self) -> Iterator[SonarMap]:
-        """Yield parts in the order of their blocks' keys, whose first number is x.
+        """Yield parts in the order of their blocks' keys, which start with x.
 
-        Where the bricks of one x are too many, their layers of blocks are read one by one.
+        If one x has too many bricks, their layers of blocks are read one by one.
         """
         part = SonarMap(self.config)
         for group in self._groups():
@@ -242,7 +242,7 @@ class StoredMap:
             yield part
 
     def _groups(self) -> Iterator[list[Columns]]:
-        """Divide the bricks of each x into few that are in memory together."""
+        """Divide the bricks of each x into groups that fit in memory."""
         for x in np.unique(self._keys[:, 0]):
             ys, counts = np.unique(self._keys[self._keys[:, 0] == x, 1], return_counts=True)
             group: list[Columns] = []
@@ -257,7 +257,7 @@ class StoredMap:
             yield group
 
     def _read(self, part: SonarMap, columns: Columns, layer: int | None = None) -> None:
-        """Replace a part by the bricks of columns, or by one layer of blocks of each."""
+        """Load the bricks of columns, or one layer of blocks of each, into a part."""
         with translated(self._path):
             found = self._connection.execute(
                 f"SELECT {COLUMNS} FROM brick WHERE x = ? AND y BETWEEN ? AND ? ORDER BY y, z",  # noqa: S608 our own text
@@ -304,11 +304,11 @@ class StoredMap:
 
 @dataclass(frozen=True, slots=True)
 class _Survey:
-    """What is known of the whole map.
+    """Totals of the whole map.
 
     Attributes:
         counts: observed voxels.
-        memory_bytes: of the largest part.
+        memory_bytes: memory of the largest part.
         box_m: (2, 3) lowest and highest centre of the occupied voxels.
     """
 
@@ -353,7 +353,7 @@ def _octomap_of(part: SonarMap, *, binary: bool) -> bytes:
 
 @contextmanager
 def _spool(path: Path) -> Iterator[BinaryIO]:
-    """Open a file without a name beside another, for what follows its header."""
+    """Open an unnamed file in another's folder, for the content after its header."""
     try:
         with tempfile.TemporaryFile(dir=path.parent) as file:
             yield cast("BinaryIO", file)

@@ -1,8 +1,8 @@
-"""A map of which some tiles are in memory and the rest, and a copy of all, in one file.
+"""A map with some tiles in memory and a copy of all tiles in one file.
 
-A tile leaves memory only when the file holds it as it is. Whenever something is saved, all that
-changed is, together with the place in the input up to which the map is complete: at every moment
-the file holds the whole map between two pings, and records which.
+A tile is evicted only after the file holds its current content. Each save writes all changes and
+the position in the input up to which the map is complete. At any time the file therefore holds the
+whole map between two pings, and which two.
 """
 
 import sqlite3
@@ -44,12 +44,12 @@ from mapperd.store.transfer import Loader, Position, Saver, Snapshot, check_stru
 __all__ = ["StoreCounters", "TileStore", "tile_bricks"]
 
 OVERDRAFT = 4
-"""While nothing can be saved, changed tiles stay in memory: up to so many times the cache."""
+"""Multiple of the cache that changed tiles may take while saving fails."""
 
 
 @dataclass(slots=True)
 class StoreCounters:
-    """What happened since the file was opened."""
+    """Counters since the file was opened."""
 
     tiles_loaded: int = 0
     tiles_dropped: int = 0
@@ -59,32 +59,31 @@ class StoreCounters:
 
 
 def tile_bricks(tile_size_m: float, resolution_m: float) -> int:
-    """Bricks along a tile's edge: as near to the size asked for as whole bricks are, at least 1."""
+    """Return the bricks along a tile's edge: the size rounded to whole bricks, at least 1."""
     return max(1, round(tile_size_m / (_core.BRICK_VOXELS * resolution_m)))
 
 
 class TileStore:
-    """The file of one map, `with`; leaving it in good order saves.
+    """The file of one map; a context manager that saves at its end.
 
-    One thread, that of the pings, calls everything but `write`, `suspect`, `lost` and
-    `status`.
+    The mapping thread makes all calls except `write`, `suspect`, `lost` and `status`.
 
     Args:
-        path: of the file; made if it is not there.
-        sonar_map: empty; from now on it holds some of the tiles only.
+        path: the file; created if missing.
+        sonar_map: empty; from now on it holds only some of the tiles.
         tile_size_m: edge of a tile, rounded to whole bricks.
-        cache_tiles: so many tiles in memory, or as many as one ping needs.
+        cache_tiles: number of tiles in memory; more if one ping needs more.
 
     Raises:
         StoreError: the file cannot be used, or is of other settings.
 
     Attributes:
-        position: up to which the map was complete when the file was opened; empty in a new file.
-        saved_position: the same at the last save.
-        identity: of the map; any thread may read it.
-        counters: what happened.
-        trouble: why nothing can be saved at the moment; None when all is well.
-        had_checksum: False if the file is of version 1: its settings could not be verified.
+        position: position of the map when the file was opened; empty in a new file.
+        saved_position: position at the last save.
+        identity: identity of the map; any thread may read it.
+        counters: counters since the file was opened.
+        trouble: why saving fails; None if it works.
+        had_checksum: False if the file was of version 1, whose settings cannot be verified.
     """
 
     def __init__(
@@ -140,7 +139,7 @@ class TileStore:
         return *found, lost_in(writer, self.path)
 
     def _check_facts(self, writer: sqlite3.Connection, sonar_map: SonarMap) -> None:
-        """Check all that is not in a brick; settings that are those of the map are restored."""
+        """Check the metadata; restore damaged settings if they are those of the map."""
         try:
             self.had_checksum = check_facts(writer, self.path)
         except StoreError:
@@ -159,7 +158,7 @@ class TileStore:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Save, unless something went wrong: then the last save stands."""
+        """Save, except after an exception: then the last save stands."""
         try:
             if kind is None:
                 self.save()
@@ -167,38 +166,38 @@ class TileStore:
             self.close()
 
     def close(self) -> None:
-        """Let go of the file, as it was saved last."""
+        """Close the file as last saved."""
         self._open.close()
 
     @property
     def steps(self) -> int:
-        """Grows while the map is saved; any thread."""
+        """Increases during a save; any thread may read it."""
         return self.counters.saves + self.counters.saves_failed + self._saver.bricks_packed
 
     @property
     def bytes_written(self) -> int:
-        """Of bricks, since the file was opened."""
+        """Bytes of bricks written since the file was opened."""
         return self._saver.bytes_written
 
     @property
     def lost(self) -> frozenset[Key]:
-        """Bricks that were found damaged and are not rebuilt; any thread.
+        """Damaged bricks that are not rebuilt; any thread may read it.
 
-        What they held is not in the map.
+        Their content is missing in the map.
         """
         return frozenset(self._lost)
 
     def advance(self, position: Position) -> None:
-        """Record, after each ping, up to where in the input the map is complete.
+        """Note after each ping the position in the input up to which the map is complete.
 
         Args:
-            position: or what makes it when it is about to be written, in the thread that writes.
-                That may raise a `StoreError`: then nothing is written.
+            position: the position, or a function that makes it in the writing thread. If it raises
+                a `StoreError`, nothing is written.
         """
         self._noted = (self._core.revision, position)
 
     def take(self) -> Snapshot:
-        """What is not in the file yet, to be written by `write`.
+        """Return the unsaved changes as a snapshot for `write`.
 
         Raises:
             StoreError: the map was changed since `advance` (`out_of_step`).
@@ -217,10 +216,10 @@ class TileStore:
         return Snapshot(self._numbers, revision, position, bricks, dict(self._damaged))
 
     def write(self, snapshot: Snapshot) -> None:
-        """Put a snapshot into the file; any thread. An older one than is there is left out.
+        """Write a snapshot; any thread may call it. A snapshot older than the file is skipped.
 
         Raises:
-            StoreError: it cannot be; the file is as before, and the map is still in memory.
+            StoreError: it cannot be written; the file is unchanged and the map stays in memory.
         """
         with self._writing:
             if snapshot.number <= self._written:
@@ -243,10 +242,10 @@ class TileStore:
             self.trouble = None
 
     def save(self) -> None:
-        """Put all that changed into the file.
+        """Write all changes.
 
         Raises:
-            StoreError: it cannot be; the file is as before, and the map is still in memory.
+            StoreError: they cannot be written; the file is unchanged and the map stays in memory.
         """
         self.write(self.take())
 
@@ -282,17 +281,17 @@ class TileStore:
         return len(unsaved)
 
     def unsaved(self) -> list[tuple[Key, int, bytes]]:
-        """Return the bricks in memory that the file does not hold as they are."""
+        """Return the bricks in memory that differ from the file."""
         bricks: list[tuple[Key, int, bytes]] = self._core.bricks_since(self._saved_revision)[1]
         if not self._unsaved:
             return bricks
         return [brick for brick in self._resident() if brick[0] in self._unsaved]
 
     def sync(self) -> None:
-        """Move all that was saved from the write-ahead log into the file, durably.
+        """Move the write-ahead log into the file, durably.
 
         Raises:
-            StoreError: it cannot be.
+            StoreError: it cannot be moved.
         """
         with self._writing, translated(self.path):
             is_done = self._saver.sync()
@@ -301,12 +300,12 @@ class TileStore:
             raise StoreError(f"{self.path}: a reader holds its write-ahead log", "busy")
 
     def check(self) -> frozenset[Key]:
-        """Read the whole file for damage, which is noticed otherwise when a tile is needed.
+        """Check the whole file for damage, which otherwise shows when a tile is loaded.
 
-        Nothing may be in memory yet: that would be whole, whatever became of its row.
+        No tile may be in memory yet, because its rows would then not count as lost.
 
         Returns:
-            all that is lost.
+            all lost bricks.
 
         Raises:
             StoreError: its structure is damaged.
@@ -316,12 +315,12 @@ class TileStore:
         return self.lost
 
     def suspect(self, keys: Iterable[Key]) -> None:
-        """Report bricks that another reader of the file found damaged; any thread."""
+        """Report bricks that another reader found damaged; any thread may call it."""
         with self._writing:
             self._suspects.update(keys)
 
     def settle_suspects(self) -> None:
-        """Read the reported bricks again: those in memory are written again, others are lost.
+        """Recheck the reported bricks: those in memory are written again, others are lost.
 
         Raises:
             StoreError: the file cannot be read.
@@ -340,15 +339,15 @@ class TileStore:
             self._try_to_save()
 
     def _resident(self) -> list[tuple[Key, int, bytes]]:
-        """Return the bricks in memory that hold anything."""
+        """Return the bricks in memory that are not empty."""
         bricks: list[tuple[Key, int, bytes]] = self._core.bricks_since(0)[1]
         return bricks
 
     def reset(self) -> None:
-        """Empty the map and its file; the place in the input stays.
+        """Empty the map and its file; the position in the input stays.
 
         Raises:
-            StoreError: the file cannot be written; nothing is changed.
+            StoreError: the file cannot be written; nothing changes.
         """
         revision, position = self._core.revision + 1, made(self._noted[1])
         with self._writing, translated(self.path):
@@ -360,17 +359,17 @@ class TileStore:
         self._noted = (revision, position)
         self._damaged.clear()
         self._lost.clear()
-        self.identity = identity  # last: who knows of the new map finds nothing of the old one
+        self.identity = identity  # last: whoever sees the new identity must not find the old map
 
     def restore(self, bricks: Iterable[tuple[Key, bytes]], *, whole: bool) -> None:
-        """Put what lost bricks should hold into the file; nothing may be in memory yet.
+        """Write rebuilt bricks into the file; no tile may be in memory yet.
 
         Args:
-            bricks: those of `lost` that hold anything.
-            whole: that is all there ever was, up to `position`; else they stay on record as lost.
+            bricks: those of `lost` that are not empty.
+            whole: they are complete up to `position`; otherwise they still count as lost.
 
         Raises:
-            StoreError: it cannot be; nothing is changed.
+            StoreError: they cannot be written; nothing changes.
         """
         self._check_unused()
         self._core.raise_revision(self._core.revision + 1)
@@ -382,7 +381,7 @@ class TileStore:
         self.write(Snapshot(self._numbers, revision, self._noted[1], rows, {}, rebuilt))
 
     def status(self) -> dict[str, object]:
-        """For a person: what it does and what was lost."""
+        """Status for people: tiles, saves and losses."""
         return {
             "state": "saving" if self.trouble is None else "stuck",
             "reason": self.trouble,
@@ -443,7 +442,7 @@ def _sealed(snapshot: Snapshot) -> Snapshot:
 
 
 def _weakly(fetch: Callable[[list[Key]], None]) -> Callable[[list[Key]], None]:
-    """The core keeps what it calls alive; a store that ended is not to be kept."""
+    """Weak callback for the core, so that the core does not keep a closed store alive."""
     method = weakref.WeakMethod(fetch)
 
     def ask(tiles: list[Key]) -> None:

@@ -1,4 +1,4 @@
-"""Tiles in memory, and bricks as rows of the map's file."""
+"""Tiles in memory, and bricks as rows of the file."""
 
 import itertools
 import sqlite3
@@ -31,19 +31,19 @@ __all__ = [
 Key = tuple[int, int, int]
 
 LEVEL = 1
-"""Of zstd: 3 makes the rows of a seabed smaller by 6 % and takes 20 % longer."""
+"""Level of zstd; level 3 makes rows of a seabed 6 % smaller and takes 20 % longer."""
 
 MAX_BYTES = 1 + (_core.BRICK_VOXELS // _core.BLOCK_EDGE) ** 3 * (
     1 + 8 + 1 + _core.BLOCK_EDGE**3 // 8 + _core.BLOCK_EDGE**3 * 6
 )
-"""Of a brick with every voxel observed, in the largest form that was ever written: form 2 of
+"""Maximum size of a brick: all voxels observed, in form 2 of
 cpp/map/include/mapperd/map/block_codec.hpp. Forms 3 to 5 are smaller."""
 
 LAYERS = _core.BRICK_VOXELS // _core.BLOCK_EDGE
 """Layers of blocks in a brick."""
 
 BLOCK_HEADER_BYTES = 1 + 8
-"""Place in the brick, and revision."""
+"""Size of the position in the brick and the revision."""
 
 CELL_VOXELS = 64
 
@@ -51,7 +51,7 @@ COLUMNS = "x, y, z, revision, size, crc, data"
 
 
 class DamagedBrickError(Exception):
-    """A row differs from what was written; the text states how."""
+    """A row is damaged; the text states how."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +59,9 @@ class BrickRow:
     """A row of the table `brick`.
 
     Attributes:
-        key: in bricks.
-        revision: of the map, when the brick last changed.
-        size: of the brick's bytes.
+        key: key of the brick.
+        revision: revision of the map at the brick's last change.
+        size: size of the brick's bytes.
         crc: CRC-32 of key, revision, size and data.
         data: the bytes, as one zstd frame.
     """
@@ -80,7 +80,7 @@ def pack(compressor: zstandard.ZstdCompressor, key: Key, revision: int, brick: b
 
 
 def check_row(row: BrickRow) -> None:
-    """Check a row's checksum, without decompressing its data.
+    """Verify a row's checksum without decompressing its data.
 
     Raises:
         DamagedBrickError: the row is not as it was written.
@@ -95,7 +95,7 @@ def check_row(row: BrickRow) -> None:
 
 
 def unpack(decompressor: zstandard.ZstdDecompressor, row: BrickRow) -> bytes:
-    """Take a brick out of its row.
+    """Decode the brick of a row.
 
     Raises:
         DamagedBrickError: the row is not as it was written.
@@ -111,11 +111,11 @@ def unpack(decompressor: zstandard.ZstdDecompressor, row: BrickRow) -> bytes:
 
 
 def layer_of(brick: bytes, layer: int) -> bytes:
-    """Return a brick's bytes with its blocks of one layer only.
+    """Return a brick's bytes with the blocks of one layer only.
 
     Args:
         brick: as the core encodes it, see cpp/map/include/mapperd/map/brick.hpp.
-        layer: place of the blocks along x, below `LAYERS`.
+        layer: index of the blocks along x, below `LAYERS`.
 
     Raises:
         ValueError: the bytes are not a brick's.
@@ -133,7 +133,7 @@ def layer_of(brick: bytes, layer: int) -> bytes:
 
 
 def _block_bytes(brick: bytes, at: int) -> int:
-    """Length of a block's voxels; see cpp/map/include/mapperd/map/block_codec.hpp."""
+    """Return the length of a block's voxels; see cpp/map/include/mapperd/map/block_codec.hpp."""
     voxels = _core.BLOCK_EDGE**3
     match brick[at : at + 1]:
         case b"\1":
@@ -152,7 +152,7 @@ def _block_bytes(brick: bytes, at: int) -> int:
 
 
 def rows_of_tile(connection: sqlite3.Connection, tile: Key, edge: int) -> Iterator[BrickRow]:
-    """The rows of a tile of `edge` bricks an edge."""
+    """Select the rows of a tile with an edge of `edge` bricks."""
     (x, y, z) = (edge * i for i in tile)
     for brick_x, brick_y in itertools.product(range(x, x + edge), range(y, y + edge)):
         found = connection.execute(
@@ -163,7 +163,7 @@ def rows_of_tile(connection: sqlite3.Connection, tile: Key, edge: int) -> Iterat
 
 
 def rows_of(found: Iterable[Sequence[Any]]) -> Iterator[BrickRow]:
-    """What a SELECT of COLUMNS found."""
+    """Return the rows of a SELECT of COLUMNS."""
     for x, y, z, revision, size, crc, data in found:
         yield BrickRow((x, y, z), revision, size, crc, data)
 
@@ -176,7 +176,7 @@ class ResidentTiles:
     """The tiles in memory, least recently used first.
 
     Args:
-        limit: how many there should be; one ping may need more at once.
+        limit: target number; one ping may need more at once.
     """
 
     def __init__(self, limit: int) -> None:
@@ -187,30 +187,30 @@ class ResidentTiles:
         return len(self._used_at)
 
     def all(self) -> list[Key]:
-        """All of them, least recently used first."""
+        """Return all tiles, least recently used first."""
         return list(self._used_at)
 
     def missing(self, tiles: Sequence[Key]) -> list[Key]:
-        """Those that are not in memory."""
+        """Return the tiles that are not in memory."""
         return [tile for tile in tiles if tile not in self._used_at]
 
     def use(self, tiles: Iterable[Key], revision: int) -> None:
-        """Note that tiles are in memory, and about to be changed at the next revision."""
+        """Note that tiles are in memory and change at the next revision."""
         for tile in tiles:
             self._used_at[tile] = revision
             self._used_at.move_to_end(tile)
 
     def surplus(self, coming: int, needed: Collection[Key]) -> list[Key]:
-        """Those that must go so that `coming` more fit in; none that is needed."""
+        """Return the tiles to evict so that `coming` more fit; none that is needed."""
         too_many = len(self._used_at) + coming - self._limit
         spare = [tile for tile in self._used_at if tile not in needed]
         return spare[: max(too_many, 0)]
 
     def changed_since(self, revision: int, tiles: Iterable[Key]) -> set[Key]:
-        """Those that may have changed after a revision of the map."""
+        """Return the tiles that may have changed after a revision."""
         return {tile for tile in tiles if self._used_at[tile] >= revision}
 
     def drop(self, tiles: Iterable[Key]) -> None:
-        """Note that tiles are gone."""
+        """Note that tiles were evicted."""
         for tile in tiles:
             del self._used_at[tile]

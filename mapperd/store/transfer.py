@@ -1,4 +1,4 @@
-"""Save the map's bricks to the file, and load them."""
+"""Saves the map's bricks to the file and loads them."""
 
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -33,14 +33,14 @@ from mapperd.store.tiles import (
 __all__ = ["Loader", "Position", "Saver", "Snapshot", "check_structure", "damaged_rows", "made"]
 
 ROWS_AT_ONCE = 32
-"""Read by a check: they may take 1.5 MB each."""
+"""Rows that a check reads at once; each may take 1.5 MB."""
 
 Position = bytes | Callable[[], bytes]
-"""A place in the input, or what makes it when it is written."""
+"""A position in the input, or a function that makes it when it is written."""
 
 
 def made(position: Position) -> bytes:
-    """Return a position as it is written."""
+    """Return the bytes of a position."""
     return position() if callable(position) else position
 
 
@@ -63,16 +63,16 @@ REBUILT = """UPDATE quarantine SET rebuilt = 1, data = NULL WHERE x = ? AND y = 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """What changed since an older state, all of one moment between two pings.
+    """Changes since an older state, taken between two pings.
 
     Attributes:
-        number: of the snapshot; later ones have higher numbers.
-        revision: of the map.
-        position: in the input, up to which the map is complete; or what makes it.
-        bricks: (key, revision, bytes) of those that changed.
-        damaged: bricks whose rows could not be read, and why.
-        rebuilt: bricks of quarantined rows that are whole again.
-        unsaved: bricks that changed and are not among `bricks`: they are lost in the file.
+        number: number of the snapshot, increasing.
+        revision: revision of the map.
+        position: position in the input up to which the map is complete, or a function for it.
+        bricks: (key, revision, bytes) of changed bricks.
+        damaged: bricks whose rows could not be read, with the reason.
+        rebuilt: bricks of quarantined rows that are complete again.
+        unsaved: changed bricks that are not in `bricks`; the file loses them.
     """
 
     number: int
@@ -88,15 +88,15 @@ class Saver:
     """Writes snapshots.
 
     Args:
-        connection: to the file, whose facts are sound; used by one thread at a time.
+        connection: connection to the file, whose metadata are verified; one thread at a time.
 
     Raises:
         sqlite3.Error: the file cannot be read.
 
     Attributes:
         bricks_written: rows written.
-        bricks_packed: rows begun: grows during a write.
-        bytes_written: of their data.
+        bricks_packed: rows started; increases during a write.
+        bytes_written: bytes of their data.
     """
 
     def __init__(self, connection: sqlite3.Connection) -> None:
@@ -107,10 +107,10 @@ class Saver:
         self.bytes_written = 0
 
     def write(self, snapshot: Snapshot) -> None:
-        """All of it, or nothing.
+        """Write a snapshot in one transaction.
 
         Raises:
-            sqlite3.Error: it cannot be; the file is as before.
+            sqlite3.Error: it fails; the file is unchanged.
         """
         rows = sizes = 0
         lost = self._lost_crc
@@ -134,25 +134,25 @@ class Saver:
         self.bytes_written += sizes
 
     def sync(self) -> bool:
-        """Move the write-ahead log into the file, and the file to the disk.
+        """Move the write-ahead log into the file and sync it.
 
         Returns:
             False if a reader holds the log.
 
         Raises:
-            sqlite3.Error: it cannot be.
+            sqlite3.Error: it fails.
         """
         busy, *_ = self._connection.execute("PRAGMA wal_checkpoint(FULL)").fetchone()
         return not busy
 
     def forget(self, revision: int, position: bytes, identity: MapIdentity) -> MapIdentity:
-        """Empty the map; nothing is lost any more, for nothing should be there.
+        """Empty the map and the list of lost bricks.
 
         Returns:
-            the identity of the map from now on.
+            the new identity of the map.
 
         Raises:
-            sqlite3.Error: it cannot be; the file is as before.
+            sqlite3.Error: it fails; the file is unchanged.
         """
         with transaction(self._connection):
             self._connection.execute("DELETE FROM brick")
@@ -174,12 +174,12 @@ class Saver:
 
 
 class Loader:
-    """Reads tiles for the thread of the pings, while another may write.
+    """Reads tiles for the mapping thread; another thread may write.
 
     Args:
-        connection: to read the file with.
-        path: of the file.
-        edge: of a tile, in bricks.
+        connection: connection for reading.
+        path: the file.
+        edge: edge of a tile, in bricks.
     """
 
     def __init__(self, connection: sqlite3.Connection, path: Path, edge: int) -> None:
@@ -189,10 +189,10 @@ class Loader:
         self._unpacker = zstandard.ZstdDecompressor()
 
     def load(self, core: _core.VoxelMap, tiles: list[Key]) -> dict[Key, str]:
-        """Make tiles resident as the file has them.
+        """Load tiles from the file.
 
         Returns:
-            bricks that are damaged in it, and how; they are empty now.
+            damaged bricks, with the reason; they are empty now.
 
         Raises:
             StoreError: it cannot be read.
@@ -204,16 +204,16 @@ class Loader:
         bricks, damaged = self._sound(rows)
         try:
             core.put_bricks(bricks, tiles)
-        except ValueError:  # with a true checksum: written by somebody else
+        except ValueError:  # with a valid checksum: not written by this program
             core.put_bricks([], tiles)
             damaged |= _put_one_by_one(core, bricks)
         return damaged
 
     def damage(self, keys: Iterable[Key] | None = None) -> dict[Key, str]:
-        """Return the damaged bricks of the file, and how they are damaged.
+        """Return the damaged bricks of the file, with the reason.
 
         Args:
-            keys: of the bricks to read; None reads the whole file and checks its structure.
+            keys: keys of the bricks to read; None reads the whole file and checks its structure.
 
         Raises:
             StoreError: it cannot be read, or its structure is damaged.
@@ -234,7 +234,7 @@ class Loader:
         return damaged
 
     def _sound(self, rows: Iterable[BrickRow]) -> tuple[list[tuple[Key, bytes]], dict[Key, str]]:
-        """The bricks of rows that are as they were written, and what is wrong with the others."""
+        """Return the intact bricks of rows, and the damage of the others."""
         bricks = []
         damaged = {}
         for row in rows:
@@ -260,7 +260,7 @@ def check_structure(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def damaged_rows(connection: sqlite3.Connection, path: Path) -> Iterator[dict[Key, str]]:
-    """Read all bricks of the file, some at a time; yield those that are damaged, and how.
+    """Read all bricks of the file in batches; yield the damaged ones, with the reason.
 
     Raises:
         StoreError: the file cannot be read.
