@@ -1,5 +1,5 @@
-// The scatterers of many patches side by side, so that the compiler can vectorise what happens to
-// them.
+// Batches of scatterers of many patches, one array per quantity, so that the compiler can
+// vectorise.
 #pragma once
 
 #include <cstddef>
@@ -11,16 +11,16 @@
 
 namespace mapperd::acoustics {
 
-// Nodes worked on at once, and how many a vector loop may write beyond them.
+// Maximum nodes of a batch, and nodes that a vector loop may write beyond them.
 constexpr std::size_t kNodes = 512;
 constexpr std::size_t kLanes = 8;
 
-// What nodes that are worked on together share.
+// Properties that all nodes of a batch share.
 struct SharedTraits {
   const Leg* transmit;
   const Leg* receive;
-  bool round;  // the surface
-  bool lobe;   // some of it is a mirror
+  bool round;  // the surface is round
+  bool lobe;   // some of it reflects specularly
 
   [[nodiscard]] bool same_leg() const { return transmit == receive; }
 };
@@ -30,7 +30,7 @@ inline bool operator==(const SharedTraits& a, const SharedTraits& b) {
          a.lobe == b.lobe;
 }
 
-// What the nodes of a patch share.
+// Properties that the nodes of a patch share.
 struct PatchModel {
   Axes axes;
   Vector normal;
@@ -43,11 +43,11 @@ struct PatchModel {
   Strength strength;
 };
 
-// One number of each node.
+// One number per node.
 template <typename Number>
 using Each = Number[kNodes + kLanes];
 
-// The nodes of some patches.
+// Nodes of some patches.
 struct Nodes {
   std::size_t count = 0;
   Each<std::int32_t> i, j;   // in their lattice, from the patch's first
@@ -70,7 +70,7 @@ struct Outline {
 
 Outline outline_of(const Corners& corner_m, const Axes& axes, const Lattice& lattice);
 
-// Lines worked on at once.
+// Maximum lines processed at once.
 constexpr std::size_t kLines = 64;
 
 // Nodes on some lines of an outline, counted from its first ones: from `first` on, `count` of them.
@@ -82,17 +82,17 @@ struct Lines {
 
 void scan(const Outline& outline, std::size_t from, Lines& lines);
 
-// Works out what belongs to a patch for its nodes, those from `first` on.
+// Computes the quantities of a patch for its nodes from `first` on.
 void place(const PatchModel& patch, const SharedTraits& traits, std::size_t first, Nodes& nodes);
 
-// The nodes as a leg has them.
+// Nodes relative to a leg.
 struct Sights {
   Each<double> range_m;
   Each<double> way[3];  // unit vectors in the object's frame
   Each<float> s, w;
 };
 
-// Where and how loudly the nodes are heard.
+// Position in the grid and pressure of the nodes.
 struct HeardNodes {
   Each<float> pressure;
   Each<float> turns;  // of phase, within one
@@ -100,7 +100,7 @@ struct HeardNodes {
   Each<float> column;  // from the grid's first
 };
 
-// Works nodes out.
+// Computes the echoes of nodes.
 class ScattererKernel {
  public:
   explicit ScattererKernel(const Echoes& echoes) : e_(echoes) {}

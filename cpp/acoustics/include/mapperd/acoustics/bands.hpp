@@ -13,7 +13,7 @@
 
 namespace mapperd::acoustics {
 
-/// Runs task(0) .. task(count - 1), each once, on at most so many threads.
+/// Runs task(0) .. task(count - 1), each once, on at most `threads` threads.
 void share(std::size_t count, int threads, const std::function<void(std::size_t)>& task);
 
 /// Hits first .. last and the columns that their echoes can reach.
@@ -24,7 +24,7 @@ struct Band {
 
 std::vector<Band> bands_of(const Echoes& echoes, int threads);
 
-/// Column of a direction cosine s, counted from the grid's first.
+/// Column of a direction cosine s, relative to the grid's first column.
 double column_of(const EchoGrid& grid, double s);
 
 }  // namespace mapperd::acoustics

@@ -11,12 +11,12 @@
 
 namespace mapperd::acoustics {
 
-/// Adds to each cell a complex Gaussian number of its own, of rms amplitude row_rms[row] times
+/// Adds an independent complex Gaussian number to each cell, of rms amplitude row_rms[row] times
 /// column_rms[column].
 void add_gaussian(float* field, std::size_t rows, std::size_t columns, const float* row_rms,
                   const float* column_rms, std::uint64_t key, unsigned threads);
 
-/// The same, of mean power power[row][column].
+/// The same, with mean power power[row][column].
 void add_gaussian_power(float* field, std::size_t rows, std::size_t columns, const float* power,
                         std::uint64_t key, unsigned threads);
 

@@ -21,7 +21,7 @@ struct Gaussian {
 
 /// 64 random bits as a circular complex Gaussian number of mean power 1 (Box and Muller 1958): the
 /// upper half gives the amplitude by 24 bits, the lower one the angle by 21 bits within an octant,
-/// and three to choose the octant. Powers beyond 17.3 (a chance of 3e-8) do not come.
+/// and three select the octant. Powers above 17.3 (probability 3e-8) do not occur.
 MAPPERD_INLINE Gaussian gaussian_of(std::uint32_t upper, std::uint32_t lower) {
   constexpr float kEighthTurn = 0.78539816F;
   const float level = (static_cast<float>(static_cast<std::int32_t>(upper >> 8)) + 0.5F) * 0x1p-24F;

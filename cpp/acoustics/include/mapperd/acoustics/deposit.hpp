@@ -1,6 +1,5 @@
 /// \file
-/// \brief Scatterers on their way into the field, many at a time so that the compiler can
-/// vectorise.
+/// \brief Adds scatterers to the field, in batches so that the compiler can vectorise.
 ///
 /// \par Threads
 /// Const members may run concurrently; other members need exclusive access.
@@ -18,7 +17,7 @@ namespace mapperd::acoustics {
 
 constexpr std::size_t kBatch = 512;
 
-/// Scatterers, side by side.
+/// A batch of scatterers, one array per quantity.
 struct Scatterers {
   std::size_t count;          ///< at most kBatch
   const float* pressure;      ///< rms
@@ -30,12 +29,12 @@ struct Scatterers {
 
 class Deposit {
  public:
-  /// Writes into a field of the grid's rows and of `columns` from `first_column` on: at least as
-  /// many as an echo spreads over.
+  /// Writes to a field with the grid's rows and `columns` columns from `first_column` on, at least
+  /// as many as an echo spreads over.
   Deposit(const Hearing& response, std::ptrdiff_t rows, std::ptrdiff_t first_column,
           std::ptrdiff_t columns, std::complex<float>* field);
 
-  /// Adds their echoes; those that do not lie within the field are left out.
+  /// Adds their echoes, except those outside of the field.
   void add(const Scatterers& nodes);
 
  private:

@@ -1,6 +1,5 @@
 /// \file
-/// \brief The patch of a face's plane that a ray's cell of directions covers, and how strongly it
-/// echoes.
+/// \brief The patch of a face's plane within a ray's cell of directions, and its echo strength.
 ///
 /// \par Threads
 /// Functions of their arguments: any thread may call them.
@@ -20,7 +19,7 @@ inline double dot(const Vector& a, const Vector& b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-/// A unit vector's direction cosines s (starboard) and w (up) turned into the object's frame.
+/// Unit vector in the object's frame with direction cosines s (starboard) and w (up).
 inline Vector direction(const Leg& leg, double s, double w) {
   const double x = std::sqrt(std::fmax(1.0 - s * s - w * w, 1e-9));
   const auto& m = leg.rotation;
@@ -28,7 +27,7 @@ inline Vector direction(const Leg& leg, double s, double w) {
           m[6] * x - m[7] * s + m[8] * w};
 }
 
-/// The part of a cell's width in s that belongs to directions: s² + w² is no more than 1.
+/// The part of a cell's width in s that contains directions: s² + w² is at most 1.
 struct Reals {
   double max_s, from_s, to_s;
 };
@@ -46,16 +45,16 @@ struct Footprint {
   double height_m;           ///< of the plane over the seeing origin, along the normal
   double transmit_height_m;  ///< over the transmitting one
   double receive_height_m;   ///< over the receiving one
-  double min_facing;         ///< smallest |n.d| that still counts as this patch
+  double min_facing;         ///< minimum |n.d| within this patch
   Corners corner_m;          ///< object's frame, around the patch
   double min_m, max_m;       ///< ranges between which the plane is followed
   double near_m, far_m;      ///< ranges of the corners from the seeing origin
 };
 
-/// A grazing plane is followed out to this many times the range at which it was met.
+/// A grazing plane is followed up to this multiple of the hit's range.
 constexpr double kMaxRangeFactor = 1.6;
 
-/// A round surface leans away no more than this.
+/// Minimum cosine of incidence on a round surface.
 constexpr double kMinCosine = 0.05;
 
 /// Returns false if no footprint exists: a leg is behind the plane or does not see it.
@@ -64,20 +63,20 @@ bool footprint_of(const Echoes& echoes, std::size_t hit, Footprint& patch);
 /// Lobes weaker than exp(-this) are ignored.
 constexpr double kFaintest = 25.0;
 
-/// Back scattering cross-section of a unit of area.
+/// Back-scattering cross-section per unit area.
 class Strength {
  public:
-  /// `step_rad`: how far apart the directions are that will be asked for.
+  /// `step_rad`: spacing of the queried directions.
   Strength(const ScatterModel& model, const Material& material, double step_rad);
   [[nodiscard]] bool has_lobe() const { return lobe_ > 0.0; }
 
-  /// Of the cosines to the transmitter, to the receiver, and of the half-way direction.
+  /// By the cosines to the transmitter, to the receiver, and of the half-way direction.
   [[nodiscard]] double at(double transmit, double receive, double half) const {
     const double diffuse = lambert_ ? mu_ * transmit * receive : mu_;
     return lobe_ > 0.0 ? diffuse + lobe(half) : diffuse;
   }
 
-  /// Its parameters, for vectorised callers.
+  /// Parameters for vectorised callers.
   [[nodiscard]] float mu() const { return static_cast<float>(mu_); }
   [[nodiscard]] float lobe_height() const { return static_cast<float>(lobe_); }
   [[nodiscard]] float steepness() const { return static_cast<float>(steepness_); }
@@ -92,16 +91,16 @@ class Strength {
   double smoothness_ = 0.0;  ///< 4 k² roughness²
 };
 
-/// Cosine of the half-way direction of two unit vectors with a normal.
+/// Cosine between a normal and the half-way direction of two unit vectors.
 inline double half_cosine(const Vector& normal, const Vector& a, const Vector& b) {
   const Vector sum{a[0] + b[0], a[1] + b[1], a[2] + b[2]};
   return std::fabs(dot(normal, sum)) / std::sqrt(std::fmax(dot(sum, sum), 1e-12));
 }
 
-/// How much a round surface's normal turns per metre, at most.
+/// Maximum rotation of a round surface's normal per metre, rad/m.
 double turn_per_m(const double* curved_normal);
 
-/// The normal of a round surface at a point of one of its faces.
+/// Normal of a round surface at a point of one of its faces.
 Vector curved_normal_at(const double* curved_normal, const Vector& point_m);
 
 }  // namespace mapperd::acoustics

@@ -1,5 +1,5 @@
 /// \file
-/// \brief From a point of a surface to its row, column and loss.
+/// \brief Row, column and loss of a point of a surface.
 ///
 /// \par Threads
 /// Functions of their arguments: any thread may call them.
@@ -24,7 +24,7 @@ inline float vertical_at(const Hearing& response, double w) {
          part * (response.vertical[below + 1] - response.vertical[below]);
 }
 
-/// A point as a leg has it.
+/// A point relative to a leg.
 struct Sight {
   double range_m, s, w;
   Vector direction;  ///< object's frame

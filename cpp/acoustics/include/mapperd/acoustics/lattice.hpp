@@ -1,5 +1,6 @@
 /// \file
-/// \brief The lattice of scatterers on a face's plane: fixed to the object, whatever its triangles.
+/// \brief The lattice of scatterers on a face's plane, fixed to the object and independent of its
+/// triangles.
 ///
 /// \par Threads
 /// Functions of their arguments: any thread may call them.
@@ -17,7 +18,7 @@
 
 namespace mapperd::acoustics {
 
-/// Axes of the plane that faces a patch most (u, v) and the one across it (c).
+/// Axes of the coordinate plane most parallel to a patch (u, v), and its normal axis (c).
 struct Axes {
   std::size_t u, v, c;
 };
@@ -33,7 +34,7 @@ inline Axes axes_of(const Vector& normal) {
 }
 
 /// Steps of the lattice are powers of 2^(1/4) m, so that near and far pings share their scatterers.
-/// Of a step, which is at least 1e-5 m and at most 1e3 m, floor(4 log2 step_m).
+/// Returns floor(4 log2 step_m) of a step limited to 1e-5 m .. 1e3 m.
 inline int level_of(double step_m) {
   constexpr double kQuarters[3] = {1.1892071150027210, 1.4142135623730951, 1.6817928305074290};
   const double step = std::clamp(step_m, 1e-5, 1e3);
@@ -64,7 +65,7 @@ inline double shadow_m2(const Corners& corner, const Axes& axes) {
   return 0.5 * std::fabs(u1 * v2 - v1 * u2);
 }
 
-/// A lattice turned within its plane: nodes at (i + i0) along_m and (j + j0) across_m.
+/// A lattice rotated in its plane: nodes at (i + i0) along_m and (j + j0) across_m.
 struct Lattice {
   std::uint64_t key;  ///< its nodes' keys follow from their indices
   double along_m, across_m;
@@ -72,8 +73,8 @@ struct Lattice {
   double i0, j0;
 };
 
-/// Identity of a patch's lattice. Turns go in eighths of a half turn: long before a sonar has gone
-/// so far around a patch its speckle is another one anyway.
+/// Identity of a patch's lattice. Rotations are in eighths of a half turn: long before a sonar has
+/// moved that far around a patch its speckle has changed anyway.
 struct LatticeName {
   Axes axes;
   int along_level, across_level;
@@ -82,7 +83,7 @@ struct LatticeName {
 
 constexpr int kTurns = 8;
 
-/// Cosines and sines of the turns.
+/// Cosines and sines of the rotations.
 constexpr double kCosine[kTurns] = {
     1.0, 0.92387953251128674,  0.70710678118654752,  0.38268343236508977,
     0.0, -0.38268343236508977, -0.70710678118654752, -0.92387953251128674};
@@ -90,7 +91,7 @@ constexpr double kSine[kTurns] = {
     0.0, 0.38268343236508977, 0.70710678118654752, 0.92387953251128674,
     1.0, 0.92387953251128674, 0.70710678118654752, 0.38268343236508977};
 
-/// The turn nearest to a direction and its opposite.
+/// Rotation nearest to a direction or its opposite.
 inline int turn_of(double u, double v) {
   constexpr double kTangent[4] = {0.19891236737965800, 0.66817863791929891, 1.4966057626654890,
                                   5.0273394921258481};  // of 1, 3, 5 and 7 halves of a turn
@@ -103,7 +104,7 @@ inline int turn_of(double u, double v) {
   return (u < 0.0) != (v < 0.0) ? (kTurns - turn) & (kTurns - 1) : turn;
 }
 
-/// Its origin is random: a scene's symmetry must not decide how many nodes a patch has.
+/// The origin is random, so that a scene's symmetry does not affect the number of nodes.
 inline Lattice lattice_of(std::uint64_t key, std::uint32_t object, const LatticeName& name) {
   const auto word = [](int value) {
     return static_cast<std::uint64_t>(static_cast<std::uint32_t>(value) & 0xFFFFU);
@@ -121,7 +122,7 @@ inline Lattice lattice_of(std::uint64_t key, std::uint32_t object, const Lattice
           static_cast<double>(origin >> 16 & 0xFFFFU) * 0x1p-16};
 }
 
-/// Random bits of a lattice's node (i, j): the first for its place, the second for its echo.
+/// Random bits of a lattice's node (i, j): the first for its position, the second for its echo.
 struct NodeBits {
   std::uint32_t place, echo;
 };
@@ -133,8 +134,8 @@ MAPPERD_INLINE std::uint32_t stirred(std::uint32_t number) {
   return number ^ (number >> 16);
 }
 
-/// `low` and `high` are the halves of the lattice's key. Nodes of equal bits lie tens of thousands
-/// of steps apart.
+/// `low` and `high` are the halves of the lattice's key. Nodes with equal bits are tens of
+/// thousands of steps apart.
 MAPPERD_INLINE NodeBits node_bits(std::uint32_t low, std::uint32_t high, std::uint32_t i,
                                   std::uint32_t j) {
   const std::uint32_t place = stirred(low + i * 0xD192ED03U + j * 0x2F3D8DD7U);

@@ -1,6 +1,6 @@
 /// \file
-/// \brief Edges and extents of ray hits, from the hits of neighbouring rays. Rays come column after
-/// column, in each from below upwards.
+/// \brief Edges and extents of ray hits, from the hits of neighbouring rays. Rays are ordered by
+/// column, in each from bottom to top.
 ///
 /// \par Threads
 /// Functions of their arguments: any thread may call them.
@@ -18,26 +18,27 @@ struct Traced {
   const float* direction;  ///< (count, 3), map frame
   const float* range_m;
   const std::int32_t* face;
-  const std::int32_t* group;   ///< whose frame the face is given in
+  const std::int32_t* group;   ///< moving object whose frame the face is in
   const std::int32_t* column;  ///< of the fan
 };
 
 /// Tolerances within which two neighbouring hits lie on the same surface.
 struct Sameness {
-  float max_slope;   ///< slope by which one may leave the other's plane
-  float min_step_m;  ///< by which it may in any case
-  float turned;      ///< least cosine between the normals on a round surface
+  float max_slope;   ///< maximum slope from one's plane to the other
+  float min_step_m;  ///< deviation that is always allowed
+  float turned;      ///< minimum cosine between the normals on a round surface
 };
 
 /// Returns the indices of rays whose upper neighbour in the column hit another surface. `normals`
-/// (F, 3), `smooth` (F,) are of the faces: not negative where round. Normals of moving objects,
-/// whose group is not 0, are in their own frames: their rays are compared by owner alone.
+/// (F, 3) and `smooth` (F,) belong to the faces; `smooth` is not negative for round ones. Normals
+/// of moving objects, whose group is not 0, are in their own frames: their rays are compared by
+/// owner alone.
 std::vector<std::int64_t> edges(const Traced& rays, const float* normals,
                                 const std::int32_t* smooth, const Sameness& same);
 
-/// Ranges between which each hit's plane is followed, (count, 2): between those at which its
-/// neighbours in the column and in the columns beside met the same surface, widened by the face's
-/// size. `up` (count,) is each ray's sine of elevation; `surface`, `size_m` are of the faces.
+/// Returns the ranges between which each hit's plane is followed, (count, 2): those of neighbours
+/// in this and the adjacent columns on the same surface, widened by the face's size. `up` (count,)
+/// is each ray's sine of elevation; `surface` and `size_m` belong to the faces.
 void spans(const Traced& rays, const float* up, const std::int32_t* surface, const float* size_m,
            float* span_m);
 

@@ -1,5 +1,5 @@
 /// \file
-/// \brief The receiver's chain after the beam former: gain, clip, gamma, quantiser.
+/// \brief The receiver after the beam former: gain, clipping, gamma, quantisation.
 ///
 /// \par Threads
 /// Functions of their arguments: any thread may call them.
@@ -11,8 +11,8 @@
 namespace mapperd::acoustics {
 
 struct Receiver {
-  const float* gain;  ///< amplitude of full scale per unit of a beam's amplitude, one a row
-  float gamma;        ///< pixel is of the amplitude's power gamma
+  const float* gain;  ///< full-scale amplitude per unit of a beam's amplitude, one per row
+  float gamma;        ///< a pixel is amplitude^gamma
   bool clip;          ///< at full scale
 };
 
@@ -25,7 +25,7 @@ void amplitudes(const float* beams, std::size_t parts, std::size_t rows, std::si
 void curved(const float* amplitude, std::size_t count, const Receiver& receiver, float* out,
             unsigned threads);
 
-/// The nearest integer to the scale's end times amplitude^gamma, and no more than that end.
+/// Nearest integer to the maximum value times amplitude^gamma, limited to that maximum.
 void quantised(const float* amplitude, std::size_t count, const Receiver& receiver,
                std::uint8_t* out, unsigned threads);
 void quantised(const float* amplitude, std::size_t count, const Receiver& receiver,

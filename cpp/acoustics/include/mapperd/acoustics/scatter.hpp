@@ -12,8 +12,8 @@
 
 namespace mapperd::acoustics {
 
-/// Pose of transmitter or receiver in the frame of the insonified object. A mirror's image of
-/// the sonar is a leg too: its rotation mirrors.
+/// Pose of transmitter or receiver in the frame of the insonified object. The mirror image of the
+/// sonar is a leg with a reflecting rotation.
 struct Leg {
   std::array<double, 3> origin_m;
   std::array<double, 9> rotation;  ///< object from sonar, row by row; sonar x ahead, y port, z up
@@ -34,15 +34,15 @@ struct Faces {
   const double* planes;           ///< (count, 4): n, offset
   const std::uint32_t* objects;   ///< key of the object
   const std::int32_t* materials;  ///< index
-  const std::int32_t* smooth;     ///< index into the curved_normal normals, or -1
+  const std::int32_t* smooth;     ///< index into curved_normal, or -1
   const double* curved_normal;  ///< (S, 12): normal of a round surface at p is G p + g, rows of G|g
   const Material* table;
 };
 
-/// Hits of the rays. Each owns the cell of directions around it, as the leg that saw it has them.
+/// Hits of the rays. Each covers a cell of directions, in the frame of the leg that saw it.
 struct Hits {
   std::size_t count;
-  const std::int32_t* face;      ///< negative: nothing that echoes
+  const std::int32_t* face;      ///< negative: no echo
   const std::int32_t* seen;      ///< leg that looked
   const std::int32_t* transmit;  ///< leg
   const std::int32_t* receive;   ///< leg
@@ -77,7 +77,7 @@ struct ScatterModel {
   bool specular;
   bool spreading;
   double turns_per_m;     ///< of phase: 1 / wavelength
-  double nodes_per_cell;  ///< scatterers in a row's and column's cell
+  double nodes_per_cell;  ///< scatterers per cell of row and column
   std::uint64_t key;
 };
 
@@ -89,8 +89,7 @@ struct Echoes {
   ScatterModel model;
 };
 
-/// Adds the echoes of random scatterers on the surfaces to a complex field (rows, columns), in
-/// pressure.
+/// Adds the pressure of random scatterers on the surfaces to a complex field (rows, columns).
 void scatter_field(const Echoes& echoes, std::complex<float>* field, int threads);
 
 /// Adds the surfaces' mean power to a field (rows, columns).

@@ -35,7 +35,7 @@ struct MotionFloor {
 };
 
 /// Returns the distribution of the step between two odometry poses (m, rad, odometry frame).
-/// Turning by about half a turn is as noisy as not turning: driving backwards costs nothing.
+/// A turn of about half a turn is as noisy as no turn, so that driving backwards adds no noise.
 /// Translations up to 1 cm have no direction.
 /// \throws std::invalid_argument for poses that are not finite.
 MotionDraws motion_draws(MotionModel model, const Pose2& before, const Pose2& now,

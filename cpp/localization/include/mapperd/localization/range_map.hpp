@@ -15,7 +15,7 @@ namespace mapperd::localization {
 
 inline constexpr std::size_t kRays = 8 * kBlock;  ///< cast at once
 
-/// Rays from places in cells of the padded map, in directions of length 1.
+/// Rays from positions in cells of the padded map, with unit directions.
 struct Rays {
   std::size_t count = 0;
   double u[kRays];
@@ -26,10 +26,9 @@ struct Rays {
 
 inline constexpr double kNoExpectation = -1.0;
 
-/// Each ray steps from one free wedge to the next: a cell knows, for each octant of directions, how
-/// many columns on a ray that begins anywhere in it meets nothing. Near obstacles the ray goes from
-/// cell to cell. It ends where it enters an occupied cell, to 1e-9 cells. Eight bytes a cell, twice
-/// that while it is built.
+/// Each cell stores, for each octant of directions, how many columns a ray from anywhere in it can
+/// advance without a hit. Rays step by these distances, near obstacles from cell to cell, and end
+/// where they enter an occupied cell, to 1e-9 cells. Eight bytes per cell, twice that while built.
 class RangeMap {
  public:
   /// \throws std::invalid_argument for a map without cells.

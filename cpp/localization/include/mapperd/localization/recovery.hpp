@@ -7,11 +7,11 @@
 
 namespace mapperd::localization {
 
-/// Two exponential averages of the scans' fit, each begun with the first value.
+/// Two exponential averages of the scans' fit, both starting at the first value.
 class Recovery {
  public:
-  /// Gains in 0 ... 1, slow at most fast; both 0: no random particles.   /// \throws
-  /// std::invalid_argument for other gains.
+  /// Gains in 0 ... 1, slow at most fast; both 0: no random particles.
+  /// \throws std::invalid_argument for other gains.
   Recovery(double alpha_slow, double alpha_fast);
 
   void add(double fit);
