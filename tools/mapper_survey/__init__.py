@@ -1,4 +1,4 @@
-"""Many recordings, one map: the daemon's map code over surveys larger than one machine."""
+"""Makes one map from many recordings, with the daemon's code, on one machine or a cluster."""
 
 import sys
 from collections.abc import Sequence

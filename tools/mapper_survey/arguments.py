@@ -1,4 +1,4 @@
-"""Arguments that exporting and reporting share, completed from the record of the run."""
+"""Arguments that export and report share, completed from the record of the run."""
 
 import argparse
 import contextlib
@@ -30,12 +30,12 @@ __all__ = [
 
 
 class SurveyRecord(msgspec.Struct, frozen=True):
-    """The part of `survey.json` that exports and the report go by.
+    """The part of `survey.json` for exports and reports.
 
     Attributes:
-        origin: the survey's zero on Earth; None where nobody args.
-        settings: that the map was made by; None where there is no record.
-        outputs: products that the survey asks for; none are all that can be made.
+        origin: geographic position of the survey's origin; None if unknown.
+        settings: settings that the map was made with; None without a record.
+        outputs: products that the survey requests; empty means all that are possible.
     """
 
     origin: SurveyOrigin | None = None
@@ -44,10 +44,10 @@ class SurveyRecord(msgspec.Struct, frozen=True):
 
 
 def read_record(folder: Folder) -> SurveyRecord:
-    """Read the record; empty where maps were put together without one.
+    """Read the record; empty if maps were assembled without one.
 
     Raises:
-        SurveyError: it is no such record, or a run has not come to its end.
+        SurveyError: the record is invalid, or a run is unfinished.
     """
     data = folder.read(RECORD)
     if data is None:
@@ -70,15 +70,15 @@ PERIOD_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class SurveyArguments:
-    """The arguments, completed by the record of the survey where they are absent.
+    """The arguments; missing ones come from the record of the survey.
 
     Attributes:
-        folder: the survey's.
-        out: of what is written.
-        origin: where on Earth the map's zero lies; None where nobody args.
-        altitude_m: of that zero, from the survey; 0 by default.
-        config: its thresholds determine what is occupied.
-        outputs: products that the survey asks for; none are all that can be made.
+        folder: folder of the survey.
+        out: folder of the results.
+        origin: geographic position of the map's origin; None if unknown.
+        altitude_m: altitude of that origin, from the survey; 0 by default.
+        config: its thresholds decide what is occupied.
+        outputs: products that the survey requests; empty means all that are possible.
     """
 
     folder: Folder
@@ -90,7 +90,7 @@ class SurveyArguments:
 
 
 def add_survey_arguments(parser: argparse.ArgumentParser, part: str) -> None:
-    """Add the survey's folder, `--out`, `--origin` and `--config`; `part` of the folder is out."""
+    """Add the survey's folder, `--out` (default: `part` of it), `--origin` and `--config`."""
     parser.add_argument(
         "survey", metavar="FOLDER", help="folder of the survey: a path or an fsspec URL"
     )
@@ -112,7 +112,7 @@ def add_survey_arguments(parser: argparse.ArgumentParser, part: str) -> None:
 
 
 def resolve_arguments(args: argparse.Namespace, part: str) -> SurveyArguments:
-    """What the arguments mean, together with the survey's record.
+    """Return the arguments, completed by the survey's record.
 
     Raises:
         SurveyError: no survey was run there, its record is damaged, or nothing can be written.
@@ -149,7 +149,7 @@ def progress_lines(what: str, clock: Callable[[], float] = time.monotonic) -> Pr
         if now_s - shown_s >= PERIOD_S:
             shown_s = now_s
             left_s = (now_s - began_s) * (total - done) / done
-            with contextlib.suppress(OSError):  # nobody can look on: no reason to stop
+            with contextlib.suppress(OSError):  # nobody reads the output: go on
                 sys.stderr.write(f"{what}: {100 * done / total:.0f} %, {left_s:.0f} s left\n")
 
     return show

@@ -1,8 +1,8 @@
-"""A survey on a cluster that is not there: its measured tasks, scheduled event by event.
+"""Simulates a survey on a cluster: schedules its measured tasks event by event.
 
-One scheduler hands out tasks one after another, in the order of the list, each as soon as those
-that it waits for are done. A worker does one task at a time: it reads, computes, and writes. All
-that read or write at a moment share the storage's bandwidth alike, none faster than its own link.
+One scheduler hands out tasks in the order of the list, each as soon as its predecessors are done. A
+worker does one task at a time: it reads, computes, and writes. Workers that read or write share the
+storage's bandwidth equally, each up to the speed of its link.
 """
 
 import heapq
@@ -15,13 +15,13 @@ from mapper_survey.run_record import TaskTime, in_order
 
 @dataclass(frozen=True, slots=True)
 class ComputeCluster:
-    """What a survey runs on.
+    """A cluster.
 
     Attributes:
-        workers: that do one task at a time each.
-        scheduler_s: that the scheduler is busy for every task, with nothing else at that time.
-        storage_bytes_per_s: of the shared storage, all workers together.
-        link_bytes_per_s: between the storage and one worker.
+        workers: number of workers; each does one task at a time.
+        scheduler_s: time of the scheduler for each task.
+        storage_bytes_per_s: bandwidth of the shared storage for all workers.
+        link_bytes_per_s: bandwidth between the storage and one worker.
     """
 
     workers: int
@@ -40,14 +40,14 @@ class ComputeCluster:
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """How a survey went.
+    """Result of a simulated survey.
 
     Attributes:
-        wall_s: from the start to the last task's end.
-        computing_s: of all workers together.
-        scheduling_s: for which the scheduler was busy.
-        moved_bytes: read and written.
-        ended_s: of each task, by name.
+        wall_s: time from the start to the end of the last task.
+        computing_s: computing time of all workers.
+        scheduling_s: busy time of the scheduler.
+        moved_bytes: bytes read and written.
+        ended_s: end of each task, by name.
     """
 
     wall_s: float
@@ -67,10 +67,10 @@ def simulate(tasks: Sequence[TaskTime], cluster: ComputeCluster) -> Schedule:
 
 
 class _SharedStorage:
-    """Transfers that share a bandwidth alike.
+    """Transfers that share a bandwidth equally.
 
-    All of them run at the same rate at any moment, so what a single one would have carried since
-    the beginning gives the end of each: at its own start's value plus its size.
+    At any time all run at the same rate. A transfer therefore ends when the amount that one
+    transfer would have carried since the beginning has grown by its size.
     """
 
     def __init__(self, cluster: ComputeCluster) -> None:
@@ -84,13 +84,13 @@ class _SharedStorage:
         heapq.heappush(self._over, (self._carried + size, task))
 
     def next_end_s(self) -> float:
-        """When the next transfer ends, if nothing else begins; infinite without one."""
+        """Time of the end of the next transfer if none starts before; infinite without one."""
         if not self._over:
             return inf
         return self._updated_s + max(self._over[0][0] - self._carried, 0.0) / self._rate()
 
     def end_next(self, now_s: float) -> int:
-        """Take out the transfer that ends now; returns its task."""
+        """Remove the transfer that ends now; return its task."""
         self._updated_s = now_s
         self._carried, task = heapq.heappop(self._over)
         return task
@@ -121,7 +121,7 @@ class _SurveyRun:
         self._idle = cluster.workers
         self._scheduler_free_s = 0.0
         self._events: list[tuple[float, int, bool]] = []
-        """Time, task, and whether it has computed; else it has been handed out."""
+        """Time, task, and whether it has computed; otherwise it was handed out."""
         self._writing = [False] * len(tasks)
         self._ended_s: dict[str, float] = {}
 

@@ -1,4 +1,4 @@
-"""The command `mapper-survey`: many recordings become one map."""
+"""The command `mapper-survey`: makes one map from many recordings."""
 
 import argparse
 import math
@@ -39,8 +39,8 @@ __all__ = ["main"]
 
 
 FAULT, NOT_ALL, INTERRUPTED = 2, 3, 130
-"""Exit codes: something to mend; a dive of which not a ping is in the map, which is made of the
-others; Ctrl-C."""
+"""Exit codes: an error to correct; a dive without a ping in the map, which is made of the others;
+Ctrl-C."""
 
 
 EPILOG = """\
@@ -52,7 +52,7 @@ exit codes: 0 success; 2 an error that you can fix; 3 a dive contributed no ping
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; what a person can mend is one line and exit code 2."""
+    """Run the command; errors that the user can correct are one line and exit code 2."""
     args = _parser().parse_args(argv)
     try:
         return int(args.does(args))
@@ -146,7 +146,7 @@ def _engine(args: argparse.Namespace) -> Engine:
         raise SurveyError(f"--workers {args.workers}: allowed: 0 or more")
     if args.scheduler is None and args.workers == 0:
         return InProcess()
-    # Dask takes a second to import, and is not wanted by who does all in one process.
+    # Dask takes a second to import and is not needed in one process.
     from mapper_survey.engine_dask import local_pool, on_scheduler  # noqa: PLC0415
 
     if args.scheduler is not None:
@@ -155,7 +155,7 @@ def _engine(args: argparse.Namespace) -> Engine:
 
 
 def _report_losses(record: dict[str, Any], request: Request) -> int:
-    """Report what was lost and what was dropped; return the exit code."""
+    """Report lost and dropped data; return the exit code."""
     code = 0
     for dive, record_of_dive in zip(request.survey.dives, record["dives"], strict=True):
         for lost in record_of_dive["lost"]:
@@ -210,7 +210,7 @@ def _add_export_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _export(args: argparse.Namespace) -> int:
-    """Write the products; returns the exit code.
+    """Write the products; return the exit code.
 
     Raises:
         SurveyError, MapperdError: what a person can mend.
@@ -243,7 +243,7 @@ def _export(args: argparse.Namespace) -> int:
 REPORT_FOLDER = "report"
 
 TOLERANCE_M = 0.2
-"""That of sonar_3d_reconstruction's analyser."""
+"""Default tolerance, as in the analyser of sonar_3d_reconstruction."""
 
 
 def _add_report_arguments(parser: argparse.ArgumentParser) -> None:
@@ -259,7 +259,7 @@ def _add_report_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _report(args: argparse.Namespace) -> int:
-    """Write the report; returns the exit code.
+    """Write the report; return the exit code.
 
     Raises:
         SurveyError, MapperdError: what a person can mend.
@@ -289,7 +289,7 @@ def _report(args: argparse.Namespace) -> int:
 
 
 def _report_lines(report: Report) -> list[str]:
-    """Lines for people: the coverage, and each pair of dives that overlap."""
+    """Lines for people: coverage, and each pair of overlapping dives."""
     ground = report.coverage
     lines = [f"{ground.merged_m2:.0f} m2 mapped, {ground.overlap_m2:.0f} m2 by two dives or more"]
     return lines + [
@@ -308,15 +308,15 @@ def _overlap_text(pair: PairRecord) -> str:
 
 
 SCHEDULER_MS = 3.0
-"""Of CPU time. Measured were 2.4 ms for a task that does nothing, 3.6 ms for one that brings 100 kB
+"""CPU time of the scheduler for a task. Measured: 2.4 ms for an empty task, 3.6 ms with 100 kB
 (Dask 2026.8, scheduler and client in one process). Dask's documentation states 0.2 to 1 ms (Best
 Practices, "Avoid very large graphs")."""
 
 STORAGE_MB_PER_S = 1250.0
-"""Of a file server behind ten-gigabit Ethernet."""
+"""Bandwidth of a file server with ten-gigabit Ethernet."""
 
 LINK_MB_PER_S = 125.0
-"""Of a worker behind gigabit Ethernet."""
+"""Bandwidth of a worker with gigabit Ethernet."""
 
 MEGA, MILLI = 1e6, 1e-3
 

@@ -1,4 +1,4 @@
-"""What each dive has seen of the ground, where dives lie over each other, and how they differ."""
+"""Coverage of the ground by each dive, overlaps of dives, and their differences."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -18,25 +18,25 @@ __all__ = ["BANDS", "MAX_PIXELS", "Coverage", "Pictures", "Raster", "cover"]
 
 
 MAX_PIXELS = 1200
-"""Along the longer side; a wider map gets more columns to a pixel."""
+"""Maximum pixels along the longer side; a wider map has more columns per pixel."""
 
 MARGIN = 0.03
-"""Of what is shown, left empty around it."""
+"""Empty margin around the content, as a share of it."""
 
 Ints = NDArray[np.int64]
 
 
 class Raster:
-    """What pixels of one picture lie where.
+    """Positions of the pixels of a picture.
 
     Args:
-        tiling: what the picture shows.
+        tiling: area of the picture.
         resolution_m: edge of a voxel.
 
     Attributes:
         shape: rows and columns.
         extent_m: left, right, bottom and top in the map's frame.
-        columns: of voxels, along a pixel's edge.
+        columns: columns of voxels along a pixel's edge.
     """
 
     def __init__(self, tiling: Tiling, resolution_m: float) -> None:
@@ -54,14 +54,14 @@ class Raster:
         )
 
     def full(self, value: float) -> NDArray[np.float64]:
-        """A picture of one number."""
+        """Return a picture filled with one number."""
         return np.full(self.shape, value)
 
     def shown_m(self, seen: NDArray[np.bool_]) -> tuple[float, float, float, float]:
-        """Left, right, bottom and top of the pixels that show something, and a little around.
+        """Return left, right, bottom and top of the set pixels, with a margin.
 
         Args:
-            seen: of `shape`; one of them at least.
+            seen: mask of `shape`, at least one set.
         """
         rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
         left_m, right_m, _, top_m = self.extent_m
@@ -82,13 +82,13 @@ class Raster:
         y: Ints,
         values: NDArray[np.generic] | float,
     ) -> None:
-        """Put values into a picture by `np.maximum.at` and the like.
+        """Combine values into a picture with `np.maximum.at` or similar.
 
         Args:
-            picture: of `shape`, row 0 in the north.
-            how: joins a value to what is there.
-            x: (N,) indices of columns of voxels.
-            y: the same northwards.
+            picture: array of `shape`, row 0 in the north.
+            how: combines a value with the existing one.
+            x: (N,) indices of columns of voxels, eastwards.
+            y: (N,) the same, northwards.
             values: (N,) numbers, or one.
         """
         how(picture, ((self._north - 1 - y) // self.columns, (x - self._x) // self.columns), values)
@@ -107,13 +107,13 @@ class Coverage:
     """Counts of columns of voxels, and of differences in height, in voxels.
 
     Attributes:
-        observed: columns of which a dive knows anything, by dive.
-        mapped: those in which it has a surface.
-        alone: those in which no other has one.
-        by_dives: columns by how many dives have a surface in them.
+        observed: columns that a dive observed, by dive.
+        mapped: columns with a surface of the dive.
+        alone: columns with a surface of this dive only.
+        by_dives: columns by the number of dives with a surface.
         merged: columns with a surface in the merged map.
-        spread: highest less lowest surface where several dives have one.
-        dz: surface of the first dive less that of the second.
+        spread: highest minus lowest surface where several dives have one.
+        dz: surface of the first dive minus that of the second.
     """
 
     observed: dict[str, int]
@@ -127,15 +127,15 @@ class Coverage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pictures:
-    """Pictures by `Raster`; NaN where there is nothing.
+    """Pictures by `Raster`; NaN where empty.
 
     Attributes:
         z_m: highest surface of the merged map.
-        observed: 1 where a dive looked.
-        dives: the most dives with a surface in one column.
-        spread_m: the greatest spread.
-        compared: voxels that could be compared.
-        missing: those of them that the other dive has not within the tolerance.
+        observed: 1 where a dive observed.
+        dives: maximum number of dives with a surface in a column.
+        spread_m: maximum spread.
+        compared: number of compared voxels.
+        missing: number of those without one of the other dive within the tolerance.
     """
 
     z_m: NDArray[np.float64]
@@ -147,7 +147,7 @@ class Pictures:
 
     @classmethod
     def empty(cls, raster: Raster) -> "Pictures":
-        """Before anything is put into them."""
+        """Return empty pictures."""
         nothing = -np.inf
         return cls(
             raster.full(nothing),
@@ -169,10 +169,10 @@ def cover(
     raster: Raster,
     progress: Callable[[], None],
 ) -> Iterator[Floats32 | None]:
-    """Look at all columns, window by window; one dive's window is in memory at a time.
+    """Process all columns, window by window; one dive's window is in memory at a time.
 
     Yields:
-        tiles (edge, edge, 2) of `BANDS`, in the tiling's order; None where no dive has a surface.
+        tiles (edge, edge, 2) of `BANDS`, in the tiling's order; None without a surface.
     """
     for window in tiling:
         tops = {}
@@ -260,6 +260,6 @@ def _together(
 def _places(
     mask: NDArray[np.bool_], window: ColumnWindow
 ) -> tuple[Ints, Ints, tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Indices in x and y of columns that are chosen, and their rows and columns."""
+    """Return indices in x and y of selected columns, and their rows and columns."""
     row, column = np.nonzero(mask)
     return window.x + column, window.y + window.edge - 1 - row, (row, column)

@@ -28,23 +28,22 @@ from mapperd.store.reader import BRICK_VOXELS
 __all__ = ["Comparison", "DifferenceCounts", "Disagreement", "cubes_of", "differences"]
 
 CUBE_BRICKS = 2
-"""Along an edge of what is compared at a time; what lies around it within the reach is read too."""
+"""Bricks along an edge of the cube that is compared at once; its surroundings are read too."""
 
 Ints = NDArray[np.int64]
 
 
 @dataclass(slots=True)
 class DifferenceCounts:
-    """From the occupied voxels of one dive to the other's.
+    """Counts of one dive's occupied voxels against another dive.
 
     Attributes:
-        voxels: occupied ones.
-        compared: those that the other dive has observed, or has an occupied one near.
+        voxels: number of occupied voxels.
+        compared: those that the other dive observed or has an occupied one near.
         common: those with an occupied one of the other within the tolerance.
-        called_free: those that the other dive calls free.
-        conflicts: those of them with nothing occupied within the tolerance.
-        squares: squared distances of the compared, in voxels; beyond the reach, one more than
-            the square of that.
+        called_free: those that are free in the other dive.
+        conflicts: those of `called_free` without an occupied one within the tolerance.
+        squares: squared distances of the compared, in voxels; beyond the limit its square plus 1.
     """
 
     voxels: int = 0
@@ -69,14 +68,14 @@ class Disagreement:
 
 
 class Comparison:
-    """What counts as near, for maps of one resolution.
+    """Limits of the comparison for maps of one resolution.
 
     Args:
         resolution_m: edge of a voxel.
-        tolerance_m: within which voxels are the same.
+        tolerance_m: distance within which voxels are the same.
 
     Raises:
-        SurveyError: a tolerance that cannot be looked for.
+        SurveyError: the tolerance is not positive or too large.
     """
 
     def __init__(self, resolution_m: float, tolerance_m: float) -> None:
@@ -91,10 +90,10 @@ class Comparison:
         self.reach = min(far, MAX_REACH_VOXELS)
 
     def squares(self, other: SonarMap, index: Ints, occupied_log_odds: float) -> Ints:
-        """Squared distances (N,), in voxels, to the nearest occupied voxel of another map.
+        """Return squared distances (N,), in voxels, to the nearest occupied voxel of another map.
 
         Args:
-            other: holds all within `reach` of the voxels.
+            other: contains everything within `reach` of the voxels.
             index: (N, 3) of voxels, N at least 1.
             occupied_log_odds: voxels of the other above are occupied.
         """
@@ -102,7 +101,7 @@ class Comparison:
 
 
 def cubes_of(stores: Mapping[str, WindowedMap]) -> list[Key]:
-    """Places of all cubes of `CUBE_BRICKS` bricks an edge with a brick of one of some maps."""
+    """Return the positions of all cubes that contain a brick of some map."""
     keys = np.concatenate([stored.keys for stored in stores.values()])
     return [(x, y, z) for x, y, z in np.unique(keys // CUBE_BRICKS, axis=0).tolist()]
 
@@ -116,10 +115,10 @@ def differences(
     """Compare every two dives, cube by cube; one dive's cube is in memory at a time.
 
     Args:
-        stores: of the dives, by name.
-        ways: counts, from the first dive to the second; they are added to.
-        comparison: what counts as near.
-        progress: is called when a cube is done.
+        stores: maps of the dives, by name.
+        ways: counts, from the first dive to the second; they are increased.
+        comparison: limits of the comparison.
+        progress: called after each cube.
     """
     for cube in cubes_of(stores):
         occupied = {name: _occupied(stored, cube) for name, stored in stores.items()}
@@ -133,7 +132,7 @@ def differences(
 
 
 def _occupied(stored: WindowedMap, cube: Key) -> Ints:
-    """Indices (N, 3) of a dive's occupied voxels in a cube."""
+    """Return the indices (N, 3) of a dive's occupied voxels in a cube."""
     low = np.array(cube) * CUBE_BRICKS
     high = low + CUBE_BRICKS - 1
     part = stored.box(low, high)
@@ -148,7 +147,7 @@ def _compared(
     ways: Mapping[str, DifferenceCounts],
     comparison: Comparison,
 ) -> Iterator[Disagreement]:
-    """From the voxels of others in a cube to one dive."""
+    """Compare voxels of other dives in a cube with one dive."""
     together = np.concatenate(list(others.values()))
     low = (together.min(axis=0) - comparison.reach - 1) // BRICK_VOXELS
     high = (together.max(axis=0) + comparison.reach + 1) // BRICK_VOXELS

@@ -1,4 +1,4 @@
-"""Who does the tasks of a survey: this process itself, or workers that Dask has."""
+"""Runs the tasks of a survey: in this process, or by Dask's workers."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -7,28 +7,28 @@ from typing import Any, Protocol
 __all__ = ["Done", "Engine", "InProcess"]
 
 Done = tuple[Any, Any]
-"""A task, and what its function returned."""
+"""A task and its result."""
 
 
 class Engine(Protocol):
-    """Does tasks in any order, each at least once, and reports when one is done."""
+    """Runs tasks in any order, each at least once, and reports finished ones."""
 
     def submit(self, function: Callable[[Any], Any], task: Any) -> None:  # noqa: ANN401 any task
         """Have a task done."""
 
     def done(self) -> Iterator[Done]:
-        """Tasks as they end, until none is left; meanwhile more may be submitted.
+        """Yield tasks as they end, until none is left; more may be submitted meanwhile.
 
         Raises:
-            SurveyError: a task cannot be done, however often it is tried.
+            SurveyError: a task fails at all attempts.
         """
 
     def close(self) -> None:
-        """Let the workers go."""
+        """Release the workers."""
 
 
 class InProcess:
-    """One task after the other, here."""
+    """Runs one task after the other in this process."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[Callable[[Any], Any], Any]] = deque()
@@ -44,4 +44,4 @@ class InProcess:
             yield task, function(task)
 
     def close(self) -> None:
-        """Nobody to let go."""
+        """Do nothing: there are no workers."""

@@ -1,7 +1,7 @@
-"""Dask's workers: a pool on this machine, or a cluster that is there already.
+"""Runs tasks by Dask's workers: a pool on this machine, or an existing cluster.
 
-Tasks are plain functions of plain arguments, and write only files of their own that take their
-place when they are whole: it does no harm to do one twice, and a worker may die at any time.
+Tasks are plain functions of plain arguments. They write only their own files, atomically, so a task
+can run twice and a worker can die at any time.
 """
 
 import asyncio
@@ -29,19 +29,19 @@ __all__ = ["DaskEngine", "Pool", "Sent", "done_by_worker", "local_pool", "on_sch
 
 
 Sent = tuple[str, str, bytes]
-"""Version and digest of who sends it; function and task, unpacked only where these are alike."""
+"""Version and digest of the sender; function and task, unpacked only if these are equal."""
 
 
 def sent(function: Callable[[Any], Any], task: Any) -> Sent:  # noqa: ANN401 any task
-    """What a worker is given."""
+    """Return the message to a worker."""
     return __version__, program_digest(), pickle.dumps((function, task))
 
 
 def done_by_worker(work: Sent) -> object:
-    """Do a task, in the worker.
+    """Run a task in the worker.
 
     Raises:
-        SurveyError: the worker has another program, whose shards would not be the same to the bit.
+        SurveyError: the worker has another program, so its shards would not be bit-exact.
     """
     their_version, their_digest, packed = work
     mine = program_digest()
@@ -55,46 +55,46 @@ def done_by_worker(work: Sent) -> object:
 
 
 RETRIES = 3
-"""Of a task that failed, as when a disk or a network does not answer."""
+"""Attempts of a task that failed, for example because of a disk or a network."""
 
 ALLOWED_DEATHS = 10
-"""Of workers while they did one task: Dask asks for another worker until then."""
+"""Deaths of workers during one task after which Dask gives up."""
 
 LOOK_S = 5.0
-"""So often it is looked whether all workers are there."""
+"""Interval of checks whether all workers exist."""
 
 ALONE_S = 600.0
-"""Without any worker: a cluster's own may take minutes to begin, but none comes of itself."""
+"""Timeout without any worker; those of a cluster may take minutes to start."""
 
 MAX_BEGUN = 10
-"""Times that all workers of a pool are started again while no task ends."""
+"""Restarts of all workers of a pool while no task ends."""
 
 OUR_WORKERS = {
-    # They are not looked into a hundred times a second.
+    # Do not poll them a hundred times a second.
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",
     "distributed.admin.system-monitor.gil.enabled": False,
-    # Freed memory is not given back at once: each ping wants as much again.
+    # Do not return freed memory at once: each ping needs as much again.
     "distributed.nanny.pre-spawn-environ": {
         "OMP_NUM_THREADS": 1,
         "OPENBLAS_NUM_THREADS": 1,
         "MKL_NUM_THREADS": 1,
     },
 }
-"""With what Dask sets else, planning a recording takes twice as long."""
+"""Environment of the workers; with Dask's defaults planning takes twice as long."""
 
 QUIET = logging.CRITICAL
-"""The survey reports what workers lose; the death of a worker is not reported."""
+"""Log level of Dask; the survey reports losses itself, and deaths of workers are not reported."""
 
 GONE = {Status.closed, Status.failed}
 
 
 class DaskEngine:
-    """Has tasks done by the workers of a scheduler.
+    """Runs tasks by the workers of a scheduler.
 
     Args:
-        client: connected.
-        pool: to be filled up and closed with it; None where the workers are somebody else's.
+        client: a connected client.
+        pool: pool to fill and to close; None for workers of an existing cluster.
     """
 
     def __init__(self, client: Client, pool: "Pool | None") -> None:
@@ -138,7 +138,7 @@ class DaskEngine:
             self._pool.close()
 
     def _look(self, *, some_ended: bool) -> None:
-        """See to it that there are workers.
+        """Make sure that there are workers.
 
         Raises:
             SurveyError: no worker exists and none appears.
@@ -155,14 +155,13 @@ class DaskEngine:
 
 
 class Pool:
-    """Workers on this machine, whatever becomes of them.
+    """Keeps a number of workers on this machine.
 
-    Dask's nannies restart a worker that died, unless it dies while it begins: it is forgotten,
-    or ends what began it.
+    Dask's nannies restart workers that die, but not those that die during their start.
 
     Args:
-        cluster: without workers.
-        workers: that there shall be.
+        cluster: a cluster without workers.
+        workers: number of workers.
     """
 
     def __init__(self, cluster: LocalCluster, workers: int) -> None:
@@ -172,13 +171,13 @@ class Pool:
         self.fill_up(reset=True)
 
     def fill_up(self, *, reset: bool) -> None:
-        """Begin the workers that are missing.
+        """Start missing workers.
 
         Args:
-            reset: forget how many were begun already: they do something.
+            reset: reset the count of starts, because tasks end.
 
         Raises:
-            SurveyError: they die as often as they are begun.
+            SurveyError: they keep dying at their start.
         """
         self._begun = 0 if reset else self._begun
         if self._begun >= MAX_BEGUN * self._workers:
@@ -189,7 +188,7 @@ class Pool:
         try:
             self._begun += self.cluster.sync(self._fill_up)
         except KeyboardInterrupt:
-            self.cluster.sync(self._begin)  # Dask cannot close what is half begun
+            self.cluster.sync(self._begin)  # Dask cannot close a worker during its start
             raise
 
     async def _fill_up(self) -> int:
@@ -204,20 +203,20 @@ class Pool:
         return missing
 
     async def _begin(self) -> None:
-        """Wait until all have begun, or died: that is seen next time."""
+        """Wait until all have started or died; deaths are noticed by the next check."""
         with contextlib.suppress(RuntimeError, OSError, TimeoutError):
             await self.cluster
 
     def close(self) -> None:
-        """Let them go."""
+        """Release the workers."""
         self.cluster.close()
 
 
 def local_pool(workers: int, memory_bytes: int) -> DaskEngine:
-    """Workers of our own: processes that are ended and restarted when they take more memory.
+    """A pool of worker processes, restarted if they exceed their memory.
 
     Raises:
-        SurveyError: none can be begun.
+        SurveyError: none can be started.
     """
     dask.config.set({"distributed.scheduler.allowed-failures": ALLOWED_DEATHS, **OUR_WORKERS})
     with _deaf_to_interrupts():
@@ -235,11 +234,11 @@ def local_pool(workers: int, memory_bytes: int) -> DaskEngine:
 
 @contextlib.contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
-    """Threads that begin meanwhile, and processes that these begin, do not hear Ctrl-C.
+    """Block Ctrl-C in threads and processes started meanwhile.
 
-    It reaches all processes of a terminal; who began them lets them go.
+    Ctrl-C reaches all processes of a terminal; the main process ends the others.
     """
-    resource_tracker.ensure_running()  # where it is begun later, it makes its thread hear again
+    resource_tracker.ensure_running()  # started later, it would unblock the signal in its thread
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -248,10 +247,10 @@ def _deaf_to_interrupts() -> Iterator[None]:
 
 
 def on_scheduler(address: str) -> DaskEngine:
-    """The workers of a scheduler that somebody has begun.
+    """The workers of an existing scheduler.
 
     Raises:
-        SurveyError: nobody answers there.
+        SurveyError: it does not answer.
     """
     try:
         return DaskEngine(Client(address), None)
@@ -260,7 +259,7 @@ def on_scheduler(address: str) -> DaskEngine:
 
 
 class _ResultLost(Exception):  # noqa: N818 nothing failed
-    """The worker that held a result died: another does the task once more."""
+    """Run a task again whose result was lost with its worker."""
 
 
 def _result_of(future: Future) -> object:

@@ -1,4 +1,4 @@
-"""What a person can mend: a wrong name, a map that is not there, two that do not fit."""
+"""Errors that the user can correct, such as a wrong name or a missing map."""
 
 __all__ = ["SurveyError"]
 

@@ -1,4 +1,4 @@
-"""The products of a survey: a grid of depths, a cloud and soundings, in one go over the map."""
+"""Products of a survey: a grid of depths, a cloud and soundings, in one pass over the map."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -46,16 +46,16 @@ PRODUCTS = {
 
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
-    """How products are made.
+    """Options of the products.
 
     Attributes:
-        config: its thresholds determine what is occupied; None takes the defaults.
+        config: its thresholds decide what is occupied; None uses the defaults.
         cell_voxels: columns of voxels along the edge of a grid's cell.
-        rule: what stands for a cell.
-        vertical_uncertainty_m: standard deviation of heights by navigation and tide.
-        altitude_m: height of the map's zero above what depths are below.
-        heights: which voxels count, in the map's z.
-        window_bricks: along the edge of what is in memory at a time.
+        rule: how a cell's depth is chosen.
+        vertical_uncertainty_m: standard deviation of heights due to navigation and tide.
+        altitude_m: height of the map's origin above the datum of depths.
+        heights: range of z of the voxels that count, map frame.
+        window_bricks: bricks along the edge of the window in memory.
 
     Raises:
         SurveyError: a number is not allowed.
@@ -82,14 +82,14 @@ class ExportOptions:
 
 
 def check_products(products: Sequence[str], *, known: bool) -> None:
-    """Refuse what cannot be made.
+    """Check that the products can be made.
 
     Args:
         products: by their names.
         known: whether the origin of the map on Earth is known.
 
     Raises:
-        SurveyError: no such product, or one that needs an origin.
+        SurveyError: an unknown product, or one that needs an origin.
     """
     unknown = [product for product in products if product not in PRODUCTS]
     if unknown or not products:
@@ -100,7 +100,7 @@ def check_products(products: Sequence[str], *, known: bool) -> None:
 
 
 def crs_of(product: str, origin: Origin | None) -> str:
-    """The system of coordinates that a product's file is in, for a person."""
+    """Return the coordinate system of a product's file, for people."""
     if origin is None:
         return "none: the geographic position of the map is unknown"
     if product == "grid":
@@ -112,7 +112,7 @@ def crs_of(product: str, origin: Origin | None) -> str:
 
 
 DEPTH_DIGITS, METRE_DIGITS, DEGREE_DIGITS = 3, 3, 9
-"""After the point: a billionth of a degree is 0.1 mm."""
+"""Digits after the point; a billionth of a degree is 0.1 mm."""
 
 Floats = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -120,13 +120,13 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What was written.
+    """Result of an export.
 
     Attributes:
-        files: by product.
-        crs: the system of coordinates that each file is in, for a person.
-        voxels: occupied ones.
-        cells: of the grid that hold a surface.
+        files: files by product.
+        crs: coordinate system of each file, for people.
+        voxels: number of occupied voxels.
+        cells: number of grid cells with a surface.
     """
 
     files: dict[str, Path]
@@ -144,20 +144,20 @@ def export_survey(
     *,
     options: ExportOptions | None = None,
 ) -> Exported:
-    """Write products of a map, each whole or not at all; one window of it is in memory at a time.
+    """Write products of a map, each atomically; one window of it is in memory at a time.
 
     Args:
         store_path: the map's file.
-        out_dir: is made when it is not there.
+        out_dir: created if missing.
         products: some of `PRODUCTS`; `positions` only with an origin.
-        origin: where the map's zero lies on Earth; None where nobody knows.
-        progress: receives the number of windows done, and of all.
-        options: None are the defaults.
+        origin: geographic position of the map's origin; None if unknown.
+        progress: receives the numbers of finished and of all windows.
+        options: None uses the defaults.
 
     Raises:
-        SurveyError: no such product, none without an origin, or a map that holds no surface.
+        SurveyError: an unknown product, one that needs an origin, or a map without a surface.
         StoreError: the map cannot be read, or bricks of it are damaged.
-        ExportError: a file cannot be written, or a library is not there.
+        ExportError: a file cannot be written, or a library is missing.
     """
     check_products(products, known=origin is not None)
     files = {product: out_dir / PRODUCTS[product] for product in products}
@@ -178,7 +178,7 @@ def export_survey(
 
 
 class _Export:
-    """One go over the map, which serves all files at once.
+    """One pass over the map for all files.
 
     Attributes:
         voxels, cells: as in `Exported`.
@@ -288,7 +288,7 @@ def _within(voxels: Voxels, heights: Heights) -> Voxels:
 
 
 def _plane(origin: Origin | None, places_m: Floats) -> tuple[Floats, Floats]:
-    """East and north of places, by the same projection as the cloud's."""
+    """Return east and north of positions, in the projection of the cloud."""
     if origin is None:
         return places_m[:, 0], places_m[:, 1]
     return utm_zone(origin).project(*origin.places(places_m))
@@ -301,7 +301,7 @@ def _box_of(stored: WindowedMap) -> Floats:
 
 
 def grid_place(tiling: Tiling, resolution_m: float, cell_voxels: int) -> GridPlace:
-    """Where the grid of a tiling lies."""
+    """Return the position of a tiling's grid."""
     across = tiling.edge // cell_voxels
     return GridPlace(
         tiling.x * resolution_m,

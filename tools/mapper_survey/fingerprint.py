@@ -1,4 +1,4 @@
-"""What results depend on, in short: equal fingerprints stand for equal results."""
+"""Fingerprints of the inputs of results; equal fingerprints mean equal results."""
 
 import functools
 import hashlib
@@ -20,7 +20,7 @@ CORE = "mapperd._core"
 
 
 def digest_of(*parts: bytes | str | Config) -> str:
-    """Of some facts in their order."""
+    """Return the fingerprint of values in order."""
     digest = hashlib.sha256()
     for part in parts:
         if isinstance(part, Config):
@@ -33,23 +33,23 @@ def digest_of(*parts: bytes | str | Config) -> str:
 
 
 def facts_of(*paths: Path) -> str:
-    """Names, sizes and times of change of recordings, or of files of odometry."""
+    """Return names, sizes and modification times of recordings or odometry files."""
     return "\n".join(_fact(path) for path in content_files(files_in(paths)))
 
 
 def known_map_facts(path: Path) -> str:
-    """Of a map to be localized on, with the files that belong to it.
+    """Return the fingerprint of a known map with the files that belong to it.
 
     Raises:
-        MapError: it is a planar map whose description makes no sense.
+        MapError: it is a planar map with an invalid description.
     """
     return "\n".join(_fact(each) for each in _files_of_map(path))
 
 
 def _files_of_map(path: Path) -> list[Path]:
-    """Its image; or its journal, which alone holds what a daemon wrote last.
+    """Return its image, or the journal with a daemon's last writes.
 
-    An empty journal does not count: reading the map may leave one.
+    An empty journal does not count, because reading the map may leave one.
     """
     if path.suffix.lower() in (".yaml", ".yml"):
         return [path, path.parent / image_of(path)]
@@ -68,7 +68,7 @@ def _fact(path: Path) -> str:
 
 @functools.cache
 def program_digest() -> str:
-    """Of the program's own files: another version makes everything again."""
+    """Return the fingerprint of the program's files: a new version makes everything again."""
     digest = hashlib.sha256()
     for path in _program_files():
         digest.update(path.name.encode())

@@ -1,6 +1,6 @@
-"""The survey's folder: on this machine's disk, or wherever fsspec reaches.
+"""The survey's folder: on this machine's disk, or on storage that fsspec supports.
 
-Files come into it whole or not at all: they are written elsewhere, then put.
+Files appear atomically: they are written elsewhere, then moved.
 """
 
 import contextlib
@@ -26,22 +26,22 @@ __all__ = ["LOCK", "Folder", "crc_of", "held", "mark", "marked", "scratch", "thi
 
 
 def this_system() -> str:
-    """Name of this machine since its last start, and within a container."""
+    """Return the name of this machine since its last boot, and within a container."""
     started = Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
     return f"{started} {Path('/proc/self/ns/pid').readlink()}"
 
 
 PREFIX = ".mapper-survey-scratch."
-"""Nobody calls a folder of their own so; what follows is this machine, since its last start: others
-may share the folder of all these, and do not see its locks."""
+"""Prefix of scratch folders, followed by this machine since its last boot: other machines may share
+the parent folder and do not see the locks."""
 
 YOUNG_S = 60.0
-"""Since a folder was changed: it may be between being made and being locked."""
+"""Age below which a folder may exist but not be locked yet."""
 
 
 @contextlib.contextmanager
 def scratch() -> Iterator[Path]:
-    """A folder of its own in the one that `TMPDIR` names; what the killed have left there goes."""
+    """Provide a scratch folder in `TMPDIR`; remove those of killed processes."""
     base = Path(tempfile.gettempdir())
     machine = hashlib.blake2b(this_system().encode(), digest_size=8).hexdigest()
     prefix = f"{PREFIX}{machine}."
@@ -55,9 +55,9 @@ def scratch() -> Iterator[Path]:
 
 
 def _sweep(base: Path, prefix: str) -> None:
-    """Remove folders whose owner is gone: a lock ends with the process that has it."""
+    """Remove folders whose owner has ended: locks end with their process."""
     for path in base.glob(f"{prefix}*"):
-        with contextlib.suppress(OSError):  # somebody else's, or removed meanwhile
+        with contextlib.suppress(OSError):  # of another user, or removed meanwhile
             if path.stat().st_mtime > time.time() - YOUNG_S:
                 continue
             handle = lock_file(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
@@ -71,17 +71,17 @@ WORK = ".work"
 
 
 class Folder:
-    """Files by their names, `plan/dive-01.spool`.
+    """Files by name, such as `plan/dive-01.spool`.
 
     Args:
-        url: a path, or what fsspec takes: `s3://bucket/survey`.
+        url: a path, or a URL of fsspec such as `s3://bucket/survey`.
 
     Raises:
-        SurveyError: fsspec does not know it.
+        SurveyError: fsspec does not support it.
 
     Attributes:
         url: as given.
-        local: the folder on the disk; None elsewhere.
+        local: the folder on the disk; None for other storage.
     """
 
     def __init__(self, url: str) -> None:
@@ -99,7 +99,7 @@ class Folder:
         return cast("BinaryIO", self._fs.open(self._at(name), "rb"))
 
     def has(self, name: str) -> bool:
-        """Whether there is such a file."""
+        """Return whether a file exists."""
         return bool(self._fs.exists(self._at(name)))
 
     def read(self, name: str) -> bytes | None:
@@ -110,16 +110,16 @@ class Folder:
             return None
 
     def write(self, name: str, data: bytes) -> None:
-        """Put a small file."""
+        """Write a small file."""
         with self.workspace() as work:
             path = work / "file"
             path.write_bytes(data)
             self.put(path, name)
 
     def put(self, path: Path, name: str) -> None:
-        """Give a finished file its place; a power cut does not take it away.
+        """Move a finished file into the folder, durably.
 
-        It is moved: a copy where it lies on another disk.
+        It is copied if it is on another disk.
         """
         at = self._at(name)
         if self.local is None:
@@ -135,7 +135,7 @@ class Folder:
 
     @contextlib.contextmanager
     def fetched(self, name: str) -> Iterator[Path]:
-        """A file as one on the disk, to be read only."""
+        """Provide a file on the disk, read-only."""
         if self.local is not None:
             yield Path(self._at(name))
             return
@@ -146,7 +146,7 @@ class Folder:
 
     @contextlib.contextmanager
     def workspace(self) -> Iterator[Path]:
-        """A folder of its own, near where files of it are put; not for SQLite."""
+        """Provide a scratch folder near the destination of its files; not for SQLite."""
         if self.local is None:
             with scratch() as temporary:
                 yield temporary
@@ -157,16 +157,16 @@ class Folder:
             yield Path(temporary)
 
     def forget_workspaces(self) -> None:
-        """Remove what somebody who was killed has left; nobody else is at work."""
+        """Remove files of killed processes; no other process may be active."""
         if self.local is not None:
             shutil.rmtree(self.local / WORK, ignore_errors=True)
 
     def names(self, prefix: str) -> set[str]:
-        """Of the files directly in a part of the folder, with that part's name."""
+        """Return the names of files directly in a part of the folder, with the part's name."""
         return set(self.sizes(prefix))
 
     def sizes(self, prefix: str) -> dict[str, int]:
-        """Bytes of the files directly in a part of the folder, by name."""
+        """Return the sizes of files directly in a part of the folder, by name."""
         try:
             found = self._fs.ls(self._at(prefix), detail=True)
         except FileNotFoundError:
@@ -177,12 +177,12 @@ class Folder:
         }
 
     def remove(self, name: str) -> None:
-        """Remove a file if it is there."""
+        """Remove a file if it exists."""
         with contextlib.suppress(FileNotFoundError):
             self._fs.rm_file(self._at(name))
 
     def size_of(self, name: str) -> int:
-        """Bytes of a file."""
+        """Return the size of a file."""
         return int(self._fs.size(self._at(name)))
 
     def _at(self, name: str) -> str:
@@ -190,7 +190,7 @@ class Folder:
 
 
 def _sync(path: Path) -> None:
-    """Have the disk itself hold a file, or the names in a folder."""
+    """Sync a file, or the names in a folder, to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -199,7 +199,7 @@ def _sync(path: Path) -> None:
 
 
 PIECE = 1 << 20
-"""Bytes of a file in memory at a time."""
+"""Bytes of a file read at once."""
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -221,7 +221,7 @@ def marked(folder: Folder, name: str, kind: type[T]) -> T | None:
 
 
 def crc_of(file: BinaryIO) -> int:
-    """CRC-32 of the rest of a file."""
+    """Return the CRC-32 of the rest of a file."""
     crc = 0
     while piece := file.read(PIECE):
         crc = zlib.crc32(piece, crc)
@@ -235,10 +235,10 @@ class Holder(msgspec.Struct, frozen=True):
     """A process that works in a folder.
 
     Attributes:
-        host: name of its machine, for a person.
-        system: which run of which system counts its process ids.
-        pid: of it.
-        token: its own, among all.
+        host: name of its machine, for people.
+        system: the boot of the system that its process id belongs to.
+        pid: its process id.
+        token: unique token.
     """
 
     host: str
@@ -251,10 +251,10 @@ class Holder(msgspec.Struct, frozen=True):
 def held(folder: Folder) -> Iterator[None]:
     """Mark the folder as in use by this process.
 
-    Two that begin at the same moment may not see each other.
+    Two processes that start at the same time may not notice each other.
 
     Raises:
-        SurveyError: another one does, or was killed and left its lock.
+        SurveyError: another process uses it, or was killed and left its lock.
     """
     _refuse_another(folder)
     me = Holder(socket.gethostname(), this_system(), os.getpid(), uuid.uuid4().hex)
@@ -289,5 +289,5 @@ def _holder(folder: Folder) -> Holder | None:
 
 
 def _is_gone(holder: Holder) -> bool:
-    """Known only of processes that are counted where this one is."""
+    """Known only for processes of the same system."""
     return holder.system == this_system() and not Path(f"/proc/{holder.pid}").exists()

@@ -1,4 +1,4 @@
-"""How large tiles are, by the memory that a worker may take."""
+"""Chooses the size of tiles by the memory of a worker."""
 
 import re
 from collections.abc import Sequence
@@ -21,35 +21,35 @@ __all__ = [
 ]
 
 PROGRAM_BYTES = 300 << 20
-"""A worker before it has mapped anything, with one ping, and what Python keeps for itself."""
+"""Memory of a worker without a map: the program, one ping, and Python's own reserve."""
 
 COPIES = 3
-"""Of a tile at the end of its task: the map, its bricks as bytes, and the file's pages."""
+"""Copies of a tile at the end of its task: map, encoded bricks, and pages of the file."""
 
 VOXEL_BYTES = 3.2
-"""Of a voxel that is stored by itself: log-odds of two bytes, a count of one, and its part of what
-the map needs beside them. Tiles are chosen by it."""
+"""Memory of a voxel: log-odds of two bytes, a count of one, and its share of the map's overhead.
+Used to choose tiles."""
 
 MAX_VOXEL_BYTES = 4
-"""The same under a rule that counts beyond 255, without what is beside: pings are bounded by it."""
+"""The same for counts beyond 255, without overhead; used to bound pings."""
 
 EVIDENCE_BYTES = {"evidence_grid": 0, "rays": 176}
-"""Of a voxel that a ping changes, as long as it is integrated: a sample with its place in a table
-in rays.cpp. The evidence grid has no list of voxels, see `grid_bytes`."""
+"""Temporary memory of a voxel that a ping changes: a sample in a table of rays.cpp. The evidence
+grid has no list of voxels, see `grid_bytes`."""
 
 BLOCK_BYTES = 1024
-"""Of a block that a ping changes, beside its voxels."""
+"""Temporary memory of a block that a ping changes, besides its voxels."""
 
 ROW_PITCH, COLUMN_PITCH = 0.27, 0.5
-"""Of the evidence grid, in voxels, at `detail` 1: the finest between rows, the widest between
+"""Pitch of the evidence grid in voxels at `detail` 1: the finest between rows, the widest between
 columns at the largest range (evidence_grid.cpp)."""
 
 GRID_POINT_BYTES = 1.2
-"""Of a point of the grid: its code, and its part of the tiles' classes."""
+"""Memory of a point of the grid: its code, and its share of the tiles' classes."""
 
 DEEP_M = 3.5
-"""How thick a layer is taken to be observed, where tiles are chosen: 2.4 m were on a seabed of sand
-waves and wrecks, free water with them. Many small tiles cost, as each ping is read for several."""
+"""Assumed thickness of the observed layer for the choice of tiles; it was 2.4 m, with free water,
+on a seabed of sand waves and wrecks. Small tiles cost time: each ping is read for several."""
 
 MAX_EDGE = 32
 
@@ -57,7 +57,7 @@ UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "ki": 1 << 10, "mi": 1 << 20
 
 
 def bytes_of(text: str) -> int:
-    """`2GB`, `1500 MiB` or a number of bytes.
+    """Parse `2GB`, `1500 MiB` or a number of bytes.
 
     Raises:
         SurveyError: the text is not a size.
@@ -69,10 +69,10 @@ def bytes_of(text: str) -> int:
 
 
 def voxel_bytes_of(memory_bytes: int, resolution_m: float) -> int:
-    """What the voxels of one tile may take of a worker's memory.
+    """Return the memory for the voxels of one tile in a worker.
 
     Raises:
-        SurveyError: not even a single brick has room in it.
+        SurveyError: it is too small for a single brick.
     """
     brick = int(VOXEL_BYTES * BRICK_VOXELS**3)
     most = (memory_bytes - PROGRAM_BYTES) // COPIES
@@ -86,12 +86,12 @@ def voxel_bytes_of(memory_bytes: int, resolution_m: float) -> int:
 
 
 def edge_for(config: Config, voxel_bytes: int, tile_size_m: float | None) -> int:
-    """A tile's edge in bricks, a power of two, so that it can be halved when it proves too large.
+    """Return a tile's edge in bricks, a power of two, so that it can be halved if too large.
 
     Args:
         config: the settings.
-        voxel_bytes: that a tile may take.
-        tile_size_m: as asked for; None chooses one where the seabed is likely to fit.
+        voxel_bytes: memory for the voxels of a tile.
+        tile_size_m: requested size; None chooses one that a seabed probably fits in.
     """
     resolution_m = config.octree.voxel_resolution
     brick_m = BRICK_VOXELS * resolution_m
@@ -105,16 +105,16 @@ def edge_for(config: Config, voxel_bytes: int, tile_size_m: float | None) -> int
 
 
 def edge_within(edge: int, dives: Sequence[Rows], config: Config, voxel_bytes: int) -> int:
-    """The same edge, or a smaller one: no ping alone may bring more into a tile than has room.
+    """Return the edge, reduced if a single ping would exceed the memory of a tile.
 
-    Memory is looked at after each ping. Up to then a tile may have grown from its bound by what the
-    ping brings; the copies that it is written with are not there yet.
+    Memory is checked after each ping, so a tile can exceed its limit by one ping; the copies for
+    writing do not exist at that time.
 
     Args:
-        edge: of a tile, in bricks, a power of two.
-        dives: rows of each.
+        edge: edge of a tile in bricks, a power of two.
+        dives: rows of each dive.
         config: the settings.
-        voxel_bytes: that a tile may take.
+        voxel_bytes: memory for the voxels of a tile.
     """
     room = (COPIES - 1) * voxel_bytes
     extents = [rows["last"].astype(np.int64) - rows["first"] + 1 for rows in dives]
@@ -124,11 +124,11 @@ def edge_within(edge: int, dives: Sequence[Rows], config: Config, voxel_bytes: i
 
 
 def ping_bytes(extents: NDArray[np.int64], edge: int, config: Config) -> int:
-    """The most that one of some pings may take in one tile, in the map and while it is integrated.
+    """Return the maximum memory of one of some pings in a tile, during its integration.
 
     Args:
-        extents: (N, 3) of the boxes that the pings may change, in blocks.
-        edge: of a tile, in bricks.
+        extents: (N, 3) sizes of the boxes that the pings may change, in blocks.
+        edge: edge of a tile, in bricks.
         config: the settings.
     """
     within = np.clip(extents, 0, edge * BRICK_VOXELS // BLOCK_VOXELS)
@@ -138,14 +138,14 @@ def ping_bytes(extents: NDArray[np.int64], edge: int, config: Config) -> int:
 
 
 def grid_bytes(extents: NDArray[np.int64], config: Config) -> int:
-    """The most that the evidence grid of one of some pings takes while it is integrated.
+    """Return the maximum memory of the evidence grid of one of some pings.
 
-    A ping's grid is that of the whole ping, however small the tile. At 30 m, in voxels of 5 cm, it
-    takes some 6 MB. Its range and width are not known here: the box's diagonal and half a turn
-    bound them, so that this is a few times as much.
+    The grid covers the whole ping, however small the tile: some 6 MB at 30 m with voxels of 5 cm.
+    Range and width are unknown here and bounded by the box's diagonal and half a turn, so the
+    result is a few times too large.
 
     Args:
-        extents: (N, 3) of the boxes that the pings may change, in blocks.
+        extents: (N, 3) sizes of the boxes that the pings may change, in blocks.
         config: the settings.
     """
     if config.mapping.integrator != "evidence_grid":

@@ -1,4 +1,4 @@
-"""Shards become one map's file: their rows side by side, as they are."""
+"""Merges shards to one map's file by copying their rows."""
 
 import contextlib
 import time
@@ -24,11 +24,11 @@ class MergeTask(Struct, frozen=True):
     """Shards to be merged.
 
     Attributes:
-        name: of the map's file.
-        shards: of tiles that share no voxel.
+        name: name of the map's file.
+        shards: shards of disjoint tiles.
         config: the settings.
-        revision: of the map of all.
-        folder: the survey's, as `Folder` takes it.
+        revision: revision of the merged map.
+        folder: the survey's folder, as for `Folder`.
     """
 
     name: str
@@ -39,7 +39,7 @@ class MergeTask(Struct, frozen=True):
 
 
 class MergeResult(Struct, frozen=True):
-    """What became of it; `crc` is that of the file."""
+    """Result of a merge; `crc` is that of the file."""
 
     name: str
     bricks: int
@@ -50,15 +50,15 @@ class MergeResult(Struct, frozen=True):
 
 
 def merge_shards(task: MergeTask, show: Show) -> MergeResult:
-    """Make one file of many; memory for one brick.
+    """Merge files to one; memory holds one brick.
 
     Args:
-        task: what to do.
-        show: receives the share of the shards done, and their number.
+        task: the shards.
+        show: receives the share of finished shards, and their number.
 
     Raises:
-        SurveyError: a shard is damaged, and has no mark any more.
-        StoreError: two hold the same brick.
+        SurveyError: a shard is damaged; its mark is removed.
+        StoreError: two shards hold the same brick.
         OSError: the survey's folder cannot be read or written.
     """
     began_s = time.process_time()

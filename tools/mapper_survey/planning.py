@@ -1,6 +1,6 @@
-"""Planning the dives: a recording goes the ordinary way, but into a spool instead of a map.
+"""Plans the dives: recordings run through the usual pipeline, but into a spool instead of a map.
 
-Each dive is planned once: what did not change stays as it is.
+Each dive is planned once; unchanged plans are kept.
 """
 
 import io
@@ -48,12 +48,12 @@ class PlanTask(Struct, frozen=True):
     """One dive to be planned.
 
     Attributes:
-        name: of the dive.
+        name: name of the dive.
         recording: a file or a folder.
         config: the dive's settings.
-        transform: into the survey's frame; None leaves poses as they are.
-        folder: the survey's, as `Folder` takes it.
-        fingerprint: of all that the plan depends on.
+        transform: into the survey's frame; None leaves poses unchanged.
+        folder: the survey's folder, as for `Folder`.
+        fingerprint: fingerprint of all inputs of the plan.
         odometry: files that replace the recorded odometry; None uses that.
     """
 
@@ -67,14 +67,14 @@ class PlanTask(Struct, frozen=True):
 
 
 class Lost(Struct, frozen=True):
-    """What could not be used of a recording.
+    """Unusable part of a recording.
 
     Attributes:
         recording: its file, or the first one of its session.
-        reason: for a person.
-        truncated: it ends before its content does.
-        bytes_read, size_bytes: of its session.
-        bytes_rejected: read, but of no message.
+        reason: the reason, for people.
+        truncated: the file ends early.
+        bytes_read, size_bytes: bytes of its session.
+        bytes_rejected: bytes read outside of messages.
     """
 
     recording: str
@@ -86,20 +86,20 @@ class Lost(Struct, frozen=True):
 
 
 class DivePlan(Struct, frozen=True):
-    """One dive as it is planned.
+    """Plan of one dive.
 
     Attributes:
         name, fingerprint: of the task.
-        pings: in the spool.
-        pings_total: that came.
-        pings_dropped: reason to count.
-        pings_lost: ping numbers that never came, whether the recording is damaged or not.
-        dropped_details: reason to the sentence of its first case.
+        pings: number of pings in the spool.
+        pings_total: number of all pings.
+        pings_dropped: number of dropped pings, by reason.
+        pings_lost: number of missing ping numbers, damaged recording or not.
+        dropped_details: explanation of the first case, by reason.
         first_ns, last_ns: of pings with a time; None without any.
-        bearings: tables of the records.
-        lost: what could not be used.
-        spool_bytes, index_crc: of its files: others are damaged.
-        cpu_s, read_bytes, written_bytes: of the task.
+        bearings: bearing tables of the records.
+        lost: unusable parts.
+        spool_bytes, index_crc: size and checksum of its files, to detect damage.
+        cpu_s, read_bytes, written_bytes: cost of the task.
     """
 
     name: str
@@ -121,27 +121,27 @@ class DivePlan(Struct, frozen=True):
 
 
 def spool_name(plan: DivePlan | PlanTask) -> str:
-    """Of a dive's records in the survey's folder; those of other inputs are other files."""
+    """Return the name of a dive's records in the survey's folder; it depends on the inputs."""
     return f"plan/{plan.name}.{plan.fingerprint}.spool"
 
 
 def index_name(plan: DivePlan | PlanTask) -> str:
-    """Of their rows."""
+    """Return the name of the index of rows."""
     return f"plan/{plan.name}.{plan.fingerprint}.npy"
 
 
 def mark_name(plan: DivePlan | PlanTask) -> str:
-    """Name of the record of both."""
+    """Return the name of the record of both."""
     return f"plan/{plan.name}.{plan.fingerprint}.json"
 
 
 def plan_dive(task: PlanTask) -> DivePlan:
-    """Read a dive's recording, and spool what the integrators will want of it.
+    """Read a dive's recording and spool the data for the integrators.
 
     Raises:
-        ConfigError: localization cannot begin with the settings.
-        OSError: the recording cannot be read now, or the survey's folder not be written.
-        SurveyError: there is no such recording.
+        ConfigError: localization cannot start with the settings.
+        OSError: the recording cannot be read, or the survey's folder cannot be written.
+        SurveyError: the recording does not exist.
     """
     began_s = time.process_time()
     folder = Folder(task.folder)
@@ -178,7 +178,7 @@ def plan_dive(task: PlanTask) -> DivePlan:
 
 
 def _crc_of(path: Path) -> tuple[int, int]:
-    """Checksum and size of a file, a piece at a time."""
+    """Return checksum and size of a file, read in pieces."""
     crc = size = 0
     with path.open("rb") as file:
         while piece := file.read(PIECE_BYTES):
@@ -187,7 +187,7 @@ def _crc_of(path: Path) -> tuple[int, int]:
 
 
 def _sessions(task: PlanTask) -> tuple[list[RecordedSession], list[Lost]]:
-    """The sessions of a dive; files that are no recordings are lost as a whole."""
+    """Return the sessions of a dive; other files count as lost."""
     recording = Path(task.recording)
     if not recording.exists():
         raise SurveyError(f"{recording}: there is no such recording; allowed: a file or a folder")
@@ -218,10 +218,10 @@ def _sessions(task: PlanTask) -> tuple[list[RecordedSession], list[Lost]]:
 
 
 def _raise_if_of_disk(error: Exception) -> None:
-    """What a disk or a network refuses is no damage: it is tried again, or ends the run.
+    """Raise errors of disks and networks: they are no damage, but are retried or end the run.
 
     Raises:
-        OSError: that it is.
+        OSError: the error is one of these.
     """
     if isinstance(error.__cause__, OSError):
         raise OSError(str(error)) from error
@@ -230,7 +230,7 @@ def _raise_if_of_disk(error: Exception) -> None:
 def _spool(
     session: RecordedSession, config: Config, spool: SpoolMap, counters: PipelineCounters
 ) -> list[Lost]:
-    """One session on its way; returns what was wrong with it."""
+    """Process one session; return its damage."""
     before = counters.bytes_rejected
     replay = as_asked(session, None, config).replay(spool, Window(), counters)
 
@@ -269,10 +269,10 @@ Show = Callable[[float, int], None]
 
 
 def plan_all(request: Request, folder: Folder, engine: Engine, show: Show) -> list[DivePlan]:
-    """Plan what has to be; returns the plans of all dives, in the survey's order.
+    """Plan dives without a valid plan; return the plans of all, in the survey's order.
 
     Raises:
-        SurveyError: a task cannot be done.
+        SurveyError: a task fails.
     """
     tasks = [_task(request, dive, folder) for dive in request.survey.dives]
     there = folder.sizes("plan")
@@ -291,7 +291,7 @@ def plan_all(request: Request, folder: Folder, engine: Engine, show: Show) -> li
 
 
 def rows_of(folder: Folder, plan: DivePlan) -> Rows:
-    """The index of a dive's spool."""
+    """Return the index of a dive's spool."""
     data = folder.read(index_name(plan))
     assert data is not None  # noqa: S101 it was there, or has just been made
     rows: Rows = np.load(io.BytesIO(data))

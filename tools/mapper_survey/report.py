@@ -50,7 +50,7 @@ EXCELLENT, MODERATE = 0.1, 0.3
 
 
 MIN_OVERLAP = 0.05
-"""Share of a dive's voxels that the other has observed, below which agreement has no grade."""
+"""Share of a dive's voxels observed by the other, below which there is no grade."""
 
 
 class DiveRecord(msgspec.Struct, frozen=True):
@@ -63,7 +63,7 @@ class DiveRecord(msgspec.Struct, frozen=True):
 
 
 class WayRecord(msgspec.Struct, frozen=True):
-    """From one dive's occupied voxels to the other's."""
+    """Differences from one dive's occupied voxels to the other's."""
 
     voxels: int
     common: int
@@ -133,7 +133,7 @@ def report_of(
     tolerance_m: float,
     thresholds: tuple[float, float],
 ) -> Report:
-    """Put together what was counted."""
+    """Assemble the report from the counts."""
     edge_m = comparison.resolution_m
     cell_m2 = edge_m**2
     return Report(
@@ -205,7 +205,7 @@ def _way(way: DifferenceCounts, comparison: Comparison) -> WayRecord:
 
 
 def _distance(square: int | None, comparison: Comparison) -> float | None:
-    """In metres; None where nobody knows more than that it is beyond the reach."""
+    """Return a distance in metres; None if it is beyond the limit."""
     if square is None or square > comparison.reach**2:
         return None
     return math.sqrt(square) * comparison.resolution_m
@@ -221,7 +221,7 @@ def _heights(middle: Tally, high: Tally, edge_m: float) -> HeightRecord:
 
 
 def _mean(a: float | None, b: float | None) -> float | None:
-    """Of both ways, or the one that there is."""
+    """Return the value of both directions, or of the only one."""
     there = [share for share in (a, b) if share is not None]
     return sum(there) / len(there) if there else None
 
@@ -238,7 +238,7 @@ DISAGREEMENT, DISTANCES = "disagreement.png", "distances.png"
 DPI = 110
 PAPER, INK, LOOKED = "#ffffff", "#1b2733", "#d9e0e6"
 MAX_LINES = 6
-"""Pairs that are drawn for themselves; of more, the worst."""
+"""Maximum number of pairs that are drawn; with more, the worst."""
 
 Floats = NDArray[np.float64]
 
@@ -253,7 +253,7 @@ def draw_pictures(
     """Write all four PNGs.
 
     Raises:
-        ExportError: matplotlib is not there, or a file cannot be written.
+        ExportError: matplotlib is missing, or a file cannot be written.
     """
     if not can_draw():
         raise ExportError(f"no pictures: {missing_extra('matplotlib', 'survey')}")
@@ -280,7 +280,7 @@ def _coverage(report: Report, pictures: Pictures, raster: Raster) -> Any:  # noq
     known = heights[np.isfinite(heights)]
     low, high = (
         np.percentile(known, [1, 99]) if len(known) else (0.0, 1.0)
-    )  # relief, not what sticks up
+    )  # relief, without isolated objects
     image = _put(axes, heights, pictures, raster, cmap="viridis", vmin=low, vmax=high)
     bar = {"ax": axes, "label": "highest surface z [m]", "shrink": 0.8, "extend": "both"}
     figure.colorbar(image, **bar)
@@ -344,7 +344,7 @@ def _disagreement(report: Report, pictures: Pictures, raster: Raster) -> Any:  #
 def _broad(
     box_m: tuple[float, float, float, float],
 ) -> tuple[float, float, float, float]:
-    """Widen a narrow strip, so that it fits a page: left, right, bottom, top."""
+    """Widen a narrow strip to fit a page; return left, right, bottom, top."""
     left, right, bottom, top = box_m
     width, height = right - left, top - bottom
     more_x, more_y = max(height - width, 0.0) / 2, max(width / 2 - height, 0.0) / 2
@@ -386,19 +386,19 @@ def _maps(
     number: int = 1,
     shown: tuple[float, float, float, float] | None = None,
 ) -> tuple[Any, list[Any]]:
-    """A figure with some maps beside each other, or above where they are wide.
+    """Make a figure with maps side by side, or stacked if they are wide.
 
     Args:
-        title: of the figure.
-        pictures: of the ground.
-        raster: of the pictures.
-        number: of maps.
-        shown: left, right, bottom and top, m; None shows what was looked at.
+        title: title of the figure.
+        pictures: pictures of the ground.
+        raster: raster of the pictures.
+        number: number of maps.
+        shown: left, right, bottom and top, m; None shows the observed area.
     """
     left, right, bottom, top = shown or _shown(pictures, raster)
     ratio = float(np.clip((top - bottom) / (right - left), 0.3, 1.6))
     wide = ratio < 1
-    width, height = 9.0, 6.9 * ratio + 1.2  # the rest is the scale's, and the title's
+    width, height = 9.0, 6.9 * ratio + 1.2  # the rest is for the scale and the title
     size = (width, height * number) if wide else (width * number, height)
     figure = _figure(*size)
     figure.suptitle(title, color=INK, fontsize=12)
@@ -449,23 +449,23 @@ def report_survey(
     origin: Origin | None = None,
     config: Config | None = None,
 ) -> Report:
-    """Compare the dives of a survey, every two both ways, and write what is found.
+    """Compare each pair of dives of a survey in both directions, and write the report.
 
     Memory holds one window of one map at a time, and pictures of at most 1200 pixels a side.
 
     Args:
-        stores_by_dive: a map's file for each dive, all in one frame and of one resolution.
-        merged: the map's file of all of them.
-        out_dir: is made when it is not there; gets `report.json`, `difference.tif` and pictures.
-        tolerance_m: within which voxels of two dives are the same.
-        progress: receives the number of parts done, and of all.
-        origin: of the GeoTIFF; None where nobody knows.
-        config: its thresholds count; None takes the defaults.
+        stores_by_dive: map file of each dive, all in one frame and of one resolution.
+        merged: map file of all dives.
+        out_dir: created if missing; gets `report.json`, `difference.tif` and pictures.
+        tolerance_m: distance within which voxels of two dives are the same.
+        progress: receives the numbers of finished and of all parts.
+        origin: origin of the GeoTIFF; None if unknown.
+        config: its thresholds count; None uses the defaults.
 
     Raises:
-        SurveyError: maps that cannot be compared, no surface at all, or a bad tolerance.
+        SurveyError: the maps cannot be compared, have no surface, or the tolerance is invalid.
         StoreError: a map cannot be read, or bricks of it are damaged.
-        ExportError: a file cannot be written, or a library is not there.
+        ExportError: a file cannot be written, or a library is missing.
     """
     with ExitStack() as opening:
         whole = opening.enter_context(WindowedMap(merged, config))
@@ -479,7 +479,7 @@ def report_survey(
 
 
 class _Comparing:
-    """All dives of a survey, open."""
+    """All dives of a survey, opened."""
 
     def __init__(
         self,
@@ -502,7 +502,7 @@ class _Comparing:
         self._ways = {pair: DifferenceCounts() for pair in itertools.permutations(stores, 2)}
 
     def write(self, out_dir: Path, origin: Origin | None) -> Report:
-        """Count everything, then write it."""
+        """Count everything, then write the report."""
         progress = self._progress_steps()
         place = grid_place(self._tiling, self._comparison.resolution_m, 1)
         with atomic_file(out_dir / DIFFERENCE) as file:

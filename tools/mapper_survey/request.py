@@ -1,4 +1,4 @@
-"""What a survey is asked to be: `survey.yaml`, read and checked."""
+"""Reads and checks the request of a survey, `survey.yaml`."""
 
 import difflib
 import math
@@ -27,7 +27,7 @@ Metres = Annotated[float, Meta(ge=-1e7, le=1e7)]
 
 
 class Transform(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where a dive's own map frame lies in the survey's: turned by yaw, then shifted."""
+    """Pose of a dive's map frame in the survey's: rotated by yaw, then shifted."""
 
     x: Metres = 0.0
     y: Metres = 0.0
@@ -52,9 +52,9 @@ class SurveyDive(Struct, frozen=True, forbid_unknown_fields=True):
     """One recording session, or the folder of one.
 
     Attributes:
-        name: of its files in the survey's folder.
+        name: name of its files in the survey's folder.
         recording: a file, or a folder of files.
-        transform: into the survey's frame; None where the dive's frame is that already.
+        transform: into the survey's frame; None if the frames are equal.
         odometry: files that replace the recorded odometry; empty uses that.
         odometry_offset: seconds added to their times.
         localization: a known map in the survey's frame, on which the dive is localized; each ping
@@ -70,7 +70,7 @@ class SurveyDive(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SurveyOrigin(Struct, frozen=True, forbid_unknown_fields=True):
-    """The survey's zero on Earth; altitude of z = 0 in metres."""
+    """Geographic position of the survey's origin; altitude of z = 0 in metres."""
 
     latitude: Annotated[float, Meta(ge=-90, le=90)]
     longitude: Annotated[float, Meta(ge=-180, le=180)]
@@ -78,7 +78,7 @@ class SurveyOrigin(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Survey(Struct, frozen=True, forbid_unknown_fields=True):
-    """The file as it is written; `outputs` are the products of exporting, where not all."""
+    """Content of the file; `outputs` are the products to export, by default all."""
 
     dives: Annotated[list[SurveyDive], Meta(min_length=1)]
     configuration: str = ""
@@ -89,12 +89,12 @@ class Survey(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Request(Struct, frozen=True):
-    """A survey with everything found that it names.
+    """A survey whose files were found.
 
     Attributes:
-        survey: as written.
+        survey: content of the file.
         config: the settings of all dives.
-        folder: that paths in the survey start from.
+        folder: base of relative paths in the survey.
     """
 
     survey: Survey
@@ -102,19 +102,19 @@ class Request(Struct, frozen=True):
     folder: Path
 
     def path_of(self, dive: SurveyDive) -> Path:
-        """Of a dive's recording."""
+        """Return the path of a dive's recording."""
         return self.folder / dive.recording
 
     def odometry_of(self, dive: SurveyDive) -> OdometryOptions | None:
-        """Of a dive, where it is in other files than the recording."""
+        """Return the odometry of a dive if it is in separate files, else None."""
         paths = tuple(self.folder / name for name in dive.odometry)
         return OdometryOptions(paths, dive.odometry_offset) if paths else None
 
     def config_of(self, dive: SurveyDive) -> Config:
-        """The settings that a dive is planned by.
+        """Return the settings of a dive.
 
         Raises:
-            SurveyError: localization cannot be on with them.
+            SurveyError: localization is impossible with them.
         """
         if dive.localization is None:
             return self.config
@@ -134,7 +134,7 @@ def read_survey(path: Path) -> Request:
     """Read a survey and the settings that it names.
 
     Raises:
-        SurveyError: something in it is wrong: one line with the place and what is allowed.
+        SurveyError: it is invalid; one line with the place and the allowed values.
     """
     survey = _survey_of(_tree_of(path), path)
     folder = path.resolve().parent
@@ -224,7 +224,7 @@ def _settings_of(survey: Survey, folder: Path, path: Path) -> Config:
 
 
 def _values_of(survey: Survey, path: Path) -> dict[str, object]:
-    """Settings by their full names, whether they are written so or in sections."""
+    """Return settings by full name, written so or in sections."""
     values: dict[str, object] = {}
 
     def walk(tree: dict[str, Any], prefix: str) -> None:

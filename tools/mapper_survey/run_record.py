@@ -19,14 +19,14 @@ Kind = Literal["plan", "tile", "merge"]
 
 
 class TaskTime(msgspec.Struct, frozen=True, kw_only=True):
-    """One task, done once without a failure.
+    """Cost of one successful task.
 
     Attributes:
-        kind: which step of the survey.
-        name: its own among all tasks.
-        cpu_s: of its thread or process, user and system, without waiting for disk or network.
+        kind: step of the survey.
+        name: unique name of the task.
+        cpu_s: CPU time, user and system, without waiting for disk or network.
         read_bytes, written_bytes: through the survey's folder and from the recordings.
-        after: names of the tasks that must have ended before it begins.
+        after: names of its predecessors.
     """
 
     kind: Kind
@@ -44,10 +44,10 @@ class _TaskRecords(msgspec.Struct):
 
 
 def read_task_times(path: Path) -> list[TaskTime]:
-    """Tasks of a `survey.json`, each after those that it waits for.
+    """Return the tasks of a `survey.json`, each after its predecessors.
 
     Raises:
-        ValueError: the file is no such record, or its tasks are inconsistent; names the place.
+        ValueError: the record is invalid or its tasks are inconsistent; the text names the place.
     """
     try:
         record = msgspec.json.decode(path.read_bytes(), type=_TaskRecords)
@@ -60,11 +60,11 @@ def read_task_times(path: Path) -> list[TaskTime]:
 
 
 def in_order(tasks: Sequence[TaskTime]) -> list[TaskTime]:
-    """The same tasks, each after those that it waits for; otherwise in the order given.
+    """Return the tasks, each after its predecessors, otherwise in the given order.
 
     Raises:
-        ValueError: a name twice, a wait for a task that is not there or in a circle, a negative
-            or infinite number.
+        ValueError: a duplicate name, a missing predecessor, a cycle, or a negative or infinite
+            number.
     """
     waits = {task.name: len(set(task.after)) for task in tasks}
     if len(waits) < len(tasks):
@@ -95,36 +95,36 @@ def _check(task: TaskTime) -> None:
 
 
 PAUSE_S = 10.0
-"""A longer time without a ping is a pause: no sonar that maps is as slow."""
+"""Time without a ping above which it is a pause; no mapping sonar is that slow."""
 
 
 def dive_record(plan: DivePlan) -> dict[str, Any]:
-    """Of a dive, for a person."""
+    """Return the summary of a dive, for people."""
     of_dive: dict[str, Any] = msgspec.to_builtins(plan)
     del of_dive["bearings"]
     return of_dive
 
 
 def recorded_s(rows: Rows) -> float:
-    """For how long a dive's pings came: from each to the next, without the pauses."""
+    """Return the time covered by a dive's pings, without pauses."""
     gaps_ns = np.diff(np.sort(rows["t_ns"][rows["t_ns"] != NO_TIME]))
     return float(gaps_ns[gaps_ns <= PAUSE_S * 1e9].sum()) / 1e9
 
 
 def plan_times(plans: Sequence[DivePlan]) -> list[TaskTime]:
-    """What planning took."""
+    """Return the cost of planning."""
     return [_time_of("plan", plan.name, plan) for plan in plans]
 
 
 def map_times(
     results: Sequence[TileResult], merged: MergeResult, before: tuple[str, ...]
 ) -> list[TaskTime]:
-    """What one map's tiles and their merge took.
+    """Return the cost of one map's tiles and of their merge.
 
     Args:
-        results: of all tiles, those that were cut with them.
-        merged: of the merge.
-        before: names of the tasks that all of these waited for.
+        results: results of all tiles, including those that were cut.
+        merged: result of the merge.
+        before: names of their predecessors.
     """
     names = [_short(result.shard) for result in results]
     cut = {name for name, result in zip(names, results, strict=True) if result.too_large}
@@ -136,18 +136,18 @@ def map_times(
 
 
 def _waited_for(name: str, cut: set[str], before: tuple[str, ...]) -> tuple[str, ...]:
-    """A part of a tile that was cut is not known before that has been tried."""
+    """Return the predecessors of a tile: for a part of a cut tile that tile, otherwise `before`."""
     parent = _parent(name)
     return (f"tile/{parent}",) if parent in cut else before
 
 
 def _short(shard: str) -> str:
-    """A tile's name without what it was made of."""
+    """Return a tile's name without its fingerprint."""
     return shard.removeprefix("shards/").rsplit(".", 2)[0]
 
 
 def _parent(name: str) -> str:
-    """Name of the tile of twice the edge that holds one."""
+    """Return the name of the tile of twice the edge around a tile."""
     scope, at, tile = name.rpartition("@")
     *key, edge = (int(number) for number in tile.split("_"))
     return f"{scope}{at}{'_'.join(str(k // 2) for k in key)}_{2 * edge}"

@@ -1,4 +1,4 @@
-"""A survey from beginning to end: plan, tiles, merge. What is done already is not done again."""
+"""Runs a survey: plan, tiles, merge. Finished work is not repeated."""
 
 import contextlib
 import os
@@ -42,11 +42,11 @@ RECORD = "survey.json"
 
 
 class RunOptions(msgspec.Struct, frozen=True):
-    """How a survey is run.
+    """Options of a run.
 
     Attributes:
-        memory_bytes: that a worker may take.
-        by_dive: make a map of each dive alone, too.
+        memory_bytes: memory of a worker.
+        by_dive: also make a map of each dive.
     """
 
     memory_bytes: int
@@ -54,13 +54,13 @@ class RunOptions(msgspec.Struct, frozen=True):
 
 
 SUFFIXES = (".db", ".spool", ".npy", ".json")
-"""Of files that a run makes, its marks with them."""
+"""Suffixes of files that a run makes, including marks."""
 
 BESIDE = ("-journal", "-wal", "-shm")
-"""Of files that SQLite keeps beside one that somebody writes into; to another one they are harm."""
+"""Suffixes of SQLite's files beside one being written; beside another file they do harm."""
 
 FINGERPRINTED = re.compile(r"\.[0-9a-f]{24}\.[a-z]+$")
-"""Names that nobody but a run gives: a stop may have left such a file without its mark."""
+"""Names that only a run gives: an interrupted run may leave such a file without its mark."""
 
 
 class _Merged(msgspec.Struct, frozen=True):
@@ -69,17 +69,17 @@ class _Merged(msgspec.Struct, frozen=True):
 
 
 def dive_map(dive: str) -> str:
-    """Name of the map of one dive."""
+    """Return the name of the map of one dive."""
     return f"{DIVES}/{dive}.db"
 
 
 def was_begun(folder: Folder) -> bool:
-    """Whether a survey was run into a folder, if not to its end."""
+    """Return whether a survey was run into a folder, finished or not."""
     return any(FINGERPRINTED.search(name) for name in folder.names("plan"))
 
 
 def plan_survey(request: Request, folder: Folder, engine: Engine, out: TextIO) -> dict[str, Any]:
-    """Plan the dives alone; return their records."""
+    """Only plan the dives; return their records."""
     with _alone(folder):
         folder.forget_workspaces()
         with _bar("plan", out) as show:
@@ -93,7 +93,7 @@ def run_survey(
     """Make the map of all dives; return the content of `survey.json`.
 
     Raises:
-        SurveyError: somebody else is at work there, or a task cannot be done.
+        SurveyError: another process uses the folder, or a task fails.
     """
     resolution_m = request.config.octree.voxel_resolution
     max_bytes = voxel_bytes_of(options.memory_bytes, resolution_m)
@@ -126,7 +126,7 @@ class _Running:
         maps = []
         for scope in scopes:
             maps.append(self._map_of(scope, edge, max_bytes, before))
-            before = (self._times[-1].name,)  # of the merge: the next map is begun after it
+            before = (self._times[-1].name,)  # of the merge: the next map starts after it
         self._forget_others(plans, [each["map"] for each in maps])
         record = self._record(plans, maps, whole, edge)
         self._folder.write(RECORD, msgspec.json.format(msgspec.json.encode(record), indent=2))
@@ -162,7 +162,7 @@ class _Running:
             return before.result
         config = self._request.config
         task = MergeTask(name, list(shards), config, scope.pings, self._folder.url)
-        for outdated in (RECORD, record_name):  # of the map that the merged one takes the place of
+        for outdated in (RECORD, record_name):  # of the map that the merged one replaces
             self._folder.remove(outdated)
         for suffix in BESIDE:
             self._folder.remove(f"{name}{suffix}")
@@ -171,7 +171,7 @@ class _Running:
         return result
 
     def _is_whole(self, merged: MergeResult) -> bool:
-        """Whether a map's file is what the merge made, and nobody has written into it since."""
+        """Return whether a map's file is unchanged since the merge."""
         if any(self._folder.has(f"{merged.name}{suffix}") for suffix in BESIDE):
             return False
         if not self._folder.has(merged.name):
@@ -182,7 +182,7 @@ class _Running:
             return crc_of(file) == merged.crc
 
     def _forget_others(self, plans: Sequence[DivePlan], maps: Sequence[str]) -> None:
-        """Remove what earlier runs with other inputs have left."""
+        """Remove results of earlier runs with other inputs."""
         wanted = self._shards | {shard_mark(shard) for shard in self._shards}
         for plan in plans:
             wanted |= {spool_name(plan), index_name(plan), mark_name(plan)}
@@ -241,7 +241,7 @@ def _bar(stage: str, out: TextIO, unit: str = "pings") -> Iterator[Show]:
 
 
 def _is_ours(folder: Folder, name: str, kind: type[msgspec.Struct]) -> bool:
-    """Whether a run made a file: a user's recordings may lie in folders of these names too."""
+    """Return whether a run made a file; a user's recordings may lie in such folders too."""
     if FINGERPRINTED.search(name):
         return True
     return marked(folder, f"{name.rpartition('.')[0]}.json", kind) is not None
@@ -249,7 +249,7 @@ def _is_ours(folder: Folder, name: str, kind: type[msgspec.Struct]) -> bool:
 
 @contextlib.contextmanager
 def _alone(folder: Folder) -> Iterator[None]:
-    """Hold a lock that ends with the process; elsewhere than on the disk a file has to do."""
+    """Hold a lock that ends with the process; on other storage than disks use a file."""
     if folder.local is None:
         with held(folder):
             yield
@@ -268,5 +268,5 @@ def _alone(folder: Folder) -> Iterator[None]:
 
 
 def _record_name(map_name: str) -> str:
-    """Name of the record of a map's file."""
+    """Return the name of the record of a map's file."""
     return f"{map_name.removesuffix('.db')}.json"

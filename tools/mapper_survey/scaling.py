@@ -1,6 +1,6 @@
-"""How a survey would scale: its measured tasks on clusters of any size, and what limits each.
+"""Simulates the scaling of a survey: its measured tasks on clusters of any size.
 
-What limits a cluster is found by taking each limit away, alone, and looking what that saves.
+The cost of each limit is found by removing it alone and simulating again.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,16 +20,16 @@ Limited = tuple[list[TaskTime], ComputeCluster]
 
 
 class Step(msgspec.Struct, frozen=True):
-    """A survey on so many workers.
+    """A survey with a number of workers.
 
     Attributes:
-        workers: how many.
-        wall_s: simulated.
-        speedup: against one worker on the same storage.
-        efficiency: the speed-up's part of the workers.
-        saved: which part of the time each limit costs, by its name: what its absence alone saves.
-            Below zero where it even helps: workers that begin together read at the same time.
-        bottleneck: the limit that costs most; `none alone` if there is no such.
+        workers: number of workers.
+        wall_s: simulated wall time.
+        speedup: relative to one worker on the same storage.
+        efficiency: speed-up divided by the number of workers.
+        saved: share of the time that removing each limit alone would save, by name. It can be
+            negative: workers that start together read at the same time.
+        bottleneck: the limit that costs most, or `none alone`.
     """
 
     workers: int
@@ -52,14 +52,14 @@ def scaling(
     Args:
         tasks: measured; see `mapper_survey.run_record`.
         cluster: scheduler, storage and links; its number of workers is not used.
-        workers: how many each time.
+        workers: numbers of workers.
     """
     alone_s = simulate(tasks, replace(cluster, workers=1)).wall_s
     return [_step(tasks, replace(cluster, workers=count), alone_s) for count in workers]
 
 
 def without(limit: str, tasks: Sequence[TaskTime], cluster: ComputeCluster) -> Schedule:
-    """The survey as it would go if something did not limit it: a name of `LIMITS`."""
+    """Return the survey without one of `LIMITS`."""
     return simulate(*LIMITS[limit](list(tasks), cluster))
 
 
@@ -107,10 +107,10 @@ def _no_merge(tasks: list[TaskTime], cluster: ComputeCluster) -> Limited:
 
 
 def _divided(kind: Kind) -> Callable[[list[TaskTime], ComputeCluster], Limited]:
-    """Tasks of a kind in as many pieces as there are workers, together the same work.
+    """Divide tasks of a kind into as many pieces as there are workers, for the same total work.
 
-    Those of each map are divided on their own: one map is made after the other. The scheduler has
-    no more to do for them than before.
+    Tasks of each map are divided separately, because maps are made one after the other. The cost
+    for the scheduler stays.
     """
 
     def divide(tasks: list[TaskTime], cluster: ComputeCluster) -> Limited:
@@ -135,7 +135,7 @@ def _divided(kind: Kind) -> Callable[[list[TaskTime], ComputeCluster], Limited]:
 
 
 def _together(tasks: Sequence[TaskTime], kind: Kind) -> dict[frozenset[str], list[TaskTime]]:
-    """Tasks of a kind by the tasks of others that they wait for, be it through one of their own."""
+    """Group tasks of a kind by their predecessors of other kinds, direct or not."""
     groups: dict[frozenset[str], list[TaskTime]] = {}
     waits: dict[str, frozenset[str]] = {}
     for task in tasks:
@@ -181,12 +181,12 @@ KINDS: tuple[Kind, ...] = ("plan", "tile", "merge")
 
 
 class ScalingRun(msgspec.Struct, frozen=True):
-    """A survey that was run.
+    """A measured run of a survey.
 
     Attributes:
-        workers: of one task at a time each.
-        wall_s: of all its stages.
-        tasks: what each took.
+        workers: number of workers.
+        wall_s: wall time of all stages.
+        tasks: cost of each task.
     """
 
     workers: int
@@ -195,14 +195,14 @@ class ScalingRun(msgspec.Struct, frozen=True):
 
 
 class MeasuredRun(msgspec.Struct, frozen=True):
-    """A run beside its simulation.
+    """A measured run compared with its simulation.
 
     Attributes:
-        workers: how many.
-        wall_s: measured.
-        speedup: against the run with the fewest workers, times their number.
-        cpu_s: of all tasks; more than with one worker where they are in each other's way.
-        simulated_s: wall time of the first run's tasks on so many workers.
+        workers: number of workers.
+        wall_s: measured wall time.
+        speedup: relative to the run with the fewest workers, times their number.
+        cpu_s: CPU time of all tasks; it grows if workers obstruct each other.
+        simulated_s: simulated wall time of the first run's tasks with that many workers.
     """
 
     workers: int
@@ -213,13 +213,13 @@ class MeasuredRun(msgspec.Struct, frozen=True):
 
 
 class KindTimes(msgspec.Struct, frozen=True):
-    """All tasks of one kind.
+    """Totals of all tasks of one kind.
 
     Attributes:
-        tasks: how many.
-        cpu_s: of all.
-        longest_s: of one.
-        read_bytes, written_bytes: of all.
+        tasks: number of tasks.
+        cpu_s: CPU time of all.
+        longest_s: CPU time of the longest.
+        read_bytes, written_bytes: bytes of all.
     """
 
     tasks: int
@@ -230,15 +230,15 @@ class KindTimes(msgspec.Struct, frozen=True):
 
 
 class ScalingRecord(msgspec.Struct, frozen=True):
-    """All that `scaling.json` holds.
+    """Content of `scaling.json`.
 
     Attributes:
-        kinds: the tasks that are scheduled.
-        scheduler_s: for each task.
-        storage_bytes_per_s: of all workers together; none is without a bound.
-        link_bytes_per_s: of a worker; none is without a bound.
-        measured: runs, of the fewest workers first.
-        steps: simulated.
+        kinds: scheduled tasks by kind.
+        scheduler_s: time of the scheduler for each task.
+        storage_bytes_per_s: bandwidth for all workers; None is unlimited.
+        link_bytes_per_s: bandwidth of a worker; None is unlimited.
+        measured: measured runs, fewest workers first.
+        steps: simulated runs.
     """
 
     kinds: dict[str, KindTimes]
@@ -259,7 +259,7 @@ def read_run(workers: int, path: Path) -> ScalingRun:
     """Read a survey's record.
 
     Raises:
-        ValueError: the file is no such record.
+        ValueError: the record is invalid.
     """
     tasks = read_task_times(path)
     try:
@@ -272,7 +272,7 @@ def read_run(workers: int, path: Path) -> ScalingRun:
 def record_of(
     runs: Sequence[ScalingRun], cluster: ComputeCluster, steps: Sequence[Step]
 ) -> ScalingRecord:
-    """Put the runs, and what was simulated of the first one's tasks, together."""
+    """Combine the measured runs and the simulations of the first one's tasks."""
     storage, link = cluster.storage_bytes_per_s, cluster.link_bytes_per_s
     return ScalingRecord(
         {kind: _times(runs[0].tasks, kind) for kind in KINDS},
@@ -296,7 +296,7 @@ def _times(tasks: Sequence[TaskTime], kind: Kind) -> KindTimes:
 
 
 def _measured(run: ScalingRun, first: ScalingRun, scheduler_s: float) -> MeasuredRun:
-    """The machine's own disk is no shared storage: what it takes is in the tasks' CPU times."""
+    """Compare a run with its simulation, without storage limits of the local disk."""
     simulated = simulate(first.tasks, ComputeCluster(run.workers, scheduler_s))
     return MeasuredRun(
         run.workers,
@@ -308,7 +308,7 @@ def _measured(run: ScalingRun, first: ScalingRun, scheduler_s: float) -> Measure
 
 
 def tables(record: ScalingRecord) -> str:
-    """For a page in Markdown."""
+    """Return the tables in Markdown."""
     return "\n\n".join([_tasks_table(record.kinds), _runs_table(record), _steps_table(record)])
 
 
@@ -350,7 +350,7 @@ DPI = 110
 
 
 def draw_scaling(record: ScalingRecord, path: Path) -> None:
-    """Draw the speed-up over workers, and what limits it, into a file; atomic.
+    """Draw the speed-up over workers, and its limits, to a file; atomic.
 
     Raises:
         ImportError: matplotlib is not installed.

@@ -1,7 +1,7 @@
-"""What a dive's pings become between planning and mapping.
+"""Spools of a dive's pings between planning and mapping.
 
-Records one after the other, and rows with the place of each, its time, and which part of
-the map it may change.
+A spool has records one after the other, and an index of rows: position of each record, its time,
+and the part of the map that it may change.
 """
 
 import io
@@ -39,10 +39,10 @@ Floats = NDArray[np.float64]
 
 
 class Frame:
-    """The way from a dive's map frame into the survey's; without one nothing is computed.
+    """Converts from a dive's map frame to the survey's.
 
     Args:
-        transform: of the dive; None leaves poses as they are, to the bit.
+        transform: transform of the dive; None leaves poses bit-exact.
     """
 
     def __init__(self, transform: Transform | None) -> None:
@@ -55,7 +55,7 @@ class Frame:
         return self._survey_T_dive @ dive_T_sonar
 
     def motion(self, motion: PingMotion | None) -> PingMotion | None:
-        """The same motion; its velocity is in the map's frame, its turning in the sonar's."""
+        """Return the motion with its velocity in the survey's frame; the turn rate stays."""
         if self._survey_T_dive is None or motion is None:
             return motion
         return PingMotion(
@@ -69,25 +69,25 @@ class Frame:
 Record = tuple[PingImage, Floats, PingMotion | None]
 
 HEAD = struct.Struct("<BBHIId16d8d")
-"""Bytes a sample, whether it moves, table of bearings, rows, beams, metres a row, pose, motion."""
+"""Bytes per sample, whether it moves, bearing table, rows, beams, metres per row, pose, motion."""
 
 CRC = struct.Struct("<I")
-"""Before the rest, of which it is."""
+"""Checksum before the data."""
 
 LEVEL = -1
-"""Of zstd: 1 makes the records smaller by a tenth and takes twice as long."""
+"""Level of zstd; level 1 makes records 10 % smaller and takes twice as long."""
 
 STILL = (0.0,) * 8
 
 
 class RecordWriter:
-    """Packs pings; tables of bearings are kept once each.
+    """Packs pings; each bearing table is stored once.
 
     Args:
-        threshold: `filtering.intensity_threshold`: only what lies above it is kept.
+        threshold: `filtering.intensity_threshold`; only samples above it are kept.
 
     Attributes:
-        bearings: the tables so far, as bytes of float64 in radians.
+        bearings: tables so far, as bytes of float64 in radians.
     """
 
     def __init__(self, threshold: float) -> None:
@@ -98,7 +98,7 @@ class RecordWriter:
         self._compressor = zstandard.ZstdCompressor(level=LEVEL)
 
     def pack(self, echo: PingImage, map_T_sonar: Floats, motion: PingMotion | None) -> bytes:  # noqa: N803 frames are named
-        """One ping's bytes."""
+        """Return the bytes of one ping."""
         samples = self._samples(echo.intensity)
         rows, beams = samples.shape
         head = HEAD.pack(
@@ -115,7 +115,7 @@ class RecordWriter:
         return CRC.pack(zlib.crc32(record)) + record
 
     def _samples(self, intensity: NDArray[np.float32]) -> NDArray[np.uint8] | NDArray[np.float32]:
-        """As bytes where that loses nothing."""
+        """Return samples as bytes if that is lossless."""
         small = intensity.astype(np.uint8)
         if (small == intensity).all():
             return small * (small > self._whole_threshold)
@@ -133,7 +133,7 @@ class RecordReader:
     """Unpacks pings of one dive.
 
     Args:
-        bearings: the tables of the writer.
+        bearings: tables of the writer.
     """
 
     def __init__(self, bearings: Sequence[bytes]) -> None:
@@ -141,10 +141,10 @@ class RecordReader:
         self._decompressor = zstandard.ZstdDecompressor()
 
     def unpack(self, record: bytes) -> Record:
-        """What `RecordWriter.pack` packed.
+        """Unpack a record of `RecordWriter.pack`.
 
         Raises:
-            MapperdError: the bytes are no such record.
+            MapperdError: the record is invalid.
         """
         try:
             (crc,) = CRC.unpack_from(record)
@@ -165,7 +165,7 @@ class RecordReader:
 
 
 def _rounded_down(threshold: float) -> np.float32:
-    """A float32 lies above it just if it lies above the threshold, as which the map compares."""
+    """Return the largest float32 not above the threshold; float32 comparisons then agree."""
     near = np.float32(threshold)
     return near if float(near) <= threshold else np.nextafter(near, np.float32(-np.inf))
 
@@ -186,26 +186,26 @@ def _motion_of(numbers: Sequence[float]) -> PingMotion:
 ROW = np.dtype(
     [("t_ns", "<i8"), ("offset", "<i8"), ("size", "<i4"), ("first", "<i4", 3), ("last", "<i4", 3)]
 )
-"""Of a ping: time, place of its record, and the box of blocks that it may change, both with."""
+"""Row of a ping: time, position of its record, and inclusive box of blocks that it may change."""
 
 PACKED = struct.Struct("<qqi3i3i")
-"""The same."""
+"""The same as a struct."""
 
 NO_TIME = np.iinfo(np.int64).min
 NO_BOX = ((1, 1, 1), (0, 0, 0))
-"""A ping that observes nothing."""
+"""Box of a ping that observes nothing."""
 
 Rows = NDArray[np.void]
 
 
 class RowFile:
-    """An array of `ROW` in a file of numpy's, written row by row, however many there are.
+    """An array of `ROW` in numpy's file format, written row by row.
 
     Args:
-        out: to be written; its beginning again at the end.
+        out: the file; its header is rewritten at the end.
 
     Attributes:
-        count: of the rows so far.
+        count: number of rows so far.
     """
 
     def __init__(self, out: BinaryIO) -> None:
@@ -214,7 +214,7 @@ class RowFile:
         out.write(self._head())
 
     def add(self, row: tuple[int, ...]) -> None:
-        """One more, its numbers one after the other."""
+        """Append a row, given its numbers."""
         self._out.write(PACKED.pack(*row))
         self.count += 1
 
@@ -225,7 +225,7 @@ class RowFile:
         self._out.flush()
 
     def _head(self) -> bytes:
-        """As long for any count: numpy leaves room in it for an array that grows."""
+        """Return the header; its length does not depend on the count."""
         head = io.BytesIO()
         about = {"descr": ROW.descr, "fortran_order": False, "shape": (self.count,)}
         np.lib.format.write_array_header_1_0(head, about)
@@ -233,17 +233,17 @@ class RowFile:
 
 
 class SpoolMap(SonarMap):
-    """Takes pings as a map does and refuses the same ones, but keeps them for a map to come.
+    """Accepts and refuses pings like a map, but spools them.
 
     Args:
         config: the settings.
-        out: where the records go.
+        out: file of the records.
         rows: file of their index.
-        frame: of the dive.
+        frame: conversion to the survey's frame.
 
     Attributes:
-        t_ns: of the ping that comes next; None where nobody knows.
-        first_ns, last_ns: the least and the greatest time so far; None without any.
+        t_ns: time of the next ping; None if unknown.
+        first_ns, last_ns: minimum and maximum time so far; None without any.
     """
 
     def __init__(self, config: Config, out: BinaryIO, rows: RowFile, frame: Frame) -> None:
@@ -259,12 +259,12 @@ class SpoolMap(SonarMap):
 
     @property
     def bearings(self) -> list[bytes]:
-        """Tables that the records refer to."""
+        """Bearing tables of the records."""
         return self._writer.bearings
 
     @property
     def size_bytes(self) -> int:
-        """Of all records."""
+        """Bytes of all records."""
         return self._offset
 
     def integrate(
@@ -273,7 +273,7 @@ class SpoolMap(SonarMap):
         map_T_sonar: NDArray[np.float64],  # noqa: N803 frames are named
         motion: PingMotion | None = None,
     ) -> PingStats:
-        """Keep a ping. Raises as a map would."""
+        """Spool a ping; raises like a map."""
         placed, moved = self._frame.pose(map_T_sonar), self._frame.motion(motion)
         first, last = self.blocks_of(echo, placed, moved) or NO_BOX
         record = self._writer.pack(echo, placed, moved)

@@ -1,4 +1,4 @@
-"""The sea floor in a map's columns: a depth as hydrographers hand it over, and how sure it is."""
+"""The sea floor in a map's columns: depths and uncertainties for hydrography."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -16,7 +16,7 @@ Rule = Literal["shoalest", "median"]
 RULES: tuple[Rule, ...] = get_args(Rule)
 
 CELL_VOXELS = (1, 2, 4, 8, 16)
-"""Columns of voxels along a cell's edge: windows are whole cells."""
+"""Allowed columns of voxels along a cell's edge; windows consist of whole cells."""
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -24,14 +24,14 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceCells:
-    """Cells of a window that hold a surface.
+    """Cells of a window with a surface.
 
     Attributes:
-        row: (N,) of each, 0 in the north.
-        column: (N,), 0 in the west.
-        z_m: (N,) of the surface, map frame.
-        uncertainty_m: (N,) standard deviation.
-        count: (N,) pings that observed its best seen voxel.
+        row: (N,) rows, 0 in the north.
+        column: (N,) columns, 0 in the west.
+        z_m: (N,) heights of the surface, map frame.
+        uncertainty_m: (N,) standard deviations.
+        count: (N,) maximum number of pings that observed one of its voxels.
     """
 
     row: Ints
@@ -50,31 +50,29 @@ def surface_of(
     rule: Rule = "shoalest",
     vertical_uncertainty_m: float = 0.0,
 ) -> SurfaceCells:
-    """Take the surface out of a window's occupied voxels.
+    """Extract the surface from a window's occupied voxels.
 
-    A column's surface is its uppermost occupied voxel and those that follow without a gap below
-    it: a sonar's opening angle makes a layer of what is a sheet. What lies under a gap is under
-    something, and no sea floor for a ship. Of the voxels of all surfaces in a cell `shoalest`
-    takes the highest centre and `median` the middle one (the mean of both where they are even in
-    number).
+    A column's surface is its uppermost occupied voxel and those directly below it without a gap,
+    because the aperture thickens surfaces to layers. Voxels below a gap lie under something and
+    are no sea floor for a ship. Of all surface voxels in a cell `shoalest` uses the highest centre
+    and `median` the middle one (the mean of both middle ones for an even number).
 
-    The uncertainty is u, with the voxels' edge h, their heights z_i and probabilities p_i as
-    weights, z the height that is taken, and what is given:
+    The uncertainty is u, with the voxels' edge h, their heights z_i, probabilities p_i as weights,
+    the chosen height z, and the given uncertainty:
 
         u^2 = h^2 / 12 + sum p_i (z_i - z)^2 / sum p_i + given^2
 
-    The first term is the variance of a place known to lie in a voxel and no more (GUM, JCGM
-    100:2008, 4.3.7); the second the scatter of the evidence about what is handed over, with the
-    bias that a choice of the shoalest brings.
+    The first term is the variance of a position known only to lie in a voxel (GUM, JCGM 100:2008,
+    4.3.7); the second is the scatter of the evidence about the chosen height, including the bias
+    of the shoalest.
 
     Args:
-        voxels: occupied ones of the window.
+        voxels: occupied voxels of the window.
         resolution_m: edge of a voxel.
-        window: where they lie.
+        window: the window.
         cell_voxels: columns along a cell's edge, one of `CELL_VOXELS`.
-        rule: what stands for a cell.
-        vertical_uncertainty_m: standard deviation of heights by what the map does not know:
-            navigation, tide.
+        rule: how a cell's height is chosen.
+        vertical_uncertainty_m: standard deviation of heights due to navigation and tide.
     """
     chosen, index = _layers(voxels, resolution_m, window)
     cells = window.edge // cell_voxels
@@ -105,10 +103,10 @@ def surface_of(
 
 
 def tops_of(voxels: Voxels, resolution_m: float, window: ColumnWindow) -> Ints:
-    """Index in z of the uppermost occupied voxel of each column.
+    """Return the index in z of the uppermost occupied voxel of each column.
 
     Returns:
-        (edge, edge), row 0 in the north; `NO_TOP` where a column has none.
+        (edge, edge), row 0 in the north; `NO_TOP` for empty columns.
     """
     tops = np.full((window.edge, window.edge), NO_TOP)
     index = indices_of(voxels.centres_m, resolution_m)
@@ -118,7 +116,7 @@ def tops_of(voxels: Voxels, resolution_m: float, window: ColumnWindow) -> Ints:
 
 
 def _layers(voxels: Voxels, resolution_m: float, window: ColumnWindow) -> tuple[Ints, Ints]:
-    """The voxels of the columns' surfaces: their numbers (N,) and indices (N, 3)."""
+    """Return the voxels of the columns' surfaces: numbers (N,) and indices (N, 3)."""
     index = indices_of(voxels.centres_m, resolution_m)
     column = (index[:, 1] - window.y) * window.edge + index[:, 0] - window.x
     order = np.lexsort((-index[:, 2], column))

@@ -1,4 +1,4 @@
-"""Counts of whole numbers, and exact quantiles of them."""
+"""Counts of integers, with exact quantiles."""
 
 import math
 from collections.abc import Iterator
@@ -12,33 +12,33 @@ Ints = NDArray[np.int64]
 
 
 class Tally:
-    """Counts whole numbers; takes memory by how many different ones there are."""
+    """Counts integers; memory grows with the number of different ones."""
 
     def __init__(self) -> None:
         self._counts: dict[int, int] = {}
 
     def add(self, numbers: Ints) -> None:
-        """Count some more."""
+        """Count numbers."""
         for number, count in zip(*np.unique(numbers, return_counts=True), strict=True):
             self.add_one(int(number), int(count))
 
     def add_one(self, number: int, count: int) -> None:
-        """Count one number so many times."""
+        """Count one number several times."""
         self._counts[number] = self._counts.get(number, 0) + count
 
     def __len__(self) -> int:
         return sum(self._counts.values())
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
-        """Each number and its count, ascending."""
+        """Return numbers and counts, ascending."""
         return iter(sorted(self._counts.items()))
 
     def up_to(self, limit: int) -> int:
-        """How many are at most that."""
+        """Return how many are at most a value."""
         return sum(count for number, count in self._counts.items() if number <= limit)
 
     def quantile(self, share: float) -> int | None:
-        """The smallest number that a share of all does not exceed; None of nothing."""
+        """Return the smallest number that a share of all does not exceed; None without any."""
         wanted, seen = max(1, math.ceil(share * len(self) - 1e-9)), 0
         for number, count in self:
             seen += count

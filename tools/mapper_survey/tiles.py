@@ -1,6 +1,6 @@
-"""Which tile needs which pings, and mapping of the tiles by the ordinary core.
+"""Assigns pings to tiles and maps the tiles.
 
-Tiles change nothing in the map. A tile that proves too large for a worker's memory is cut in eight.
+Tiles do not affect the map. A tile that exceeds a worker's memory is cut in eight.
 """
 
 import contextlib
@@ -46,10 +46,10 @@ __all__ = [
 Key = tuple[int, int, int]
 
 PLACE = np.dtype([("ordinal", "<i8"), ("dive", "<i4"), ("size", "<i4"), ("offset", "<i8")])
-"""Of a ping: its number in the survey, from 1, and where its record is."""
+"""Ping of a tile: its number in the survey, from 1, and the position of its record."""
 
 BLOCKS = BRICK_VOXELS // BLOCK_VOXELS
-"""Along a brick's edge."""
+"""Blocks along a brick's edge."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,11 +61,11 @@ class Tile:
 
     @property
     def name(self) -> str:
-        """Its own among all tiles."""
+        """Unique name of the tile."""
         return f"{self.key[0]}_{self.key[1]}_{self.key[2]}_{self.edge}"
 
     def children(self) -> list["Tile"]:
-        """The eight of half its edge; none of a single brick, or of an odd number of them."""
+        """Return the eight tiles of half its edge; none if its edge is odd."""
         if self.edge % 2:
             return []
         steps = itertools.product((0, 1), repeat=3)
@@ -76,8 +76,8 @@ class Tile:
 def ordinals_of(dives: Sequence[Rows]) -> list[NDArray[np.int64]]:
     """Number all pings by time, from 1.
 
-    Within a dive they stay in the order in which they came, whatever its clock did; a ping without
-    a time goes with the one before it. At the same time the dive that is named first goes first.
+    Within a dive they keep their order, whatever its clock did; a ping without a time follows the
+    one before it. At equal times the dive named first comes first.
     """
     times = [np.maximum.accumulate(rows["t_ns"]) if len(rows) else rows["t_ns"] for rows in dives]
     together = np.concatenate(times)
@@ -90,12 +90,12 @@ def ordinals_of(dives: Sequence[Rows]) -> list[NDArray[np.int64]]:
 def tiles_of(
     dives: Sequence[Rows], ordinals: Sequence[NDArray[np.int64]], edge: int
 ) -> dict[Tile, NDArray[np.void]]:
-    """The pings whose boxes touch each tile, in order.
+    """Return the pings whose boxes touch each tile, in order.
 
     Args:
-        dives: rows of each.
-        ordinals: of their pings.
-        edge: of a tile, in bricks.
+        dives: rows of each dive.
+        ordinals: numbers of their pings.
+        edge: edge of a tile, in bricks.
     """
     parts: dict[Tile, list[NDArray[np.void]]] = {}
     for dive, (rows, numbers) in enumerate(zip(dives, ordinals, strict=True)):
@@ -114,19 +114,19 @@ def children_of(
     dives: Sequence[Rows],
     ordinals: Sequence[NDArray[np.int64]],
 ) -> dict[Tile, NDArray[np.void]]:
-    """Cut a tile: `tiles_of` half its edge, from the tile's own pings alone.
+    """Cut a tile: `tiles_of` for half its edge, from the tile's pings only.
 
     Args:
-        tile: to be cut.
+        tile: the tile.
         places: its pings.
-        dives: rows of each.
-        ordinals: of their pings.
+        dives: rows of each dive.
+        ordinals: numbers of their pings.
     """
     first = np.empty((len(places), 3), dtype=np.int32)
     last = np.empty((len(places), 3), dtype=np.int32)
     for dive in np.unique(places["dive"]):
         of_dive = places["dive"] == dive
-        # Within a dive numbers ascend.
+        # Within a dive numbers increase.
         at = np.searchsorted(ordinals[dive], places["ordinal"][of_dive])
         first[of_dive], last[of_dive] = dives[dive]["first"][at], dives[dive]["last"][at]
     found = {}
@@ -144,7 +144,7 @@ def _key(item: tuple[Tile, object]) -> Key:
 
 
 def _touched(rows: Rows, edge: int) -> dict[Key, NDArray[np.int64]]:
-    """Numbers of the pings that touch each tile."""
+    """Return the numbers of the pings that touch each tile."""
     observing = np.flatnonzero(np.all(rows["first"] <= rows["last"], axis=1))
     if not len(observing):
         return {}
@@ -169,7 +169,7 @@ def _grouped(keys: NDArray[np.int32], numbers: NDArray[np.int64]) -> dict[Key, N
 
 
 class SpooledDive(Struct, frozen=True):
-    """A dive's spool: names of the file and of its mark, and tables that its records refer to."""
+    """A dive's spool: names of the file and of its mark, and bearing tables of its records."""
 
     spool: str
     mark: str
@@ -177,16 +177,16 @@ class SpooledDive(Struct, frozen=True):
 
 
 class TileTask(Struct, frozen=True):
-    """One tile to be mapped.
+    """One tile to map.
 
     Attributes:
-        shard: name of the file that it becomes.
-        key, edge: of the tile.
+        shard: name of the resulting file.
+        key, edge: the tile.
         config: the settings.
-        dives: that the pings are of.
-        pings: as bytes of an array of `PLACE`, in order.
-        folder: the survey's, as `Folder` takes it.
-        max_bytes: that its voxels may take.
+        dives: dives of the pings.
+        pings: bytes of an array of `PLACE`, in order.
+        folder: the survey's folder, as for `Folder`.
+        max_bytes: memory for its voxels.
     """
 
     shard: str
@@ -200,16 +200,16 @@ class TileTask(Struct, frozen=True):
 
 
 class TileResult(Struct, frozen=True):
-    """What became of a tile.
+    """Result of mapping a tile.
 
     Attributes:
-        shard: as asked.
-        too_large: its voxels take more memory than they may, and nothing was kept.
-        pings: that it was made of.
-        bricks: in its shard.
-        cpu_s, read_bytes, written_bytes: of the task.
-        voxel_bytes: that it took at the end.
-        max_bytes: that it might have taken.
+        shard: name of the file.
+        too_large: its voxels exceed the memory, and nothing was kept.
+        pings: number of its pings.
+        bricks: number of bricks in its shard.
+        cpu_s, read_bytes, written_bytes: cost of the task.
+        voxel_bytes: memory of the voxels at the end.
+        max_bytes: limit of that memory.
     """
 
     shard: str
@@ -220,16 +220,16 @@ class TileResult(Struct, frozen=True):
     read_bytes: int
     written_bytes: int
     voxel_bytes: int
-    max_bytes: int = msgspec.field(name="most_bytes")  # the key of earlier records, too
+    max_bytes: int = msgspec.field(name="most_bytes")  # the key in earlier records too
 
 
 def map_tile(task: TileTask) -> TileResult:
-    """Map a tile into its shard: a map's file that holds the tile alone.
+    """Map a tile into its shard, a map's file with this tile only.
 
-    Revisions are those of the map of all: every ping counts, wherever it lies.
+    Revisions are those of the merged map: every ping counts, wherever it is.
 
     Raises:
-        SurveyError: a spool is damaged, and has no mark any more.
+        SurveyError: a spool is damaged; its mark is removed.
         OSError: the survey's folder cannot be read or written.
     """
     began_s = time.process_time()
@@ -260,7 +260,7 @@ def map_tile(task: TileTask) -> TileResult:
 
 
 def _single_threaded(config: Config) -> Config:
-    """Workers are what runs side by side; the map does not depend on it."""
+    """Return settings with one thread, as workers run in parallel; the map does not change."""
     mapping = msgspec.structs.replace(config.mapping, threads=1)
     return msgspec.structs.replace(config, mapping=mapping)
 
@@ -272,10 +272,10 @@ def _integrate(
     places: NDArray[np.void],
     max_bytes: int,
 ) -> bool:
-    """Replay the pings; False as soon as the voxels take too much memory.
+    """Map the pings; return False as soon as the voxels exceed the memory.
 
-    It is looked after each: one may bring hundreds of megabytes, and a look takes less than a
-    hundredth of it.
+    Memory is checked after each ping, because one ping may take hundreds of megabytes; the check
+    takes less than 1 % of the time.
     """
     with contextlib.ExitStack() as opened:
         for ordinal, ping in _pings(folder, dives, places, opened):
@@ -314,12 +314,12 @@ Show = Callable[[float, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """Dives that make one map.
+    """Dives of one map.
 
     Attributes:
-        name: of it; empty for the map of all.
-        plans: of its dives.
-        rows: of them.
+        name: name of the map; empty for the map of all.
+        plans: plans of its dives.
+        rows: rows of its dives.
     """
 
     name: str
@@ -328,27 +328,27 @@ class Scope:
 
     @property
     def pings(self) -> int:
-        """Of all its dives, which is the revision of their map."""
+        """Number of pings of all its dives, which is the revision of the map."""
         return sum(len(rows) for rows in self.rows)
 
 
 def shard_mark(shard: str) -> str:
-    """Name of the record of a shard."""
+    """Return the name of the record of a shard."""
     return f"{shard.removesuffix('.db')}.json"
 
 
 class TileStage:
-    """Has the tiles of one map made.
+    """Makes the tiles of one map.
 
     Args:
-        scope: whose map it is.
+        scope: dives of the map.
         config: the settings.
-        folder: the survey's.
-        edge: of a tile, in bricks.
-        max_bytes: that a tile's voxels may take.
+        folder: the survey's folder.
+        edge: edge of a tile, in bricks.
+        max_bytes: memory for a tile's voxels.
 
     Attributes:
-        results: of all tiles, those that were too large with them.
+        results: results of all tiles, including those that were too large.
     """
 
     def __init__(
@@ -365,10 +365,10 @@ class TileStage:
         self._done = self._asked = 0
 
     def run(self, engine: Engine, show: Show) -> list[str]:
-        """Map what has to be; returns the shards that make the map.
+        """Map missing tiles; return the shards of the map.
 
         Raises:
-            SurveyError: a task cannot be done, or a single brick is too large.
+            SurveyError: a task fails, or a single brick is too large.
         """
         self._there = self._folder.sizes("shards")
         tiles = tiles_of(self._scope.rows, self._ordinals, self._edge)
@@ -385,7 +385,7 @@ class TileStage:
     def _take(
         self, tile: Tile, places: NDArray[np.void], engine: Engine, shards: list[str]
     ) -> None:
-        """Have a tile made if it is not there."""
+        """Submit a tile if it does not exist."""
         task = self._task(tile, places)
         self._asked += len(places)
         kept = self._kept(task)

@@ -1,4 +1,4 @@
-"""A map's file looked at window by window, in memory that one window takes."""
+"""Reads a map's file window by window, in the memory of one window."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
@@ -19,7 +19,7 @@ from mapperd.store.reader import BRICK_VOXELS, StoreReader
 __all__ = ["WINDOW_BRICKS", "ColumnWindow", "Key", "Tiling", "WindowedMap", "tiling_of"]
 
 WINDOW_BRICKS = 2
-"""Along an edge of a window: 12.8 m of a map of 10 cm."""
+"""Bricks along an edge of a window: 12.8 m in a map of 10 cm."""
 
 Key = tuple[int, int, int]
 Ints = NDArray[np.int64]
@@ -48,7 +48,7 @@ class Tiling:
 
     Attributes:
         x: index of the westernmost column of voxels.
-        north: index behind the northernmost one.
+        north: index after the northernmost one.
         edge: columns along each side of a window.
         columns: windows from west to east.
         rows: windows from north to south.
@@ -63,7 +63,7 @@ class Tiling:
     heights: Mapping[tuple[int, int], tuple[int, int]]
 
     def __iter__(self) -> Iterator[ColumnWindow]:
-        """The northernmost row first, from west to east."""
+        """Iterate from north to south, in each row from west to east."""
         for row in range(self.rows):
             for column in range(self.columns):
                 yield ColumnWindow(
@@ -75,18 +75,18 @@ class Tiling:
 
 
 class WindowedMap:
-    """The file of a map, opened to be read, `with`.
+    """The file of a map, open for reading; a context manager.
 
     Args:
-        path: of the file.
+        path: the file.
         config: its thresholds count; grid and rule are those of the file.
 
     Raises:
         StoreError: it cannot be read.
 
     Attributes:
-        config: the settings together.
-        keys: (N, 3) int64, of all bricks, in ascending order.
+        config: the combined settings.
+        keys: (N, 3) int64, keys of all bricks, ascending.
     """
 
     def __init__(self, path: Path, config: Config | None = None) -> None:
@@ -114,7 +114,7 @@ class WindowedMap:
         return self.config.octree.voxel_resolution
 
     def part(self, low: Key, high: Key) -> SonarMap:
-        """The bricks of a box, both corners among them, as a map of their own.
+        """Return the bricks of a box, corners included, as a separate map.
 
         Raises:
             StoreError: one of them is damaged (`damaged`): a hole would look like water.
@@ -130,7 +130,7 @@ class WindowedMap:
         return sonar_map
 
     def box(self, low: Ints, high: Ints) -> SonarMap | None:
-        """The same with keys as arrays (3,); None where there is no brick at all.
+        """Return the same with keys as arrays (3,); None without bricks.
 
         Raises:
             StoreError: as `part`.
@@ -143,7 +143,7 @@ class WindowedMap:
         return self.part((x, y, z), (far_x, far_y, far_z))
 
     def columns(self, window: ColumnWindow) -> SonarMap | None:
-        """What the map holds in a window, over its whole height; None if nothing.
+        """Return the content of a window over its whole height; None if empty.
 
         Raises:
             StoreError: as `part`.
@@ -156,11 +156,11 @@ class WindowedMap:
 
 
 def tiling_of(keys: Ints, bricks: int = WINDOW_BRICKS) -> Tiling:
-    """Windows whose corners lie on multiples of their size.
+    """Return windows whose corners are multiples of their size.
 
     Args:
-        keys: (N, 3) of bricks, N at least 1.
-        bricks: along an edge of a window.
+        keys: (N, 3) keys of bricks, N at least 1.
+        bricks: bricks along an edge of a window.
     """
     of_bricks = keys[:, :2] // bricks
     (west, south), (east, north) = of_bricks.min(axis=0).tolist(), of_bricks.max(axis=0).tolist()

@@ -1,1 +1,1 @@
-"""Mutation check: each guarded formula is broken once, and a test must notice."""
+"""Mutation check: breaks each guarded formula once; a test must fail."""

@@ -1,4 +1,4 @@
-"""A copy of the repository's last commit, built, in which files are broken."""
+"""A built copy of the repository's last commit, in which files are broken."""
 
 import fcntl
 import os
@@ -23,11 +23,11 @@ class NotBuiltError(Exception):
 
 
 class Copy:
-    """A clone under a folder, with a build tree of its own that is kept from run to run."""
+    """A clone in a folder, with its own build tree that is kept between runs."""
 
     def __init__(self, folder: Path, jobs: int) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        folder = folder.resolve()  # as programs report where they import from
+        folder = folder.resolve()  # the form in which programs report imports
         self._lock = (folder / "lock").open("w")
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -42,12 +42,12 @@ class Copy:
         if not self.root.exists():
             _run(["git", "clone", "--quiet", "--shared", str(REPOSITORY), str(self.root)])
         _run(["git", "fetch", "--quiet", "origin", "HEAD"], self.root)
-        # Only what differs is written, so that the build tree stays of use.
+        # Write only files that differ, so that the build tree stays valid.
         _run(["git", "checkout", "--quiet", "--force", "--detach", "FETCH_HEAD"], self.root)
         self.commit = _run(["git", "rev-parse", "--short", "HEAD"], self.root).strip()
 
     def configure(self) -> None:
-        """Make the build tree; warnings are left out, for what is broken may well deserve some."""
+        """Create the build tree without warnings, because broken code may cause some."""
         packages = sysconfig.get_path("purelib")
         prefixes = f"{packages}/cmeel.prefix;{packages}/pybind11"
         _run(
@@ -61,7 +61,7 @@ class Copy:
         )
 
     def build(self, targets: Sequence[str]) -> None:
-        """Compile targets, where they are not up to date.
+        """Compile targets that are not up to date.
 
         Raises:
             NotBuiltError: it does not compile.
@@ -76,9 +76,9 @@ class Copy:
                 link.symlink_to(module)
 
     def keep_whole(self, program: str) -> None:
-        """Build a program of tests while nothing is broken, and lay it aside in `whole`, once.
+        """Build an unbroken test program once and keep it in `whole`.
 
-        So a test that failed is run unbroken without compiling what is mended.
+        A failed test can then run unbroken without another build.
         """
         if program and program not in self._kept:
             self.build([program])
@@ -88,7 +88,7 @@ class Copy:
 
     @contextmanager
     def broken(self, mutation: Mutation) -> Iterator[None]:
-        """Have a file hold a mutation as long as the context lasts."""
+        """Apply a mutation to a file during the context."""
         path = self.root / mutation.file
         whole = path.read_text()
         _write(path, mutated(mutation, whole))
@@ -98,7 +98,7 @@ class Copy:
             _write(path, whole)
 
     def environment(self, mutation: Mutation | None) -> dict[str, str]:
-        """What programs run in, so that they import the copy's packages."""
+        """Return the environment in which programs import the copy's packages."""
         self._witness.unlink(missing_ok=True)
         paths = (PINNED, self.root, self.root / "tools")
         variables = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths))}
@@ -109,19 +109,19 @@ class Copy:
 
     @property
     def was_imported(self) -> bool:
-        """Whether a program since `environment` imported the mutated file."""
+        """Return whether a program since `environment` imported the mutated file."""
         return self._witness.exists()
 
 
 def _write(path: Path, text: str) -> None:
-    """Python recognizes compiled files by the second and the size: neither need change here."""
+    """Write a file, and remove its compiled form, which may have the same second and size."""
     path.write_text(text)
     for compiled in (path.parent / "__pycache__").glob(f"{path.stem}.*.pyc"):
         compiled.unlink()
 
 
 def _run(words: Sequence[str], folder: Path | None = None) -> str:
-    here = Path(sys.executable).parent  # cmake and ninja are installed beside Python
+    here = Path(sys.executable).parent  # cmake and ninja are installed next to Python
     variables = {**os.environ, "PATH": f"{here}{os.pathsep}{os.environ['PATH']}"}
     ended = subprocess.run(  # noqa: S603
         list(words), cwd=folder, env=variables, capture_output=True, text=True, check=False

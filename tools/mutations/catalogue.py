@@ -1,4 +1,4 @@
-"""The mutations, as the YAML files of `catalogue/` list them."""
+"""The mutations listed in the YAML files of `catalogue/`."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,18 +14,18 @@ CATALOGUE = Path(__file__).resolve().parent / "catalogue"
 
 @dataclass(frozen=True, slots=True)
 class Mutation:
-    """One formula, broken.
+    """A mutation of one formula.
 
     Attributes:
-        name: unique, such as `localization/resample/comb-offset`: the catalogue's file, the broken
-            file, what is done to it.
-        file: that is changed, from the repository's root.
+        name: unique, such as `localization/resample/comb-offset`: catalogue file, changed file,
+            change.
+        file: changed file, relative to the repository's root.
         old: text that occurs once in it.
-        new: what stands there instead.
-        breaks: what is wrong then, in words.
+        new: its replacement.
+        breaks: the resulting error, in words.
         killed_by: tests of which one must fail, tried in order: `tests/....py::test` for pytest,
             `program: part of a case's name` for the C++ tests.
-        survives: why no test can fail, where the change has no effect; else empty.
+        survives: why no test can fail, if the change has no effect; otherwise empty.
         may: ways to end that count as failing, besides a check or the time limit: "crash".
     """
 
@@ -40,20 +40,20 @@ class Mutation:
 
     @property
     def area(self) -> str:
-        """The catalogue's file that lists it."""
+        """The catalogue file that lists it."""
         return self.name.partition("/")[0]
 
     @property
     def is_cpp(self) -> bool:
-        """Whether something must be compiled."""
+        """Whether it needs a build."""
         return self.file.startswith("cpp/")
 
 
 def load(folder: Path = CATALOGUE) -> list[Mutation]:
-    """All of them, in the order of the files that they change.
+    """Return all mutations, in the order of the files that they change.
 
     Raises:
-        ValueError: two have one name.
+        ValueError: two have the same name.
     """
     found = [one for path in sorted(folder.glob("*.yaml")) for one in _of_file(path)]
     names = [one.name for one in found]
@@ -80,10 +80,10 @@ def _of_file(path: Path) -> Iterator[Mutation]:
 
 
 def mutated(mutation: Mutation, text: str) -> str:
-    """The file's text with the mutation in it.
+    """Return the file's text with the mutation.
 
     Raises:
-        ValueError: the old text does not occur exactly once, or the new one is the same.
+        ValueError: the old text does not occur exactly once, or equals the new one.
     """
     times = text.count(mutation.old)
     if times != 1:

@@ -1,6 +1,6 @@
-"""Runs pytest in a fork of this process, which has imported already what takes longest.
+"""Runs pytest in a fork of this process, which has already imported the slow packages.
 
-A program of its own takes seconds of imports for tests of a tenth of one.
+A separate program would import for seconds before tests of a tenth of a second.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ from mutations.catalogue import REPOSITORY
 
 __all__ = ["run_forked"]
 
-# What the copy's packages and tests import from elsewhere; none of it is ever mutated.
+# Third-party imports of the copy's packages and tests, which are never mutated.
 FOREIGN = (
     *("numpy", "numpy.random", "numpy.testing", "scipy.interpolate", "scipy.ndimage"),
     *("scipy.signal", "scipy.spatial", "scipy.special", "trimesh", "PIL.Image", "cv2"),
@@ -39,7 +39,7 @@ def run_forked(
     """Run pytest's main function in a folder.
 
     Returns:
-        Its exit code, negative for a signal, None where patience ended; and what it printed.
+        Its exit code, negative for a signal, None after a timeout; and its output.
     """
     _import_foreign()
     with tempfile.TemporaryFile() as printed:
@@ -65,7 +65,7 @@ def _run_in_child(
     """Never returns."""
     code = 70
     try:
-        os.setsid()  # what it starts ends with it
+        os.setsid()  # its child processes end with it
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         os.dup2(printed, 1)
         os.dup2(printed, 2)
@@ -90,7 +90,7 @@ def _run_in_child(
 
 
 def _forget_our_packages() -> None:
-    """Those of the copy are to be found instead."""
+    """Remove our packages, so that those of the copy are imported."""
     ours = str(REPOSITORY) + os.sep
     sys.path[:] = [path for path in sys.path if path and not _is_ours(Path(path))]
     for name, module in list(sys.modules.items()):

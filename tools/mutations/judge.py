@@ -21,7 +21,7 @@ __all__ = [
 ]
 
 TEST_TIMEOUT_S = 120.0
-# Output of a test that a mutation has broken otherwise than meant.
+# Output of a test that a mutation broke in an unintended way.
 NO_FAILURE = re.compile(r"\b(SyntaxError|NameError|ImportError|ModuleNotFoundError)\b")
 
 
@@ -31,9 +31,9 @@ class End:
 
     Attributes:
         how: "passed", "failed", "hang", "crash" or "broken".
-        words: its own.
+        words: its output.
         imported: whether it imported the mutated file.
-        seconds: its duration, where it is measured.
+        seconds: its duration, if measured.
     """
 
     how: str
@@ -43,19 +43,19 @@ class End:
 
 
 MAX_SHARE = 0.25
-"""Of the time limit: a slower test is no evidence of an endless loop."""
+"""Share of the time limit; a slower test is no evidence of an endless loop."""
 
 HANG = End("hang", f"no end within {TEST_TIMEOUT_S:.0f} s")
 
 
 def targets_of(test: str) -> tuple[str, ...]:
-    """What must be built before a test is run."""
+    """Return the targets to build before a test."""
     program = program_of(test)
     return (program,) if program else MODULES
 
 
 def program_of(test: str) -> str:
-    """The program of C++ tests that an entry of `killed_by` belongs to; "" for one of pytest."""
+    """Return the C++ test program of an entry of `killed_by`; "" for pytest."""
     return "" if test.startswith("tests/") else test.partition(":")[0]
 
 
@@ -95,7 +95,7 @@ def is_endless(end: End, whole: End) -> bool:
 
 
 def judge_pytest(code: int, out: str) -> End:
-    """By pytest's exit code and its short summary."""
+    """Judge by pytest's exit code and short summary."""
     if code == 0:
         return End("passed")
     failed = re.findall(r"^FAILED (.*)$", out, re.MULTILINE)
@@ -114,7 +114,7 @@ def _pattern(case: str) -> str:
 
 
 def judge_cpp(code: int, out: str) -> End:
-    """By doctest's exit code and its summary."""
+    """Judge by doctest's exit code and summary."""
     if code < 0:
         return End("crash", f"signal {-code}")
     summary = re.search(r"^\[doctest\] test cases: +(\d+) ", out, re.MULTILINE)

@@ -1,4 +1,4 @@
-"""What became of the mutations: kept from run to run, and written as tables."""
+"""Results of the mutations: stored between runs, and written as tables."""
 
 import json
 from collections import Counter
@@ -14,15 +14,15 @@ __all__ = ["MutationResults", "Result", "is_well", "table"]
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What became of a mutation.
+    """Result of a mutation.
 
     Attributes:
-        outcome: "killed"; "survived"; "broken", when it did not compile, could not be imported or
-            a test fails without it.
-        test: the one that failed.
-        words: the test's own, or of what went wrong.
-        commit: that was broken.
-        stamp: of what was measured, see `mutations.stamp`.
+        outcome: "killed"; "survived"; "broken" if it did not compile, could not be imported, or a
+            test fails without it.
+        test: the test that failed.
+        words: output of the test or of the error.
+        commit: the commit that was broken.
+        stamp: stamp of the measured texts, see `mutations.stamp`.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Result:
 
 
 class MutationResults:
-    """A file of one line a measurement; the last of a mutation counts."""
+    """A file with one line per measurement; the last one of a mutation counts."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -46,18 +46,18 @@ class MutationResults:
                 self._all[one.name] = one
 
     def add(self, result: Result) -> None:
-        """Keep a result, at once."""
+        """Store a result at once."""
         self._all[result.name] = result
         self._path.parent.mkdir(parents=True, exist_ok=True)
         with self._path.open("a") as file:
             file.write(json.dumps(asdict(result)) + "\n")
 
     def of(self, mutation: Mutation) -> Result | None:
-        """The newest result of a mutation, of whatever it was."""
+        """Return the newest result of a mutation, current or not."""
         return self._all.get(mutation.name)
 
     def is_done(self, mutation: Mutation, root: Path) -> bool:
-        """Whether the result is of the mutation, its file and its tests as they are in a tree."""
+        """Return whether a result is current: mutation, file and tests are those of a tree."""
         result = self.of(mutation)
         if result is None or result.outcome == "broken":
             return False
@@ -68,14 +68,14 @@ class MutationResults:
 
 
 def is_well(mutation: Mutation, result: Result | None) -> bool:
-    """Whether a mutation was killed, or survived as expected."""
+    """Return whether a mutation was killed, or survived as expected."""
     if result is None:
         return False
     return result.outcome == ("survived" if mutation.survives else "killed")
 
 
 def table(mutations: Sequence[Mutation], results: MutationResults) -> str:
-    """Markdown: what became of the mutations by area, and the survivors with their reasons."""
+    """Return a Markdown table of results by area, and the survivors with reasons."""
     lines = [
         "| area | files | mutations | killed | survived | not measured |",
         "|---|---|---|---|---|---|",

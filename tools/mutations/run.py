@@ -1,12 +1,12 @@
-"""Breaks each formula of the catalogue once in a copy, and has a test notice.
+"""Breaks each formula of the catalogue once in a copy and runs its tests.
 
     PYTHONPATH=tools python -m studies mutations [--only 'localization/*'] [--language cpp]
         [--again] [--write]
 
-The last commit is looked at, not what is uncommitted. The copy and its build lie in
-build/mutations, those of one language beside it, so that both may be looked at at once. Results lie
-in out/mutations/results.jsonl: a mutation is measured again when it, the file that it breaks or the
-file of a test that counts has changed since. Exit code 1 when a mutation survives unexplained.
+It uses the last commit; uncommitted changes do not count. The copy and its build are in
+build/mutations, with a folder for each language, so that both can run at once. Results are in
+out/mutations/results.jsonl. A mutation is measured again if it, its file or the file of its test
+changed. Exit code 1: a mutation survives without a reason.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from mutations.results import MutationResults, Result, is_well, table
 from mutations.stamp import stamp
 
 MAX_BYTES = 8 << 30
-"""Of a program's memory: a loop that lost its end must not take the machine's with it."""
+"""Memory limit of a program, against endless loops."""
 
 
 class Check:
@@ -39,7 +39,7 @@ class Check:
         self._whole: dict[str, End] = {}
 
     def run(self, mutation: Mutation) -> Result:
-        """Break, build, test, mend."""
+        """Break the file, build, test, and restore the file."""
         began_s = time.monotonic()
         try:
             outcome, test, words = self._measured(mutation)
@@ -64,7 +64,7 @@ class Check:
         return outcome, test, words
 
     def _first_to_notice(self, mutation: Mutation) -> tuple[str, End]:
-        """The first test that does not pass, and how it ends; how the last one passes, else."""
+        """Return the first test that does not pass and its end; otherwise the end of the last."""
         test, end = "", End("passed")
         for test in mutation.killed_by:
             if mutation.is_cpp:
@@ -81,7 +81,7 @@ class Check:
         return ("killed" if failed else "broken"), f"{end.how}: {end.words}"
 
     def _whole_end(self, test: str) -> End:
-        """How a test ends without any mutation; measured once."""
+        """Return how a test ends without a mutation; measured once."""
         if test not in self._whole:
             if not program_of(test):
                 self._copy.build(targets_of(test))
@@ -107,7 +107,7 @@ def main(words: Sequence[str] | None = None) -> int:
     beside = f"-{args.language}" if args.language else ""
     copy = Copy(REPOSITORY / "build" / f"mutations{beside}", args.jobs)
     due = [one for one in chosen if args.again or not results.is_done(one, copy.root)]
-    due.sort(key=lambda one: results.of(one) is not None)  # what is not known at all comes first
+    due.sort(key=lambda one: results.of(one) is not None)  # mutations without any result come first
     print(f"{len(due)} of {len(chosen)} mutations to measure at {copy.commit}")
     _measure(copy, due, results)
     if args.write:

@@ -1,4 +1,4 @@
-"""What a result is of: while that is as it was, the result need not be measured again."""
+"""Stamps of the inputs of results: while a stamp is unchanged, the result is valid."""
 
 import hashlib
 import re
@@ -15,12 +15,12 @@ CASE = re.compile(r'^TEST_CASE\(\s*"([^"]+)".*?^}\n', re.MULTILINE | re.DOTALL)
 
 
 def stamp(mutation: Mutation, tests: Sequence[str], root: Path) -> str:
-    """A digest of the mutation, the whole file that it breaks, and of what some tests are.
+    """Return a digest of the mutation, its whole file, and some tests.
 
     Args:
-        mutation: only its texts count, so that other words for what it breaks change nothing.
-        tests: the one that killed it, or all that it survived.
-        root: of the tree whose files count.
+        mutation: only its texts count; its description does not.
+        tests: the test that killed it, or all that it survived.
+        root: root of the tree.
     """
     digest = hashlib.sha256()
     texts = [text for test in tests for text in texts_of(test, root)]
@@ -30,7 +30,7 @@ def stamp(mutation: Mutation, tests: Sequence[str], root: Path) -> str:
 
 
 def texts_of(test: str, root: Path) -> Iterator[str]:
-    """What an entry of `killed_by` is: files of Python, and of C++ without the other cases."""
+    """Return the texts of an entry of `killed_by`; of C++ files without other cases."""
     if test.startswith("tests/"):
         for word in test.split():
             path = root / word.partition("::")[0]

@@ -1,1 +1,1 @@
-"""The simulator as a device: what it makes of fire messages, without sockets."""
+"""The simulator as a device that obeys fire messages."""

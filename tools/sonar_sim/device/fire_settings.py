@@ -1,4 +1,4 @@
-"""What a fire message makes of a sonar's settings, and how fast it may ping with them."""
+"""Converts fire messages to a sonar's settings, and computes its ping period."""
 
 import math
 from dataclasses import replace
@@ -16,7 +16,7 @@ BITS_32 = 32
 SPEEDS_MPS = (1300.0, 1700.0)
 MAX_SALT_PPT = 42.0
 LINK_SPEED = (0, 255)
-"""Bytes that mean: as fast as the link."""
+"""Link speed bytes that mean the speed of the link."""
 
 OF_ALL_MODES = (
     "side_lobe_db",
@@ -28,17 +28,17 @@ OF_ALL_MODES = (
     "pulse_s",
     "crosstalk_db",
 )
-"""Settings of a scenario's sonar that its modes share, and that fire messages lack."""
+"""Settings that all modes of a scenario's sonar share and fire messages lack."""
 
 PROCESSING_S = 0.002
-"""Between the last echo and the first byte."""
+"""Time between the last echo and the first byte."""
 
 
 def part_number_of(model: str) -> int:
-    """The part number of a model's plain version.
+    """Return the part number of a model's plain version.
 
     Raises:
-        SceneError: no such sonar.
+        SceneError: the model is unknown.
     """
     for number, known in MODELS.items():
         if known.name == model:
@@ -48,11 +48,11 @@ def part_number_of(model: str) -> int:
 
 
 def initial_request(sonar: SonarSettings, ping_rate_hz: float) -> FireRequest:
-    """The initial fire request: the scenario's own settings.
+    """Return the initial fire request with the scenario's settings.
 
     Args:
-        sonar: of the scenario.
-        ping_rate_hz: the slowest setting that allows it is taken.
+        sonar: the scenario's sonar.
+        ping_rate_hz: the slowest rate setting that allows it is used.
     """
     flags = FireFlags.RANGE_IN_METRES | FireFlags.SIMPLE_RETURN
     flags |= FireFlags.FULL_BEAMS if sonar.beams > HALF_BEAMS else 0
@@ -70,15 +70,15 @@ def initial_request(sonar: SonarSettings, ping_rate_hz: float) -> FireRequest:
 
 
 def settings_for(demand: FireRequest, sonar: SonarSettings, water: Water) -> SonarSettings:
-    """The sonar as a fire message sets it.
+    """Return the sonar's settings after a fire message.
 
-    Ranges are cut at what the mode can do and a mode that the model has not got is taken for its
-    first one: what firmware does with such demands is not documented.
+    Ranges are limited to those of the mode, and an unknown mode means the first one; the firmware's
+    behaviour in these cases is not documented.
 
     Args:
         demand: the fire message.
-        sonar: of the scenario; settings that fire messages lack stay.
-        water: gives the speed of sound where the sonar computes it.
+        sonar: the scenario's sonar; settings that fire messages lack stay.
+        water: gives the speed of sound if the sonar computes it.
     """
     part = part_number_of(sonar.model)
     mode = demand.mode if _has_mode(sonar.model, demand.mode) else 1
@@ -99,13 +99,13 @@ def settings_for(demand: FireRequest, sonar: SonarSettings, water: Water) -> Son
 
 
 def period_s(demand: FireRequest, sonar: SonarSettings, water: Water, message_bytes: int) -> float:
-    """Least time from ping to ping: the rate, the sound's way there and back, the network's limit.
+    """Return the ping period: limited by the rate, the two-way travel time, and the network.
 
     Args:
         demand: the fire message.
-        sonar: as it sets it.
-        water: of the scene.
-        message_bytes: of a ping.
+        sonar: the resulting settings.
+        water: water of the scene.
+        message_bytes: size of a ping.
     """
     known = demand.ping_rate in set(MAX_RATE_HZ)
     rate_hz = MAX_RATE_HZ[PingRate(demand.ping_rate)] if known else MAX_RATE_HZ[PingRate.NORMAL]
@@ -117,7 +117,7 @@ def period_s(demand: FireRequest, sonar: SonarSettings, water: Water, message_by
 
 
 def listening_s(sonar: SonarSettings, water: Water) -> float:
-    """Time until the last echo is back."""
+    """Return the time until the last echo arrives."""
     return 2.0 * sonar.range_m / water.speed_of_sound_mps
 
 
@@ -130,7 +130,7 @@ def _has_mode(model: str, mode: int) -> bool:
 
 
 def _assumed_speed_mps(demand: FireRequest, water: Water) -> float | None:
-    """Assumed speed of sound: as set, or from the salinity set; None is the true one."""
+    """Return the assumed speed of sound: as set, or by the set salinity; None is the true one."""
     slowest_mps, fastest_mps = SPEEDS_MPS
     if slowest_mps <= demand.speed_of_sound_demand_mps <= fastest_mps:
         return demand.speed_of_sound_demand_mps

@@ -1,4 +1,4 @@
-"""One ping of the simulated sonar as the message that answers a fire message."""
+"""Simulates pings as messages that answer fire messages."""
 
 import math
 import warnings
@@ -26,21 +26,21 @@ TICK_S = 8e-9
 """Length of a version-1 clock tick."""
 
 TOP_GAIN_WORD = 2.0**31
-"""Of the loudest row. What real gain words are relative to is not documented."""
+"""Gain word of the loudest row; the reference of real gain words is not documented."""
 
 SIMULATORS_KEPT = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TransmitState:
-    """A ping's number, times, and the vehicle's state at the transmission.
+    """A ping's number, times, and the vehicle's state at transmission.
 
     Attributes:
-        ping_id: counts up.
+        ping_id: increasing number.
         boot_s: seconds since power-up.
-        time_s: of the scene.
-        map_T_base: of the vehicle.
-        velocity_mps, turn_rates_rps: of the vehicle, body frame, (3,).
+        time_s: time of the scene.
+        map_T_base: pose of the vehicle.
+        velocity_mps, turn_rates_rps: motion of the vehicle, body frame, (3,).
     """
 
     ping_id: int
@@ -52,18 +52,18 @@ class TransmitState:
 
 
 class PingGenerator:
-    """Simulates pings as they are asked for; slow, so call it in a thread of its own.
+    """Simulates requested pings; slow, so call it in a separate thread.
 
     Args:
-        scene: what is there.
-        sonar: the scenario's; fire messages change it.
-        mounting: of the sonar on the vehicle.
-        seed: of speckle and noise.
-        source_id: what the messages' headers carry.
+        scene: the scene.
+        sonar: the scenario's sonar; fire messages change it.
+        mounting: mounting of the sonar on the vehicle.
+        seed: seed of speckle and noise.
+        source_id: source id in the messages' headers.
         effects: as for `sonar_sim.Simulator`.
 
     Attributes:
-        part_number: of the model.
+        part_number: part number of the model.
     """
 
     def __init__(
@@ -86,14 +86,14 @@ class PingGenerator:
         self._simulators: dict[SonarSettings, Simulator] = {}
 
     def settings(self, demand: FireRequest) -> SonarSettings:
-        """The sonar as the fire message sets it."""
+        """Return the sonar's settings after a fire message."""
         return settings_for(demand, self._sonar, self._scene.water)
 
     def make(self, demand: FireRequest, when: TransmitState) -> bytes:
         """Simulate a ping and encode it.
 
         Args:
-            demand: the fire message that it obeys and echoes.
+            demand: the fire message; the ping repeats it.
             when: number, times and state.
         """
         sonar = self.settings(demand)
@@ -103,11 +103,11 @@ class PingGenerator:
             if sonar.bits == BITS_32:  # requested without varying gain, regardless of the scene
                 warnings.simplefilter("ignore", EffectWarning)
             ping = simulator.ping(map_T_sonar, when.ping_id, when.time_s, motion)
-        image: NDArray[Any] = ping.image  # whole numbers, as quantisation is always on
+        image: NDArray[Any] = ping.image  # integers, because quantisation is always on
         return self._encoded(demand, sonar, image, when)
 
     def _motion(self, when: TransmitState) -> SonarMotion:
-        """Of the sonar, which sits off the vehicle's origin."""
+        """Return the motion of the sonar, which is mounted off the vehicle's origin."""
         mounting = self._mounting.pose
         body_mps = when.velocity_mps + np.cross(when.turn_rates_rps, mounting.position_m)
         return SonarMotion(
@@ -152,7 +152,7 @@ class PingGenerator:
         return with_settings_echo(data, demand)
 
     def _simulator(self, sonar: SonarSettings) -> Simulator:
-        """The simulator of these settings; that of the last ones is kept."""
+        """Return the simulator for these settings; the last one is cached."""
         if sonar not in self._simulators:
             while len(self._simulators) >= SIMULATORS_KEPT:
                 del self._simulators[next(iter(self._simulators))]
@@ -163,7 +163,7 @@ class PingGenerator:
         return self._simulators[sonar]
 
     def _gain_words(self, sonar: SonarSettings) -> NDArray[np.uint32]:
-        """Power gain of each row, (rows,): a sample divided by its root is the echo's level."""
+        """Return the power gain of each row, (rows,): sample / sqrt(gain) is the echo's level."""
         if sonar.bits == BITS_32:
             return np.full(sonar.rows, TOP_GAIN_WORD, dtype=np.uint32)
         level_db = gain_db(sonar, self._scene.water.absorption_db_per_m(sonar.frequency_hz))
@@ -173,6 +173,6 @@ class PingGenerator:
 
 
 def _tilt_deg(map_T_base: FramePose) -> tuple[float, float]:  # noqa: N803 frames are named
-    """Roll, positive to starboard, and pitch, positive nose up."""
+    """Return roll, positive to starboard, and pitch, positive nose up."""
     up = map_T_base.rotation[2]
     return math.degrees(math.atan2(up[1], up[2])), math.degrees(math.asin(np.clip(up[0], -1, 1)))

@@ -1,4 +1,4 @@
-"""Serve a scenario as a sonar on the network, along a route."""
+"""Serves a scenario as a sonar on the network, along a route."""
 
 import asyncio
 import time
@@ -30,15 +30,15 @@ DAY_S = 86_400.0
 
 
 class Route(Trajectory):
-    """A trajectory, and what comes after it.
+    """A trajectory, and the behaviour at its end.
 
     Args:
-        trajectory: the way there.
-        ends: "stop" ends with it; "stay" keeps the last pose; "back" drives the same way back,
-            stern first, and there again.
+        trajectory: the trajectory.
+        ends: "stop" ends the route; "stay" keeps the last pose; "back" drives back and forth,
+            astern on the way back.
 
     Attributes:
-        duration_s: of the whole; a day where it does not stop.
+        duration_s: total duration; a day without a stop.
     """
 
     def __init__(self, trajectory: Trajectory, ends: RouteEnd) -> None:
@@ -47,23 +47,23 @@ class Route(Trajectory):
         self.duration_s = trajectory.duration_s if ends == "stop" else DAY_S
 
     def pose(self, time_s: float) -> FramePose:
-        """The base in the map frame."""
+        """Return the pose of the base in the map frame."""
         return self._there.pose(self._place(time_s)[0])
 
     def velocity_mps(self, time_s: float) -> NDArray[np.float64]:
-        """Velocity in the body frame, (3,)."""
+        """Return the velocity in the body frame, (3,)."""
         place_s, sense = self._place(time_s)
         velocity: NDArray[np.float64] = sense * self._there.velocity_mps(place_s)
         return velocity
 
     def turn_rates_rps(self, time_s: float) -> NDArray[np.float64]:
-        """Angular velocity in the body frame, rad/s, (3,)."""
+        """Return the angular velocity in the body frame, rad/s, (3,)."""
         place_s, sense = self._place(time_s)
         rates: NDArray[np.float64] = sense * self._there.turn_rates_rps(place_s)
         return rates
 
     def _place(self, time_s: float) -> tuple[float, float]:
-        """Time on the trajectory, and how fast and which way it passes: 1, 0 or -1."""
+        """Return the time on the trajectory and its rate: 1, 0 or -1."""
         length_s = self._there.duration_s
         if self._ends != "back" or length_s <= 0.0:
             inside = time_s < length_s
@@ -74,17 +74,17 @@ class Route(Trajectory):
 
 @dataclass(frozen=True, slots=True)
 class ServeSettings:
-    """How a scenario is served.
+    """Options of a served scenario.
 
     Attributes:
-        host, port: where the sonar listens; port 0 is any free one.
-        status_to: where its statuses go.
+        host, port: address of the sonar; port 0 is any free one.
+        status_to: destination of status messages.
         device_id: serial number.
-        standby: be silent until a client asks for pings.
-        ends: what comes after the trajectory, see `sonar_sim.device.server.Route`.
-        faults: how the sonar misbehaves.
-        outputs: where the odometry goes.
-        seed: of all random numbers.
+        standby: send nothing until a client requests pings.
+        ends: behaviour at the end, see `sonar_sim.device.server.Route`.
+        faults: faults of the sonar.
+        outputs: destinations of the odometry.
+        seed: seed of all random numbers.
         effects: as for `sonar_sim.Simulator`.
     """
 
@@ -101,21 +101,21 @@ class ServeSettings:
 
 
 class ServedScenario:
-    """A scenario in real time, for the time of an `async with` block.
+    """A scenario in real time, during an `async with` block.
 
     Raises:
         SonarSimError, OculusError: a link cannot be opened; raised on entering.
-        EffectError: no such effect; raised at once.
+        EffectError: an effect is unknown; raised at once.
 
     Attributes:
         sonar: the sonar, with its counters; its `finished` is set at the end of the route.
-        route: of the vehicle.
-        outputs: of the odometry.
+        route: route of the vehicle.
+        outputs: outputs of the odometry.
     """
 
     def __init__(self, scenario: Scenario, settings: ServeSettings | None = None) -> None:
         settings = settings or ServeSettings()
-        EffectSelection.read(settings.effects)  # report a wrong name now, not at the first ping
+        EffectSelection.read(settings.effects)  # report unknown names now, not at the first ping
         self.route = Route(scenario.trajectory, settings.ends)
         self.outputs = settings.outputs
         self._unix_offset_ns = time.time_ns() - time.monotonic_ns()
@@ -144,11 +144,11 @@ class ServedScenario:
         self._sending: asyncio.Task[None] | None = None
 
     def route_s(self) -> float:
-        """Time on the route."""
+        """Return the time on the route."""
         return (time.monotonic_ns() - self._began_ns) / 1e9
 
     def unix_ns(self, route_s: float) -> int:
-        """Unix time of a time on the route."""
+        """Return the Unix time of a time on the route."""
         return self._began_ns + self._unix_offset_ns + round(route_s * 1e9)
 
     async def __aenter__(self) -> Self:

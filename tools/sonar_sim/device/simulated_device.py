@@ -1,4 +1,4 @@
-"""The sonar that is simulated ping by ping, in real time, while it is served."""
+"""A sonar that simulates pings in real time while it is served."""
 
 import asyncio
 from collections.abc import Callable
@@ -20,7 +20,7 @@ STALE_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class _Ready:
-    """A ping that waits for its last echo: the fire message it obeys, and when it may leave."""
+    """A ping that waits for its last echo: its fire message and its time of sending."""
 
     demand: FireRequest
     message: bytes
@@ -29,25 +29,25 @@ class _Ready:
 
 
 class SimulatedDevice(VirtualDevice):
-    """Obeys fire messages with simulated pings, each of the pose where it is transmitted.
+    """Obeys fire messages with pings simulated at the pose of transmission.
 
-    It transmits as fast as the rate, the sound's way there and back, and this computer allow:
-    where simulating takes longer than that, the next ping is transmitted later, not sent late.
-    Until a fire message arrives it pings with the scenario's settings, or is in standby.
+    Rate, two-way travel time and this computer limit the ping period. If a simulation takes longer,
+    the next ping is transmitted later, not sent late. Until a fire message arrives the sonar pings
+    with the scenario's settings or is in standby.
 
     Args:
         scenario: scene, sonar and mounting.
-        route: of the vehicle.
+        route: route of the vehicle.
         clock: seconds on the route.
-        identity: of the sonar; its part number is that of the scenario's model.
-        standby: be silent until a fire message asks for pings.
-        seed: of speckle and noise.
+        identity: identity of the sonar; the part number is that of the scenario's model.
+        standby: send nothing until a fire message requests pings.
+        seed: seed of speckle and noise.
         effects: as for `sonar_sim.Simulator`.
-        ignored_fire_version: version of fire messages that are not understood.
+        ignored_fire_version: version of fire messages that are ignored.
 
     Attributes:
-        simulated: pings that were simulated.
-        late: pings whose simulation took longer than their echoes.
+        simulated: number of simulated pings.
+        late: number of pings whose simulation took longer than their echoes.
     """
 
     def __init__(
@@ -79,8 +79,8 @@ class SimulatedDevice(VirtualDevice):
         self._first_demand = initial_request(scenario.sonar, scenario.ping_rate_hz)
         self._thread = ThreadPoolExecutor(1, "simulator")
         self._ready: _Ready | None = None
-        self._transmit_s = 0.0  # the earliest next one, on the route
-        self._boot_s = -POWER_UP_S  # of power-up, on the route
+        self._transmit_s = 0.0  # earliest next ping, time on the route
+        self._boot_s = -POWER_UP_S  # power-up, time on the route
         self._next_id = FIRST_ID
         self.simulated = 0
         self.late = 0
@@ -88,30 +88,30 @@ class SimulatedDevice(VirtualDevice):
 
     @property
     def pinging(self) -> bool:
-        """Whether it transmits by itself or on triggers."""
+        """Whether it transmits, by itself or on triggers."""
         silent = self._standby if self.request is None else self.request.standby
         return self.can_ping and not silent and not self.ended
 
     @property
     def ended(self) -> bool:
-        """Whether the route is at its end."""
+        """Whether the route has ended."""
         return self._clock() >= self._route.duration_s
 
     @property
     def next_is_ping(self) -> bool:
-        """True: only pings are sent unprompted."""
+        """Return True: only pings are sent unprompted."""
         return True
 
     @property
     def seconds_since_boot(self) -> float:
-        """The sonar's own clock."""
+        """Return the time of the sonar's clock."""
         return self._clock() - self._boot_s
 
     async def prepare(self) -> None:
         """Simulate the next ping, then wait until its last echo would be back."""
         demand = self.request or self._first_demand
         ready = self._ready
-        # One that was left when the client went, or standby came, is of long ago.
+        # A ping left from before a disconnect or standby is outdated.
         if ready is None or ready.demand != demand or self._clock() - ready.due_s > STALE_S:
             await self._simulate(demand)
         if self._ready is not None:
@@ -140,7 +140,7 @@ class SimulatedDevice(VirtualDevice):
         self._boot_s = self._clock()
 
     def close(self) -> None:
-        """Let the ping that is being simulated be the last one."""
+        """Stop after the ping that is being simulated."""
         self._thread.shutdown(wait=True, cancel_futures=True)
 
     async def _simulate(self, demand: FireRequest) -> None:
