@@ -46,7 +46,7 @@ def recordings_folder(config: Config, environ: Mapping[str, str]) -> Path:
 
 
 def pose_path(config: Config, environ: Mapping[str, str]) -> Path:
-    """Of the estimate that localization goes on from after a restart."""
+    """Path of the estimate that localization resumes from after a restart."""
     if config.localization.pose_path:
         return Path(config.localization.pose_path)
     return state_folder(config, environ) / "localization-pose.json"

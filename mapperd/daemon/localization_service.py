@@ -57,7 +57,7 @@ MAP_S = 600.0
 
 
 class LocalizationRequests:
-    """Makes orders of requests, and events of what became of them.
+    """Converts requests to orders, and their outcomes to events.
 
     Args:
         settings: in force.

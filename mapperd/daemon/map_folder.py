@@ -98,7 +98,7 @@ class MapFolder:
         Args:
             name: file name; its suffix selects the format.
             whole_map: gives the map when it is needed; may be slow, may raise what a store does.
-            origin: where the map's zero lies on Earth; None where nobody knows.
+            origin: geographic position of the map's origin; None if unknown.
 
         Returns:
             `path`, `bytes` of all files, `seconds`; `crs` of formats that can name a system of

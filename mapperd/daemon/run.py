@@ -92,7 +92,7 @@ def map_live(run: LiveRun) -> tuple[MapContent, dict[str, Any]]:
         StoreError: the map's file cannot be used.
     """
     if run.settings.current.outofcore.use and is_main_thread():
-        # A recovery takes long, and goes on at the next start: it need not be waited for.
+        # A recovery takes long and resumes at the next start: do not wait for it.
         signal.signal(signal.SIGINT, lambda number, _: _end_at_once(run, number))
     return asyncio.run(_map(run))
 
@@ -271,7 +271,7 @@ async def _poses_kept(
 
 
 def _keep_origin(settings: ConfigStore, opened: OpenMap) -> None:
-    """A map that goes on has its zero where its first session had it."""
+    """A continued map keeps the origin of its first session."""
     if opened.origin_deg is None or settings.current.odometry.origin is not None:
         return
     latitude, longitude = opened.origin_deg

@@ -185,7 +185,7 @@ class NativeDecoder:
     """Decodes datagrams of one MessagePack record each.
 
     Attributes:
-        counters: what came in and what became of it.
+        counters: counters of this decoder.
     """
 
     def __init__(self) -> None:
@@ -300,7 +300,7 @@ class NativeSerialDecoder:
     """Decodes frames between zero bytes, split in any way.
 
     Attributes:
-        counters: what came in and what became of it.
+        counters: counters of this decoder.
     """
 
     def __init__(self) -> None:

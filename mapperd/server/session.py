@@ -152,7 +152,7 @@ class ResumeCache:
         return len(self._parked)
 
     def park(self, view: MapView, resume_state: ResumeState, now_s: float) -> None:
-        """Keep the view of a lost client; it goes on collecting changes."""
+        """Keep the view of a lost client; it continues to collect changes."""
         self.counters["parked"] += 1
         self._parked.append(_Parked(view, resume_state, now_s))
         while len(self._parked) > self.most:

@@ -60,7 +60,7 @@ def pose_report(status: Facts, frames: FramesConfig) -> dict[str, Any]:
 
 
 def sonar_report(status: Facts, ping_rate_hz: float | None) -> dict[str, Any]:
-    """The sonar, its link, and what became of its pings."""
+    """Status of the sonar, its link and its pings."""
     pings = status["pings"]
     return {
         **(status["sonar"] or {}),

@@ -54,7 +54,7 @@ def read_record(folder: Folder) -> SurveyRecord:
         if was_begun(folder):
             raise SurveyError(
                 f"{folder.url}: no {RECORD} in it: its run has not come to its end; "
-                "the same mapper-survey run goes on"
+                "the same mapper-survey run resumes it"
             )
         return SurveyRecord()
     try:

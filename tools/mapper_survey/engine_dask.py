@@ -150,7 +150,7 @@ class DaskEngine:
         elif time.monotonic() - self._seen_s > ALONE_S:
             raise SurveyError(
                 f"{self._client.scheduler.address}: no worker for {ALONE_S:g} s; allowed: begin "
-                "some, and the same command goes on"
+                "some; the same command then resumes"
             )
 
 
@@ -278,6 +278,6 @@ def _result_of(future: Future) -> object:
         raise
     except Exception as error:  # a scheduler that is gone has errors of its own, workers have any
         raise SurveyError(
-            f"a task did not end: {type(error).__name__}: {error}; the same command goes on; "
+            f"a task did not end: {type(error).__name__}: {error}; the same command resumes; "
             "--workers 0 does all in one process and reports what is wrong"
         ) from error

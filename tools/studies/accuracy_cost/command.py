@@ -124,7 +124,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"accuracy-cost: {error}\n")
         return USAGE
     except KeyboardInterrupt:
-        sys.stderr.write("accuracy-cost: interrupted; the same command goes on from here\n")
+        sys.stderr.write("accuracy-cost: interrupted; the same command resumes\n")
         return INTERRUPTED
 
 
