@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from oculus_driver.ping import Ping, PingHeader
     from oculus_driver.settings import FireSettings
 
-CONFIRM_TIMEOUT_NS: Final = 8_000_000_000
-"""Speed of sound and salinity may take more than 6 s to take effect; the rest is faster."""
+CONFIRM_TIMEOUT_NS: Final = 20_000_000_000
+"""Speed of sound and salinity may take more than 6 s to take effect; the rest is faster, unless the
+sonar is simulated on a busy computer."""
 
 _DECISIVE_FLAGS: Final = {
     "range unit": FireFlags.RANGE_IN_METRES,

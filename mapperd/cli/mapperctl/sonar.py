@@ -39,8 +39,8 @@ OPTIONS: Mapping[str, str] = MappingProxyType(
 """Setting by option."""
 
 ANSWER_TIMEOUT_S = 30.0
-CONFIRM_S = 9.0
-"""The daemon reports a confirmation, or that there is none, within 8 s."""
+CONFIRM_S = 25.0
+"""The daemon reports a confirmation, or that there is none, within 20 s."""
 
 POLL_INTERVAL_S = 0.1
 

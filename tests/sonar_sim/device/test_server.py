@@ -96,6 +96,21 @@ def test_the_driver_gets_what_it_asks_for(floor_scenario: MakeScenario) -> None:
     run(work())
 
 
+def test_the_first_ping_waits_for_its_echoes_not_for_the_scene(
+    floor_scenario: MakeScenario,
+) -> None:
+    async def work() -> None:
+        async with (
+            ServedScenario(floor_scenario()) as served,
+            await Client.of_address("127.0.0.1", served.sonar.port) as client,
+        ):
+            # Open, it has a simulator ready, and no ping of it counts.
+            assert len(served.sonar.device._maker._simulators) == 1
+            assert await client.ids(1) == [1]
+
+    run(work())
+
+
 def test_version_1_is_answered_in_version_1(floor_scenario: MakeScenario) -> None:
     async def work() -> None:
         async with (

@@ -11,14 +11,12 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from oculus_driver.errors import OculusError
 from oculus_driver.virtual_sonar.device import Identity
 from oculus_driver.virtual_sonar.faults import Faults
 from oculus_driver.virtual_sonar.playback import advertised_address
 from oculus_driver.virtual_sonar.server import VirtualSonar
 from sonar_sim.device.simulated_device import SimulatedDevice
 from sonar_sim.effects.plan import AUTO, EffectSelection
-from sonar_sim.errors import SonarSimError
 from sonar_sim.geometry.pose import FramePose
 from sonar_sim.geometry.trajectory import Trajectory
 from sonar_sim.navigation.odometry_output import OdometryOutput, OdometrySender
@@ -120,7 +118,7 @@ class ServedScenario:
         self.outputs = settings.outputs
         self._unix_offset_ns = time.time_ns() - time.monotonic_ns()
         self._began_ns = time.monotonic_ns()
-        device = SimulatedDevice(
+        self._device = SimulatedDevice(
             scenario,
             self.route,
             self.route_s,
@@ -131,7 +129,7 @@ class ServedScenario:
             ignored_fire_version=settings.faults.ignored_fire_version,
         )
         self.sonar = VirtualSonar(
-            device,
+            self._device,
             host=settings.host,
             port=settings.port,
             speed=None,
@@ -154,8 +152,10 @@ class ServedScenario:
     async def __aenter__(self) -> Self:
         try:
             await self._sender.open()
+            await self._device.warm_up()  # a client waits for pings, not for the scene
             await self.sonar.__aenter__()
-        except (SonarSimError, OculusError):
+        except BaseException:
+            self._device.close()
             await self._sender.close()
             raise
         self._began_ns = time.monotonic_ns()

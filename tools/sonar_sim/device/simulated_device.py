@@ -107,6 +107,12 @@ class SimulatedDevice(VirtualDevice):
         """Return the time of the sonar's clock."""
         return self._clock() - self._boot_s
 
+    async def warm_up(self) -> None:
+        """Simulate a ping that is never sent: the first one also prepares the scene."""
+        loop = asyncio.get_running_loop()
+        when = self._state_at(0.0)
+        await loop.run_in_executor(self._thread, self._maker.make, self._first_demand, when)
+
     async def prepare(self) -> None:
         """Simulate the next ping, then wait until its last echo would be back."""
         demand = self.request or self._first_demand
@@ -146,15 +152,7 @@ class SimulatedDevice(VirtualDevice):
     async def _simulate(self, demand: FireRequest) -> None:
         transmit_s = max(self._transmit_s, self._clock())
         sonar = self._maker.settings(demand)
-        map_T_base = self._route.pose(transmit_s)  # noqa: N806 frames are named
-        when = TransmitState(
-            self._next_id,
-            transmit_s - self._boot_s,
-            transmit_s,
-            map_T_base,
-            self._route.velocity_mps(transmit_s),
-            self._route.turn_rates_rps(transmit_s),
-        )
+        when = self._state_at(transmit_s)
         loop = asyncio.get_running_loop()
         message = await loop.run_in_executor(self._thread, self._maker.make, demand, when)
         due_s = transmit_s + listening_s(sonar, self._water) + PROCESSING_S
@@ -162,6 +160,16 @@ class SimulatedDevice(VirtualDevice):
         self.late += self._clock() > due_s
         self._transmit_s = transmit_s + period_s(demand, sonar, self._water, len(message))
         self._next_id += 1
-        depth_m = max(0.0, -float(map_T_base.position_m[2]))
+        depth_m = max(0.0, -float(when.map_T_base.position_m[2]))
         self.pressure_bar = pressure_bar_at(depth_m, self._water.salinity_ppt)
         self._ready = _Ready(demand, message, when.ping_id, due_s)
+
+    def _state_at(self, transmit_s: float) -> TransmitState:
+        return TransmitState(
+            self._next_id,
+            transmit_s - self._boot_s,
+            transmit_s,
+            self._route.pose(transmit_s),
+            self._route.velocity_mps(transmit_s),
+            self._route.turn_rates_rps(transmit_s),
+        )
