@@ -16,7 +16,7 @@ from mapperd.localization.hypothesis import (
     spread_m,
 )
 from mapperd.localization.maps import LocalizationMap
-from mapperd.localization.models import filter_rule
+from mapperd.localization.models import filter_params
 from mapperd.localization.particle_filter import (
     CloudState,
     ParticleFilter,
@@ -133,7 +133,7 @@ class MapFilter:
 
     def reconfigure(self, config: Config) -> None:
         """As `PoseFilter.reconfigure`; an error leaves the filter unchanged."""
-        rule = filter_rule(config)
+        rule = filter_params(config)
         weighing = None if self._map is None else self._map.with_settings(config)
         for particles in self._clouds():
             particles.set_rule(rule)
@@ -257,7 +257,7 @@ class MapFilter:
     def _cloud(self) -> ParticleFilter:
         """Return a new cloud; each alternative has its own random numbers."""
         seed = (self._config.localization.random_seed + self.alternatives) % 2**63
-        return ParticleFilter(filter_rule(self._config), seed, threads_of(self._config))
+        return ParticleFilter(filter_params(self._config), seed, threads_of(self._config))
 
     def _clouds(self) -> list[ParticleFilter]:
         return [self._particles] + (
@@ -359,7 +359,7 @@ class MapFilter:
         fits = self.watch.supports(self._config.localization.min_hit_share)
         if self.alternative is None:
             return belief(self._particles, fits=fits, confirmed=self.confirmed)
-        both = ParticleFilter(filter_rule(self._config), 0)
+        both = ParticleFilter(filter_params(self._config), 0)
         poses = [particles.poses for particles in self._clouds()]
         shares = (1.0 - self.alternative.share, self.alternative.share)
         weights = [s * p.weights for s, p in zip(shares, self._clouds(), strict=True)]

@@ -7,19 +7,26 @@ from mapperd.errors import ConfigError
 from mapperd.localization.maps import GridMap, LocalizationMap, VolumeMap
 from mapperd.localization.particle_filter import (
     BeamModel,
-    FilterRule,
+    FilterParams,
     Grid,
     HitModel,
     LikelihoodField,
 )
 
-__all__ = ["beam_model", "check_localization", "core_grid", "field_of", "filter_rule", "hit_model"]
+__all__ = [
+    "beam_model",
+    "check_localization",
+    "core_grid",
+    "field_of",
+    "filter_params",
+    "hit_model",
+]
 
 
-def filter_rule(config: Config, *, plain: bool = False) -> FilterRule:
+def filter_params(config: Config, *, plain: bool = False) -> FilterParams:
     """Return the parameters of resampling and recovery; `plain` never weakens likelihoods."""
     amcl, ours = config.amcl, config.localization
-    return FilterRule(
+    return FilterParams(
         min_particles=amcl.min_particles,
         max_particles=amcl.max_particles,
         kld_error=amcl.pf_err,
@@ -87,7 +94,7 @@ def check_localization(config: Config) -> None:
     if config.localization.mode == "off":
         return
     try:
-        filter_rule(config)
+        filter_params(config)
         hit_model(config.amcl)
         if config.amcl.laser_model_type == "beam":
             beam_model(config.amcl)

@@ -17,7 +17,7 @@ from mapperd._core import MclFreeSpace as FreeSpace
 from mapperd._core import MclGrid as Grid
 from mapperd._core import MclHitModel as HitModel
 from mapperd._core import MclRangeMap as RangeMap
-from mapperd._core import MclRule as FilterRule
+from mapperd._core import MclRule as FilterParams
 from mapperd._core import MclWeighed as Weighed
 from mapperd._core import mcl_estimate
 from mapperd.geometry.gaussian import ELSEWHERE_M, Belief, PlanarGaussian
@@ -30,7 +30,7 @@ __all__ = [
     "Cluster",
     "Endpoints",
     "Estimate",
-    "FilterRule",
+    "FilterParams",
     "FreeSpace",
     "Grid",
     "HitModel",

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mapperd.config.tree import Config
 from mapperd.localization.hypothesis import hit_share
 from mapperd.localization.maps import GridMap, LocalizationMap, VolumeMap
-from mapperd.localization.models import beam_model, core_grid, field_of, filter_rule, hit_model
+from mapperd.localization.models import beam_model, core_grid, field_of, filter_params, hit_model
 from mapperd.localization.particle_filter import (
     Beams,
     Endpoints,
@@ -136,7 +136,7 @@ class MapWeighing:
 
     def drawn(self, scan: Scan, base_height_m: float, seed: int) -> Floats:
         """Return poses (N, 3) of a new cloud from a scan; `can_search` holds for it."""
-        cloud = ParticleFilter(filter_rule(self._config), seed, threads_of(self._config))
+        cloud = ParticleFilter(filter_params(self._config), seed, threads_of(self._config))
         self.draw(cloud, scan, base_height_m)
         return cloud.poses
 
@@ -169,7 +169,7 @@ class MapWeighing:
         if not isinstance(field, LikelihoodField) or not len(scan):
             return np.zeros(len(poses))
         few = decimated(scan, beams)
-        rule = filter_rule(self._config, plain=True)
+        rule = filter_params(self._config, plain=True)
         cloud = ParticleFilter(rule, 0, threads_of(self._config))
         cloud.start_with(poses)
         kappa = min(self._config.localization.tempering * len(scan) / len(few), 1.0)

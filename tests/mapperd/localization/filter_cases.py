@@ -9,7 +9,7 @@ from mapperd.localization.particle_filter import (
     BeamModel,
     Beams,
     Endpoints,
-    FilterRule,
+    FilterParams,
     Grid,
     HitModel,
     LikelihoodField,
@@ -66,8 +66,8 @@ def rule(
     kld: tuple[float, float] = (0.05, 3.0),
     bucket_yaw_rad: float = 0.1745,
     bucket_m: float = 0.5,
-) -> FilterRule:
-    return FilterRule(
+) -> FilterParams:
+    return FilterParams(
         min_particles=min_particles,
         max_particles=max_particles,
         kld_error=kld[0],

@@ -18,7 +18,7 @@ from mapperd.localization.particle_filter import (
     RangeMap,
 )
 from tests.mapperd.localization.filter_cases import grid
-from tests.mapperd.localization.filter_cases import rule as filter_rule
+from tests.mapperd.localization.filter_cases import rule as filter_params
 
 Floats = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ def nees_of_run(seed: int, kappa: float) -> float:
     truth = np.array([random.uniform(8, 18), random.uniform(10, 20), random.uniform(-3, 3)])
     odom = np.zeros(3)
     sigma = np.array([0.3, 0.3, 0.05])
-    particles = ParticleFilter(filter_rule(1000, 1000), seed)
+    particles = ParticleFilter(filter_params(1000, 1000), seed)
     particles.start_about(truth + random.normal(0.0, sigma), np.diag(sigma**2))
     for _ in range(STEPS):
         reported = np.array(STEP)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mapperd.config.loader import config_of
-from mapperd.localization.models import filter_rule
+from mapperd.localization.models import filter_params
 from mapperd.localization.particle_filter import ParticleFilter, clusters_of
 from mapperd.localization.report import localization_report, localization_summary, state_of
 from tests.mapperd.localization.believed import STAMP_NS, snapshot
@@ -69,7 +69,7 @@ def test_a_level_that_is_passed_is_reported() -> None:
 
 
 def test_clusters_have_their_own_means() -> None:
-    particles = ParticleFilter(filter_rule(CONFIG), 7, 1)
+    particles = ParticleFilter(filter_params(CONFIG), 7, 1)
     rng = np.random.default_rng(2)
     at = np.repeat([[0.0, 0.0, 0.3], [9.0, 5.0, -2.0]], (300, 100), axis=0)
     particles.start_with(at + rng.normal(0, 0.02, at.shape), np.full(400, 1 / 400))

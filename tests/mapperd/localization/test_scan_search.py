@@ -12,7 +12,7 @@ from mapperd.localization.maps import GridMap
 from mapperd.localization.models import core_grid, field_of
 from mapperd.localization.particle_filter import (
     Endpoints,
-    FilterRule,
+    FilterParams,
     FreeSpace,
     LikelihoodField,
     ParticleFilter,
@@ -28,8 +28,8 @@ SETTINGS = config("laser_model_type: likelihood_field_prob, laser_sigma_hit: 0.1
 
 def rule(
     count: int = 2000, *, share: float = 0.0, exponent: float = 1.0, recovery: float = 0.0
-) -> FilterRule:
-    return FilterRule(
+) -> FilterParams:
+    return FilterParams(
         min_particles=count,
         max_particles=count,
         kld_error=0.05,

@@ -10,7 +10,7 @@ import pytest
 from msgspec import structs
 
 from mapperd.config.tree import SonarConfig
-from mapperd.localization.models import filter_rule
+from mapperd.localization.models import filter_params
 from mapperd.localization.particle_filter import ParticleFilter
 from mapperd.localization.scan import decimated, heard_aperture_rad
 from mapperd.localization.weighting import SEARCH_BEAMS, MapWeighing
@@ -34,7 +34,7 @@ def changed(section: str, **values: float) -> Config:
 
 def cloud(weighing: MapWeighing) -> NDArray[np.float64]:
     """Drawn from a scan and weighed by it."""
-    particles = ParticleFilter(filter_rule(profile()), 5)
+    particles = ParticleFilter(filter_params(profile()), 5)
     weighing.draw(particles, SCAN, 0.0)
     weighing.weigh(particles, SCAN, 0.0, 0.5)
     return np.column_stack([particles.poses, particles.weights])
@@ -97,6 +97,6 @@ def test_returns_are_tried_over_the_height_that_is_heard() -> None:
 def test_a_search_by_few_beams_has_no_more_votes_than_these() -> None:
     assert len(SCAN) > SEARCH_BEAMS
     certain = MapWeighing(room(), changed("localization", tempering=1.0))
-    particles = ParticleFilter(filter_rule(profile()), 5)
+    particles = ParticleFilter(filter_params(profile()), 5)
     certain.draw(particles, SCAN, 0.0)
     assert np.isfinite(particles.poses).all()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mapperd.config.tree import Config
 from mapperd.geometry.frames import quaternion_product
-from mapperd.localization.models import filter_rule
+from mapperd.localization.models import filter_params
 from mapperd.localization.particle_filter import ParticleFilter
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.reckoning import DeadReckoning
@@ -291,7 +291,7 @@ GRAIN = 2.0**-12
 def weights(updates: int, seed: int = 3) -> GrowthPanel:
     """Particles weighed a million times and never resampled."""
     chance = np.random.default_rng(seed)
-    particles = ParticleFilter(filter_rule(Config()), 1)
+    particles = ParticleFilter(filter_params(Config()), 1)
     particles.start_with(chance.normal(size=(PARTICLES, 3)))
     at = checkpoints(updates)
     wanted = set(at.tolist())

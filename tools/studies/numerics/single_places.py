@@ -14,7 +14,7 @@ from mapperd.config.tree import Config
 from mapperd.imaging.crosstalk import notched
 from mapperd.imaging.ping_image import PingImage
 from mapperd.localization.detector import levels_db
-from mapperd.localization.models import filter_rule
+from mapperd.localization.models import filter_params
 from mapperd.localization.particle_filter import (
     Endpoints,
     Grid,
@@ -91,7 +91,7 @@ def _weighing() -> SingleError:
     ends = 6.0 * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
     worst = 0.0
     for place in np.random.default_rng(6).uniform(8.0, 12.0, (50, 2)):
-        particles = ParticleFilter(filter_rule(Config()), 1)
+        particles = ParticleFilter(filter_params(Config()), 1)
         particles.start_with(np.array([[*place, 0.0]]))
         scan = Endpoints(np.ascontiguousarray(ends[:, None, :]), np.ones(256))
         got = particles.weigh_field(field, scan, "product").log_evidence
