@@ -17,8 +17,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import MapError, Reject
 from mapperd.geometry.gaussian import Belief, BeliefState, PlanarGaussian
 from mapperd.imaging.ping_image import PingImage
-from mapperd.localization.burst_filter import BurstState, BurstWatch
-from mapperd.localization.extraction import burst_watch, scan_at
+from mapperd.localization.extraction import BurstState, BurstWatch, burst_watch, scan_at
 from mapperd.localization.known_map import KnownMap
 from mapperd.localization.localizer import Localized, Localizer, LocalizerState
 from mapperd.localization.map_filter import FilterState, MapFilter

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.localization.burst_filter import BurstWatch, unexplained_share
+from mapperd.localization.extraction import BurstWatch, unexplained_share
 
 BEARINGS = np.radians(np.linspace(-60, 60, 121))
 WALL = 10 / np.cos(BEARINGS)

@@ -10,8 +10,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import Reject
 from mapperd.geometry.frames import rigid_transform, rotation_from_rpy
 from mapperd.imaging.ping_image import PingImage, ping_image_of
-from mapperd.localization.burst_filter import BurstWatch
-from mapperd.localization.extraction import ScanContext, scan_of
+from mapperd.localization.extraction import BurstWatch, ScanContext, scan_of
 from mapperd.localization.scan import Scan
 from oculus_driver import Ping, StreamParser, decode_ping
 
