@@ -13,6 +13,7 @@ from mapperd.api import OperationError, PoseRequest
 from mapperd.config.layers import Layered
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
+from mapperd.daemon.problems import lost_bricks
 from mapperd.events import EventLog
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.listeners import open_unix_listener
@@ -21,6 +22,7 @@ from mapperd.server.state_feed import StateFeed
 from mapperd.server.stream_server import StreamServer
 from mapperd.store.map_files import map_in
 from mapperd.store.metadata import MapIdentity, fresh
+from mapperd.store.stored_map import StoredMap
 from mapperd.store.tiles import Key
 
 if TYPE_CHECKING:
@@ -36,7 +38,7 @@ class StoredFile:
     Attributes:
         path: of the file.
         identity: of its map for clients of this process.
-        lost: damaged bricks.
+        lost: bricks that were damaged when it was opened.
     """
 
     path: Path
@@ -63,11 +65,11 @@ def saved_map(path: Path, config: Config) -> tuple[SonarMap, StoredFile | None]:
     found = map_in(path, config, allow_damaged=True).map
     if isinstance(found, SonarMap):
         return found, None
-    config = found.config
+    config, lost = found.config, found.lost if isinstance(found, StoredMap) else frozenset()
     found.close()
     empty = SonarMap(config)
     empty.core.cut_into_tiles(1, lambda _: None)  # none of which is in memory
-    return empty, StoredFile(path)
+    return empty, StoredFile(path, lost=lost)
 
 
 class _NoSession:
@@ -158,4 +160,11 @@ class MapServer(_NoSession):
     def status(self) -> dict[str, Any]:
         """Return what applies of `DaemonApi.status`."""
         pings = {} if self.facts is None else {"pings": self.facts.pings}
-        return {"version": __version__, "phase": self.phase, "reason": self._what} | pings
+        store = {"bricks_lost": self._source.facts().bricks_lost}
+        problems = [{"code": one.code, "text": one.text} for one in lost_bricks(store)]
+        return {
+            "version": __version__,
+            "phase": self.phase,
+            "reason": self._what,
+            "problems": problems,
+        } | pings

@@ -36,7 +36,7 @@ class Problem:
     Attributes:
         code: `no_sonar`, `sonar_in_use`, `sonar_unreachable`, `sonar_silent`, `no_odometry`,
             `odometry_quiet`, `odometry_format`, `clock_off`, `odometry_rejected`, `no_attitude`,
-            `no_position`, `no_map`, `recording_paused`.
+            `no_position`, `no_map`, `recording_paused`, `bricks_lost`.
         text: what is wrong and what to do, one line.
         link: the odometry source that it is about, or "".
     """
@@ -50,7 +50,7 @@ def problems_of(status: Values, config: Config) -> list[Problem]:
     """Return the problems of a session, the most severe first; empty in its first seconds.
 
     Args:
-        status: with `uptime_s`, `sonar`, `odometry`, `localization` and `recording` of
+        status: with `uptime_s`, `sonar`, `odometry`, `localization`, `recording` and `store` of
             `DaemonApi.status`.
         config: in force.
     """
@@ -75,6 +75,7 @@ def _sonar(sonar: Values, config: Config) -> Iterator[Problem]:
             f"no sonar: {reason}. Check power and cable, wait 20 s after power-up, and give this "
             "computer an address in the sonar's network; if broadcasts are blocked, set "
             "device.address",
+        *lost_bricks(status["store"]),
         )
     elif state in (LinkState.CONNECTING, LinkState.BACKING_OFF):
         remedy = (
@@ -216,3 +217,17 @@ def _recording(recording: Values | None) -> Iterator[Problem]:
 def _counts(counts: Values) -> str:
     most = sorted(counts.items(), key=lambda item: -item[1])[:MAX_REASONS]
     return ", ".join(f"{reason} {count}" for reason, count in most)
+def lost_bricks(store: Values | None) -> Iterator[Problem]:
+    """Yield the problem of a map with damaged bricks.
+
+    Args:
+        store: with `bricks_lost`; None without a map file.
+    """
+    if store is not None and (lost := store["bricks_lost"]):
+        yield Problem(
+            "bricks_lost",
+            f"the map has holes: {lost} damaged bricks of its file are missing, their space is "
+            "unknown, not free. A restart of the daemon rebuilds them from its recordings",
+        )
+
+

@@ -46,7 +46,6 @@ def status_of(
             "revision": sonar_map.core.revision,
             "resolution_m": sonar_map.resolution_m,
         },
-        "store": live.persistence.status(),
         "robots": facts.robots,
         "servers": servers,
     }
@@ -60,6 +59,7 @@ def _parts(live: Live, facts: StatusSnapshot, uptime_s: float) -> dict[str, Any]
         "odometry": {**facts.odometry, "connections": {ln.name: _link(ln) for ln in live.links}},
         "localization": localization_summary(facts.localization, live.config),
         "recording": live.recorder.status(),
+        "store": live.persistence.status(),
     }
 
 
@@ -250,7 +250,7 @@ class Watch:
             if self._live.link.state == LinkState.CLOSED or LinkPhase.CLOSED in links:
                 continue  # the session ends
             parts = _parts(self._live, self._live.mapping.snapshot, time.monotonic() - began_s)
-            parts["recording"] = None  # its own events report it
+            parts["recording"] = parts["store"] = None  # their own events report them
             self.look_at_problems(problems_of(parts, self._live.config))
 
     def look_at_problems(self, problems: list[Problem]) -> None:

@@ -90,6 +90,7 @@ class FoxgloveRelay:
         self._path = PathDrawing()
         self._path_s = -math.inf
         self._link_text = ""
+        self._bricks_lost = 0
         self._state = StateMessages(client)
         self._waiting: set[str] = set()
         """State topics that changed before the first stamp."""
@@ -125,6 +126,8 @@ class FoxgloveRelay:
         if not self.stamp_ns:
             return
         mirror = self._client.mirror
+        if mirror is not None:
+            self._log_lost(mirror.facts.bricks_lost)
         heard = self._channels.heard("/map") or self._channels.heard("/map_changes")
         if mirror is not None and heard:
             for message in self._map.due(mirror, now_s, self.stamp_ns, last=last):
@@ -187,6 +190,13 @@ class FoxgloveRelay:
             self._link_text = text
             level = LogLevel.Info if link.state == "connected" else LogLevel.Warning
             self.log(level, "connection", text)
+
+    def _log_lost(self, bricks: int) -> None:
+        """Log a new number of damaged bricks that are missing in the map."""
+        if bricks != self._bricks_lost and self._channels.heard("/log"):
+            self._bricks_lost = bricks
+            level = LogLevel.Error if bricks else LogLevel.Info
+            self.log(level, "bricks_lost", f"{bricks} damaged bricks are missing in the map")
 
     def _log_event(self, message: EventMessage) -> None:
         event = message.event

@@ -15,6 +15,7 @@ from mapperd import _core
 from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import iwlo_params
 from mapperd.store.database import open_reader, reading, translated
+from mapperd.store.metadata import lost_in
 from mapperd.store.tiles import COLUMNS, BrickRow, DamagedBrickError, Key, rows_of, unpack
 from mapperd.wire.messages import BLOCK_EDGE, Interest, Vector
 
@@ -123,10 +124,13 @@ class StoredBricks:
 
     Attributes:
         damaged: keys of the bricks that were found damaged.
+        quarantined: keys of the bricks that the file's writer found damaged, as of the last look
+            for changes.
     """
 
     def __init__(self, path: Path, config: Config) -> None:
         self.damaged: set[Key] = set()
+        self.quarantined: frozenset[Key] = frozenset()
         self._path = path
         self._unpacker = zstandard.ZstdDecompressor()
         self._scratch = _core.VoxelMap(config.octree.voxel_resolution, iwlo_params(config))
@@ -161,6 +165,7 @@ class StoredBricks:
                 " x BETWEEN -?2 AND ?2 AND y BETWEEN -?2 AND ?2 AND z BETWEEN -?2 AND ?2",
                 (revision, MAX_BRICK),
             ).fetchall()
+            self.quarantined = frozenset(lost_in(self._connection, self._path))
         columns = np.array(found, np.int64).reshape(-1, 4)
         return ChangedRows(
             columns[:, :3].astype(np.int32),

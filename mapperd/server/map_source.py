@@ -306,7 +306,7 @@ class MapSource:
     def _bricks_lost(self) -> int:
         if self._files is None or self._store is None:
             return 0
-        return len(self._store.lost | self._files.damaged)
+        return len(self._store.lost | self._files.damaged | self._files.quarantined)
 
     def _notice_another_map(self) -> None:
         """Start again if the map was replaced or its facts changed."""

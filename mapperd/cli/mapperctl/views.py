@@ -137,9 +137,10 @@ def _map(facts: Values, store: Values) -> Part:
         _with_unit(facts.get("resolution_m"), "m", "voxels of "),
         f"{used / MIB:.1f} MiB in memory" if isinstance(used, int) else "",
         f"kept in {store['path']}" if store.get("path") else "",
-        str(store.get("trouble") or ""),
+        f"{lost} bricks lost" if (lost := store.get("bricks_lost")) else "",
+        str(store.get("reason") or ""),
     ]
-    return texts, YELLOW if store.get("trouble") else ""
+    return texts, YELLOW if store.get("reason") or lost else ""
 
 
 def _recording(status: Values) -> Part:

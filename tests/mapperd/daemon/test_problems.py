@@ -55,6 +55,7 @@ def status(
         },
         "localization": None,
         "recording": {"state": "logging", "reason": ""},
+        "store": {"bricks_lost": 0},
     } | parts
 
 
@@ -187,6 +188,12 @@ def test_a_mistake_is_one_line_with_a_remedy(
     ((problem, text),) = found(state, settings)
     assert problem == code
     assert [word for word in words if word not in text] == []
+        (
+            status("attitude", "position", store={"bricks_lost": 3}),
+            "",
+            "bricks_lost",
+            ["3 damaged bricks", "not free", "restart"],
+        ),
 
 
 def test_a_problem_is_one_event_and_so_is_its_end() -> None:

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import socket
+import sqlite3
 import sys
 import webbrowser
 from collections.abc import AsyncIterator, Callable
@@ -19,6 +20,7 @@ from mapperd.client import AskError, MapClient
 from mapperd.daemon.map_server import MapServer, saved_map
 from mapperd.mapping.queries import MapContent
 from mapperd.store.stored_map import StoredMap
+from mapperd.viewer.health import Health, health_html
 from tests.mapperd.store.dive import CONFIG, dive_on, open_store
 from tests.support.mapperctl import call
 from tests.support.maps import FREE, OCCUPIED, map_of
@@ -125,6 +127,58 @@ def test_a_daemon_s_file_is_followed_while_it_is_written(tmp_path: Path) -> None
             dive_on(sonar_map, store, 3, 9)
             store.save()
             assert await until_cells(client, StoredMap(path, CONFIG)) > before
+
+    with store:
+        asyncio.run(follow())
+
+
+@pytest.mark.parametrize("quarantined", [False, True])
+def test_a_damaged_file_is_shown_with_its_holes_named(tmp_path: Path, *, quarantined: bool) -> None:
+    path = tmp_path / "dive.map"
+    sonar_map, store = open_store(path)
+    with store:
+        dive_on(sonar_map, store, 0, 20)
+        store.save()
+    with contextlib.closing(sqlite3.connect(path)) as file, file:
+        file.execute("UPDATE brick SET crc = crc + 1 WHERE rowid = 1")
+    if quarantined:
+        _, store = open_store(path)
+        with store:
+            assert len(store.check()) == 1
+
+    async def follow() -> None:
+        async with serving(path) as client:
+            await client.complete(60)
+            assert client.mirror is not None
+            assert client.mirror.facts.bricks_lost == 1
+            status = await client.ask("status")
+            assert [one["code"] for one in status["problems"]] == ["bricks_lost"]
+            health = Health()
+            health.take_status(status, {}, 0.0)
+            assert "1 damaged bricks" in health_html(health, 0.0, 0)
+
+    asyncio.run(follow())
+
+
+def test_holes_that_the_writer_finds_are_named_while_the_file_is_shown(tmp_path: Path) -> None:
+    path = tmp_path / "dive.map"
+    sonar_map, store = open_store(path)
+
+    async def follow() -> None:
+        dive_on(sonar_map, store, 0, 20)
+        store.save()
+        async with serving(path) as client:
+            await client.complete(60)
+            assert (await client.ask("status"))["problems"] == []
+            with contextlib.closing(sqlite3.connect(path)) as file, file:
+                file.execute(
+                    "INSERT INTO quarantine (x, y, z, reason) SELECT x, y, z, '' FROM brick "
+                    "WHERE rowid = 1"
+                )
+                file.execute("DELETE FROM brick WHERE rowid = 1")
+            async with asyncio.timeout(60):
+                while not (await client.ask("status"))["problems"]:  # noqa: ASYNC110 no event
+                    await asyncio.sleep(0.05)
 
     with store:
         asyncio.run(follow())

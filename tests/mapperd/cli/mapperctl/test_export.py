@@ -281,3 +281,17 @@ def test_levels_are_those_of_the_stream() -> None:
 def test_numbers_that_cannot_be_are_refused(words: list[str]) -> None:
     with pytest.raises(SystemExit):
         parser().parse_args(["export", "a.ply", *words])
+
+
+def test_a_map_with_holes_is_refused_unless_asked_for(
+    tmp_path: Path, export: Call, watched: Watched
+) -> None:
+    watched.served.facts = replace(watched.served.facts, bricks_lost=2)
+    path = tmp_path / "live.ply"
+    code, lines, error = export(path)
+    assert (code, lines, path.exists()) == (1, [], False)
+    assert "2 damaged bricks" in error
+    code, lines, _ = export(path, "--allow-damaged")
+    assert (code, lines[-1].startswith("2 damaged bricks"), path.exists()) == (0, True, True)
+    code, lines, _ = export(path, "--allow-damaged", "--json")
+    assert json.loads(lines[0])["bricks_lost"] == 2

@@ -38,7 +38,7 @@ STATUS = {
     "pings": {"total": 1000, "mapped": 990, "dropped": {"too_slow": 10}, "waiting": 0},
     "latency_ms": {"p50": 12.3456, "p95": 20.0},
     "map": {"memory_bytes": 1 << 30, "resolution_m": 0.05},
-    "store": {"path": "/maps/dive.map", "trouble": None},
+    "store": {"path": "/maps/dive.map", "reason": None, "bricks_lost": 0},
     "recording": {"state": "logging", "reason": None, "bytes_written": 3 << 20, "bytes_dropped": 0},
     "behind": {"late": True, "dropped": 3, "ready": 0},
     "robots": [],
@@ -105,3 +105,11 @@ def test_nothing_moves_the_cursor() -> None:
         "mapperd ?[2J, up 0:00:00",
         "sonar         silent: a?b",
     ]
+
+
+def test_a_map_with_holes_or_an_unwritable_file_is_marked() -> None:
+    store = {"path": "/maps/dive.map", "reason": "the disk is full", "bricks_lost": 3}
+    lines = list(status_lines({**STATUS, "store": store}, BEFORE, colours=True))
+    (start,) = (at for at, line in enumerate(lines) if "voxels of" in line)
+    assert lines[start].startswith("\x1b[33mmap")
+    assert "3 bricks lost, the disk is full" in lines[start + 1]
