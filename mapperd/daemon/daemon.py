@@ -15,6 +15,7 @@ from mapperd.config.live import Applied, ConfigStore, Refused, changes_between
 from mapperd.config.tree import Config
 from mapperd.daemon.localization_service import LocalizationRequests
 from mapperd.daemon.map_folder import MapFolder
+from mapperd.daemon.problems import activity_of
 from mapperd.daemon.session import Live
 from mapperd.daemon.sonar_control import SonarControl
 from mapperd.daemon.status import Watch, status_of
@@ -125,9 +126,8 @@ class Daemon:
         """As `DaemonApi.status`."""
         uptime_s = time.monotonic() - self._began_s
         servers = {name: status() for name, status in self.servers.items()}
-        return {"phase": self.phase} | status_of(
-            self._live, self._map, self._settings.current, uptime_s, servers
-        )
+        status = status_of(self._live, self._map, self._settings.current, uptime_s, servers)
+        return {"phase": self.phase, "activity": activity_of(self.phase, status)} | status
 
     def workers(self) -> list[Worker]:
         """What each thread has to do and has done, for a watchdog; any thread."""

@@ -13,7 +13,7 @@ from mapperd.daemon.doctor import PORT_REMEDIES, without_odometry
 from mapperd.odometry.links import LinkPhase
 from oculus_driver.link.state import LinkState
 
-__all__ = ["GRACE_S", "Problem", "problems_of"]
+__all__ = ["GRACE_S", "Problem", "activity_of", "lost_bricks", "problems_of"]
 
 GRACE_S = 5.0
 """Time after the start within which sonar and odometry are expected."""
@@ -25,6 +25,20 @@ NO_PING = "no ping within"
 
 HOUR_S = 3600.0
 NOT_MAPPED = "The sonar is recorded and shown, its pings are not mapped"
+
+BLOCKING = frozenset(
+    {
+        "no_sonar",
+        "sonar_in_use",
+        "sonar_unreachable",
+        "sonar_silent",
+        "no_odometry",
+        "odometry_rejected",
+        "no_attitude",
+        "no_position",
+    }
+)
+"""Codes of the problems with which no ping is mapped."""
 
 Values = Mapping[str, Any]
 
@@ -61,7 +75,22 @@ def problems_of(status: Values, config: Config) -> list[Problem]:
         *_odometry(status["odometry"], config.odometry),
         *_localization(status["localization"]),
         *_recording(status["recording"]),
+        *lost_bricks(status["store"]),
     ]
+
+
+def activity_of(phase: str, status: Values) -> str:
+    """Return what the daemon does, for headlines: its phase, but mapping only where it maps.
+
+    Args:
+        phase: of the daemon.
+        status: with `problems` and `pings` of `DaemonApi.status`.
+    """
+    if phase != "mapping":
+        return phase
+    if any(one["code"] in BLOCKING for one in status["problems"]):
+        return "not mapping"
+    return phase if status["pings"].get("mapped") else "nothing mapped yet"
 
 
 def _sonar(sonar: Values, config: Config) -> Iterator[Problem]:
@@ -75,7 +104,6 @@ def _sonar(sonar: Values, config: Config) -> Iterator[Problem]:
             f"no sonar: {reason}. Check power and cable, wait 20 s after power-up, and give this "
             "computer an address in the sonar's network; if broadcasts are blocked, set "
             "device.address",
-        *lost_bricks(status["store"]),
         )
     elif state in (LinkState.CONNECTING, LinkState.BACKING_OFF):
         remedy = (
@@ -214,9 +242,6 @@ def _recording(recording: Values | None) -> Iterator[Problem]:
         )
 
 
-def _counts(counts: Values) -> str:
-    most = sorted(counts.items(), key=lambda item: -item[1])[:MAX_REASONS]
-    return ", ".join(f"{reason} {count}" for reason, count in most)
 def lost_bricks(store: Values | None) -> Iterator[Problem]:
     """Yield the problem of a map with damaged bricks.
 
@@ -231,3 +256,6 @@ def lost_bricks(store: Values | None) -> Iterator[Problem]:
         )
 
 
+def _counts(counts: Values) -> str:
+    most = sorted(counts.items(), key=lambda item: -item[1])[:MAX_REASONS]
+    return ", ".join(f"{reason} {count}" for reason, count in most)

@@ -37,7 +37,7 @@ class StatusLine:
         """
         pings: Mapping[str, Any] = status.get("pings") or {}
         mapped = int(pings.get("mapped", 0))
-        parts = [str(status.get("phase", "running"))]
+        parts = [str(status.get("activity") or status.get("phase", "running"))]
         if self._before is not None and now_s > self._before[0]:
             rate_hz = max(0, mapped - self._before[1]) / (now_s - self._before[0])
             parts.append(f"{rate_hz:.1f} pings/s")

@@ -240,10 +240,20 @@ class Fusion:
                 }
                 for name, count in self.received.items()
             },
+            "newest": self._newest(),
+            "north_referenced": self._in.north_referenced,
             "confidence": self._gate.confidence,
             "unchecked_pings": self._gate.unchecked,
             "velocities_without_attitude": self._in.reckoning.unattended,
             "levelling": self._level.status(),
+        }
+
+    def _newest(self) -> dict[str, Any]:
+        """Return the newest depth and attitude, which arrive even where no pose can be had."""
+        depth, attitude = self._in.depth.series.newest, self._in.attitude.series.newest
+        return {
+            "depth_m": None if depth is None else -float(depth.value[0]),
+            "map_q_base_wxyz": None if attitude is None else attitude.value.map_q_base.tolist(),
         }
 
     def _clock_offset(self, source: str) -> dict[str, float]:

@@ -304,6 +304,12 @@ class Intake:
     # Conversions that need the current state.
 
     @property
+    def north_referenced(self) -> bool:
+        """Whether yaw of the attitude is from east, so that it gives a compass heading."""
+        owner = self.attitude.owner
+        return owner is not None and self._north_of.get(owner, False)
+
+    @property
     def origin_deg(self) -> tuple[float, float] | None:
         """Latitude and longitude of the map's origin; None before the first geographic position."""
         if self._origin is None:

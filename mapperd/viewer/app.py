@@ -197,7 +197,6 @@ class ViewerPage:
         self._low_m, self._high_m = np.full(3, np.inf), np.full(3, -np.inf)
         mirror = self._client.mirror
         if mirror is not None:
-            self.health.north_up = mirror.facts.origin_deg is not None
             odds = np.exp(mirror.facts.occupied_log_odds)
             self._panel.new_map(float(odds / (1 + odds)))
             self.map.change(self._panel.look)

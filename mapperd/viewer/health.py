@@ -60,10 +60,12 @@ class Health:
         round_trip_s: round-trip time.
         pose_ns, map_ns: newest stamps, Unix time of the daemon's clock.
         phase: phase of the daemon, one word.
+        activity: what it does, for people.
         problems: what keeps the daemon from mapping, with the remedy.
         recording: state of the daemon's recording and its bytes; None where it records nothing.
         position_m, yaw_rad: of the vehicle; None before the first pose.
-        north_up: x is east and y north, so that there is a compass heading.
+        depth_m, attitude_yaw_rad: newest ones of the odometry, shown before the first pose.
+        north_referenced: yaw is from east, so that there is a compass heading.
         page_bytes, page_nodes, page_cells, page_waiting: the map in browsers.
     """
 
@@ -79,11 +81,14 @@ class Health:
     pose_ns: int | None = None
     map_ns: int | None = None
     phase: str = ""
+    activity: str = ""
     problems: tuple[str, ...] = ()
     recording: tuple[str, int] | None = None
     position_m: tuple[float, float, float] | None = None
     yaw_rad: float = 0.0
-    north_up: bool = False
+    depth_m: float | None = None
+    attitude_yaw_rad: float | None = None
+    north_referenced: bool = False
     page_bytes: int = 0
     page_nodes: int = 0
     page_cells: int = 0
@@ -128,6 +133,10 @@ class Health:
             dropped = pings.get("dropped")
             self.dropped = _counts(dropped) if isinstance(dropped, Mapping) else {}
         self.phase = str(status.get("phase", self.phase))
+        self.activity = str(status.get("activity", self.phase))
+        odometry = status.get("odometry")
+        if isinstance(odometry, Mapping):
+            self._take_odometry(odometry)
         problems = status.get("problems", ())
         self.problems = tuple(str(one["text"]) for one in problems if isinstance(one, Mapping))
         if "recording" in status:
@@ -144,6 +153,17 @@ class Health:
         self.left = int(left) if isinstance(left, int | float) else self.left
         skipped = link.get("skipped")
         self.skipped = sum(_counts(skipped).values()) if isinstance(skipped, Mapping) else 0
+
+    def _take_odometry(self, odometry: Mapping[str, Any]) -> None:
+        self.north_referenced = odometry.get("north_referenced") is True
+        newest = odometry.get("newest")
+        if not isinstance(newest, Mapping):
+            return
+        self.depth_m, turn = newest.get("depth_m"), newest.get("map_q_base_wxyz")
+        self.attitude_yaw_rad = None
+        if turn:
+            w, x, y, z = turn
+            self.attitude_yaw_rad = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def health_html(health: Health, now_s: float, unix_ns: int) -> str:
@@ -240,7 +260,7 @@ def _state(health: Health, now_s: float) -> tuple[str, str, str]:
         return "NOT CONNECTED", AMBER, ""
     address = html.escape(link.address)
     if link.state == "connected":
-        phase = f" &middot; {html.escape(health.phase)}" if health.phase else ""
+        phase = f" &middot; {html.escape(health.activity)}" if health.activity else ""
         return "CONNECTED", GREEN, f"{address}{phase}"
     lost_s = link.since_s if health.lost_s is None else health.lost_s
     since = _duration(max(0.0, now_s - lost_s))
@@ -251,15 +271,22 @@ def _state(health: Health, now_s: float) -> tuple[str, str, str]:
 
 def _vehicle(health: Health) -> str:
     """Position, depth and heading in large letters."""
-    if health.position_m is None:
+    position_m = health.position_m
+    depth_m = health.depth_m if position_m is None else -position_m[2]
+    yaw_rad = health.attitude_yaw_rad if position_m is None else health.yaw_rad
+    words = [] if depth_m is None else [f"depth <b>{depth_m:.2f} m</b>"]
+    if yaw_rad is not None:
+        yaw_deg = round(math.degrees(yaw_rad)) + 0.0  # no -0
+        heading = f"heading {(90 - yaw_deg) % 360:03.0f}&deg;"
+        words.append(heading if health.north_referenced else f"yaw {yaw_deg:+.0f}&deg;")
+    if not words:
         return ""
-    x_m, y_m, z_m = health.position_m
-    yaw_deg = round(math.degrees(health.yaw_rad)) + 0.0  # no -0
-    heading = f"heading {(90 - yaw_deg) % 360:03.0f}&deg;" if health.north_up else None
+    where = ""
+    if position_m is not None:
+        where = f"<br>x {position_m[0]:.2f} m &middot; y {position_m[1]:.2f} m"
     return (
         '<div data-vehicle style="font-size:15px;font-variant-numeric:tabular-nums">'
-        f"depth <b>{-z_m:.2f} m</b> &middot; {heading or f'yaw {yaw_deg:+.0f}&deg;'}<br>"
-        f"x {x_m:.2f} m &middot; y {y_m:.2f} m</div>"
+        f"{' &middot; '.join(words)}{where}</div>"
     )
 
 

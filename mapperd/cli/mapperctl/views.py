@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from textwrap import wrap
 from typing import Any
@@ -37,7 +37,8 @@ def status_lines(status: Values, before: Values | None, *, colours: bool = False
         yield from painted(wrap(plain(f"! {problem.get('text')}"), COLUMNS), RED)
     if len(problems) > MAX_PROBLEMS:
         yield from painted([f"! {len(problems) - MAX_PROBLEMS} more problems: --json"], RED)
-    name = " ".join(filter(None, ("mapperd", status.get("version"), status.get("phase"))))
+    activity = status.get("activity") or status.get("phase")
+    name = " ".join(filter(None, ("mapperd", status.get("version"), activity)))
     yield plain(f"{name}, up {_duration(status.get('uptime_s', 0.0))}")
     for name, (texts, colour) in _parts(status, before):
         yield from painted(_lines(name, [plain(text) for text in texts if text]), colour)
@@ -63,7 +64,7 @@ Part = tuple[list[str], str]
 
 def _parts(status: Values, before: Values | None) -> Iterator[tuple[str, Part]]:
     now_s = status.get("t_s")
-    yield "vehicle", _vehicle(status.get("pose"), now_s)
+    yield "vehicle", _vehicle(status.get("pose"), now_s, _part(status, "odometry"))
     yield "sonar", _sonar(_part(status, "sonar"), _rate(status, before, "sonar", "pings"))
     odometry = _part(status, "odometry")
     for name, link in _part(odometry, "connections").items():
@@ -91,22 +92,30 @@ def _parts(status: Values, before: Values | None) -> Iterator[tuple[str, Part]]:
     yield "clients", ([f"{clients}"] if clients else [], "")
 
 
-def _vehicle(pose: object, now_s: object) -> Part:
+def _vehicle(pose: object, now_s: object, odometry: Values) -> Part:
+    compass = odometry.get("north_referenced") is True
     if not isinstance(pose, Mapping):
-        return [], ""
+        newest = _part(odometry, "newest")
+        depth_m, turn = newest.get("depth_m"), newest.get("map_q_base_wxyz")
+        depth = f"depth {depth_m:.2f} m" if isinstance(depth_m, int | float) else ""
+        return [depth, _heading(turn, compass=compass) if turn else ""], YELLOW
     x_m, y_m, z_m = pose["position_m"]
-    w, x, y, z = pose["map_q_base_wxyz"]
-    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    heading_deg = 90 - math.degrees(yaw)
     std_m = math.hypot(*pose["position_std_m"][:2])
     age_s = now_s - pose["t_s"] if _numbers(now_s, pose.get("t_s")) else 0.0
     where = [f"x {x_m:.2f} m", f"y {y_m:.2f} m", f"depth {-z_m:.2f} m"]
     rest = [
-        f"heading {round(heading_deg) % 360}°",
+        _heading(pose["map_q_base_wxyz"], compass=compass),
         f"± {std_m:.2f} m",
         _age(pose.get("t_s"), now_s),
     ]
     return [*where, *rest], YELLOW if age_s > OLD_S else ""
+
+
+def _heading(map_q_base_wxyz: Sequence[float], *, compass: bool) -> str:
+    """Return the compass heading, or the yaw where the odometry's world has no north."""
+    w, x, y, z = map_q_base_wxyz
+    yaw_deg = math.degrees(math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    return f"heading {round(90 - yaw_deg) % 360:03}°" if compass else f"yaw {yaw_deg:+.0f}°"
 
 
 def _sonar(sonar: Values, rate: str) -> Part:

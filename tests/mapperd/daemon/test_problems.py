@@ -6,7 +6,7 @@ import pytest
 
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
-from mapperd.daemon.problems import Problem, problems_of
+from mapperd.daemon.problems import Problem, activity_of, problems_of
 from mapperd.daemon.status import Watch
 from mapperd.events import EventLog
 
@@ -63,6 +63,15 @@ def found(state: dict[str, Any], settings: str = "") -> list[tuple[str, str]]:
     problems = problems_of(state, config_from_text(settings))
     assert not any("\n" in one.text for one in problems)
     return [(one.code, one.text) for one in problems]
+
+
+def test_headlines_say_mapping_only_where_something_is_mapped() -> None:
+    mapped = {"pings": {"mapped": 3}, "problems": []}
+    assert activity_of("mapping", mapped) == "mapping"
+    assert activity_of("stopping", mapped) == "stopping"
+    assert activity_of("mapping", mapped | {"pings": {"mapped": 0}}) == "nothing mapped yet"
+    for code, activity in (("no_position", "not mapping"), ("clock_off", "mapping")):
+        assert activity_of("mapping", mapped | {"problems": [{"code": code}]}) == activity
 
 
 def test_a_session_that_maps_has_no_problem() -> None:
@@ -179,6 +188,12 @@ def test_nothing_is_missed_in_the_first_seconds() -> None:
             "recording_paused",
             ["less than 1024 MiB are free", "recording.budget"],
         ),
+        (
+            status("attitude", "position", store={"bricks_lost": 3}),
+            "",
+            "bricks_lost",
+            ["3 damaged bricks", "not free", "restart"],
+        ),
     ],
     ids=lambda value: value if isinstance(value, str) and value.isidentifier() else "",
 )
@@ -188,12 +203,6 @@ def test_a_mistake_is_one_line_with_a_remedy(
     ((problem, text),) = found(state, settings)
     assert problem == code
     assert [word for word in words if word not in text] == []
-        (
-            status("attitude", "position", store={"bricks_lost": 3}),
-            "",
-            "bricks_lost",
-            ["3 damaged bricks", "not free", "restart"],
-        ),
 
 
 def test_a_problem_is_one_event_and_so_is_its_end() -> None:

@@ -53,6 +53,23 @@ def test_each_quantity_comes_from_its_owner(circle: Circle) -> None:
     assert owners == {"position": "ekf", "attitude": "ahrs", "depth": "bar30", "velocity": None}
 
 
+def test_the_newest_depth_and_attitude_are_known_without_a_pose(circle: Circle) -> None:
+    fusion = Fusion(OWNERS)
+    assert fusion.status()["newest"] == {"depth_m": None, "map_q_base_wxyz": None}
+    assert fusion.status()["north_referenced"] is False
+    feed(fusion, "ahrs", 50, 1, lambda t: {"map_q_base": circle.quaternion(t)})
+    feed(fusion, "bar30", 5, 1, lambda t: {"depth_m": 7.0 + t})
+    assert reason_at(fusion, 0.5) == "no_position"
+    newest = fusion.status()["newest"]
+    assert newest["depth_m"] == pytest.approx(8.0)
+    assert newest["map_q_base_wxyz"] == pytest.approx(circle.quaternion(1.0))
+    assert fusion.status()["north_referenced"] is True
+    other = Fusion(OWNERS)
+    turn = {"map_q_base": circle.quaternion(0.0), "north_referenced": False}
+    feed(other, "ahrs", 50, 1, lambda _: turn)
+    assert other.status()["north_referenced"] is False
+
+
 def test_without_configuration_the_first_to_report_it_owns_it(circle: Circle) -> None:
     fusion = Fusion()
     feed(fusion, "one", 20, 1, lambda t: {"map_q_base": circle.quaternion(t)})

@@ -130,6 +130,22 @@ def test_a_lost_link_is_lost_since_the_first_failure_not_the_last() -> None:
     assert "LINK LOST 5 s" in banner_html(health, 135.0)
 
 
+def test_depth_and_heading_are_shown_without_a_position() -> None:
+    health = linked("connected")
+    newest: dict[str, object] = {"depth_m": 4.5, "map_q_base_wxyz": [1.0, 0.0, 0.0, 0.0]}
+    odometry = {"newest": newest, "north_referenced": True}
+    status = {"phase": "mapping", "activity": "not mapping", "odometry": odometry}
+    health.take_status(status, {}, 0.0)
+    text = health_html(health, 0.0, 0)
+    assert "depth <b>4.50 m</b> &middot; heading 090&deg;" in text
+    assert "m &middot; y" not in summary_html(health, 0.0)
+    assert "&middot; not mapping" in text
+    newest["depth_m"] = None
+    health.take_status(status | {"odometry": odometry | {"north_referenced": False}}, {}, 0.0)
+    assert "depth" not in health_html(health, 0.0, 0)
+    assert "yaw +0&deg;" in health_html(health, 0.0, 0)
+
+
 def test_the_vehicle_and_the_recording_are_shown() -> None:
     health = linked("connected")
     assert "depth" not in health_html(health, 0.0, 0)
@@ -139,7 +155,7 @@ def test_the_vehicle_and_the_recording_are_shown() -> None:
     for message in ("depth <b>3.25 m</b>", "yaw +30&deg;", "x 1.50 m", "y -2.00 m", "not recorded"):
         assert message in text
     assert "depth <b>3.25 m</b>" in summary_html(health, 0.0)
-    health.north_up = True
+    health.take_status({"odometry": {"north_referenced": True}}, {}, 0.0)
     assert "heading 060&deg;" in health_html(health, 0.0, 0)
     recording = {"state": "logging", "reason": None, "bytes_written": 12_300_000}
     health.take_status({"recording": recording}, {}, 1.0)

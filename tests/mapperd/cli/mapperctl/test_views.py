@@ -50,8 +50,7 @@ BEFORE = {"uptime_s": 3723.4, "sonar": {"pings": 976}, "pings": {"mapped": 970}}
 def test_one_screen_for_people() -> None:
     assert list(status_lines(STATUS, BEFORE)) == [
         "mapperd 1.2.3 mapping, up 1:02:05",
-        "vehicle       x 1.00 m, y -2.50 m, depth 7.25 m, heading 45°, ± 0.05 m,",
-        "              0.5 s ago",
+        "vehicle       x 1.00 m, y -2.50 m, depth 7.25 m, yaw +45°, ± 0.05 m, 0.5 s ago",
         "sonar         pinging 12.0/s, M750d at 192.168.2.4, range 10 m, gain 50 %,",
         "              21.25 °C",
         "odometry      dvl receiving",
@@ -63,6 +62,25 @@ def test_one_screen_for_people() -> None:
         "recording     logging, 3.0 MiB",
         "clients       1",
     ]
+
+
+def test_a_heading_is_of_a_world_with_north() -> None:
+    odometry = STATUS["odometry"] | {"north_referenced": True}
+    assert "heading 045°" in "\n".join(status_lines(STATUS | {"odometry": odometry}, None))
+
+
+def test_depth_and_heading_are_shown_without_a_position() -> None:
+    newest = {"depth_m": 4.5, "map_q_base_wxyz": [1.0, 0.0, 0.0, 0.0]}
+    status = {
+        "version": "1.2.3",
+        "phase": "mapping",
+        "activity": "not mapping",
+        "uptime_s": 1.0,
+        "odometry": {"newest": newest, "north_referenced": True},
+    }
+    head, vehicle, *_ = status_lines(status, None)
+    assert head == "mapperd 1.2.3 not mapping, up 0:00:01"
+    assert vehicle == "vehicle       depth 4.50 m, heading 090°"
 
 
 def test_problems_come_first_and_fit() -> None:
