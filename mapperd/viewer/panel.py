@@ -27,6 +27,11 @@ label, .mantine-InputWrapper-label, .mantine-Text-root {
   color: #dbe3ec; letter-spacing: 0 !important;
 }
 .mantine-Slider-markLabel { color: #cbd5e1; font-size: 11px; }
+.multi-slider { margin-bottom: 10px; }
+.multi-slider-mark-label {
+  color: #cbd5e1 !important; font-size: 11px; margin-top: 5px;
+}
+.mantine-Button-label { color: #f8fafc !important; }
 [data-phone] { display: none; }
 @media (max-width: 36em) {
   [data-phone] { display: block; }

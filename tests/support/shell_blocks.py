@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
 ROOT = Path(__file__).resolve().parents[2]
-TIMEOUT_S = 300.0
-READY_TIMEOUT_S = 90.0
+TIMEOUT_S = 900.0
+READY_TIMEOUT_S = 240.0
 STOP_TIMEOUT_S = 60.0
 
 _BLOCK = re.compile(
@@ -134,23 +134,37 @@ class Reader:
         folder: where the commands run.
         runtime: folder for sockets.
         network: from `own_network`.
+        installed: folder of installed commands; None: those of this checkout.
+
+    Attributes:
+        folder: where the commands run.
+        network: words before a command that run it in the reader's network.
     """
 
-    def __init__(self, folder: Path, runtime: Path, network: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        runtime: Path,
+        network: Sequence[str] = (),
+        installed: Path | None = None,
+    ) -> None:
         """Prepare the commands of pyproject.toml and folders of its own."""
+        self.network = list(network)
         self._shell = [*network, "/bin/bash"]
         self._programs: dict[str, subprocess.Popen[bytes]] = {}
         self.folder = folder / "work"
         self.folder.mkdir()
-        commands = folder / "bin"
-        commands.mkdir()
-        self._install(commands)
+        commands = installed or folder / "bin"
+        if installed is None:
+            commands.mkdir()
+            self._install(commands)
+        parts = () if installed else (".", "tools")
         self.environment = os.environ | {
             "PATH": f"{commands}{os.pathsep}{os.environ['PATH']}",
             "HOME": str(folder),
             "XDG_STATE_HOME": str(folder / ".local" / "state"),
             "XDG_RUNTIME_DIR": str(runtime),
-            "PYTHONPATH": os.pathsep.join(str(ROOT / part) for part in (".", "tools")),
+            "PYTHONPATH": os.pathsep.join(str(ROOT / part) for part in parts),
         }
 
     @staticmethod
@@ -224,11 +238,23 @@ class Reader:
             log.close()
 
 
-def follow(page: Path, folder: Path) -> None:
+def follow(
+    page: Path,
+    folder: Path,
+    *,
+    installed: Path | None = None,
+    after: Callable[[Block, Reader], bool] = lambda *_: True,
+) -> None:
     """Run the shell blocks of a page one after the other.
 
     Files that the page shows with a title are there from the beginning, and so is dive.mcap if
     the page reads it without recording it.
+
+    Args:
+        page: the page.
+        folder: the reader's home.
+        installed: folder of installed commands; None: those of this checkout.
+        after: called after each block; returns whether to go on.
 
     Raises:
         AssertionError: a block failed.
@@ -242,7 +268,7 @@ def follow(page: Path, folder: Path) -> None:
                 (Path(tempfile.gettempdir()) / "mapperd-docs.lock").open("w")
             )
             fcntl.flock(lock, fcntl.LOCK_EX)
-        reader = Reader(folder, Path(runtime), network)
+        reader = Reader(folder, Path(runtime), network, installed)
         files = {match["name"]: match["text"] for match in _FILE.finditer(page.read_text("utf-8"))}
         for name, text in files.items():
             (reader.folder / name).write_text(text)
@@ -252,8 +278,10 @@ def follow(page: Path, folder: Path) -> None:
         for block in blocks:
             if block.ready:
                 stack.enter_context(reader.background(block))
-                continue
-            if block.ended:
-                reader.end(block.ended)
-            done = reader.run(block.code)
-            assert done.returncode == 0, f"{block.code}\n{done.stdout}\n{done.stderr}"
+            else:
+                if block.ended:
+                    reader.end(block.ended)
+                done = reader.run(block.code)
+                assert done.returncode == 0, f"{block.code}\n{done.stdout}\n{done.stderr}"
+            if not after(block, reader):
+                return

@@ -50,6 +50,7 @@ def open_page(host: str, port: int) -> "ViserServer":
     except ImportError as error:
         raise CtlError(missing_extra(error.name or "viser", "topside"), CtlExit.USAGE) from error
     rich.reconfigure(quiet=True)  # it prints boxes
+    _push_from_any_thread()
     with _only_from_here():
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if port not in (0, server.get_port()):  # it takes the next one that is free
@@ -68,6 +69,28 @@ def open_page(host: str, port: int) -> "ViserServer":
         "/light/sun", intensity=2.0, position=(6.0, -9.0, 14.0), cast_shadow=False
     )
     return server
+
+
+@functools.cache
+def _push_from_any_thread() -> None:
+    """Keep a message whose event could not be set.
+
+    viser 1.1 sets the event of a buffer in our thread while its own thread may change the list of
+    who waits for it: "deque mutated during iteration". The message is in the buffer by then.
+    """
+    from viser.infra._async_message_buffer import AsyncMessageBuffer  # noqa: PLC0415 as above
+
+    plain = AsyncMessageBuffer.push
+
+    @functools.wraps(plain)
+    def push(buffer: AsyncMessageBuffer, message: Any) -> None:  # noqa: ANN401 of viser
+        try:
+            plain(buffer, message)
+        except RuntimeError:
+            with contextlib.suppress(RuntimeError):  # its loop has ended
+                buffer.event_loop.call_soon_threadsafe(buffer.message_event.set)
+
+    AsyncMessageBuffer.push = push  # type: ignore[method-assign]
 
 
 def same_origin(origin: str | None, host: str | None) -> bool:

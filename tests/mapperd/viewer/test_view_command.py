@@ -5,6 +5,7 @@ import contextlib
 import socket
 import sqlite3
 import sys
+import threading
 import webbrowser
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -66,6 +67,26 @@ def test_a_connection_that_another_page_makes_is_refused() -> None:
             open_page("127.0.0.1", server.get_port())
         assert taken.value.code == CtlExit.UNAVAILABLE
         assert server.request_share_url() is None, "nothing goes to other computers"
+    finally:
+        server.stop()
+
+
+def test_a_message_stays_where_its_event_cannot_be_set() -> None:
+    pytest.importorskip("viser", reason="the extra `topside` is not installed")
+
+    class Event(asyncio.Event):
+        def set(self) -> None:
+            if threading.current_thread() is threading.main_thread():
+                raise RuntimeError("deque mutated during iteration")
+            super().set()
+
+    server = open_page("127.0.0.1", 0)
+    try:
+        buffer = server._websock_server.get_message_buffer()
+        buffer.message_event = Event()
+        before = buffer.message_counter
+        server.gui.add_html("a message")
+        assert buffer.message_counter > before
     finally:
         server.stop()
 

@@ -2,9 +2,10 @@
 
 import asyncio
 import contextlib
+import shlex
 import shutil
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -36,13 +37,24 @@ PATIENCE_S = 30.0
 
 
 @contextmanager
-def chromium() -> Iterator["Browser"]:
-    """A headless browser that draws without a graphics card."""
+def chromium(network: Sequence[str] = (), folder: Path | None = None) -> Iterator["Browser"]:
+    """A headless browser that draws without a graphics card.
+
+    Args:
+        network: words before a command that run it in another network.
+        folder: for a script that does; needed with `network`.
+    """
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if CHROMIUM is None:
         pytest.skip("chromium is not installed")
     with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        program = CHROMIUM
+        if network and folder is not None:
+            script = folder / "chromium"
+            script.write_text(f'#!/bin/sh\nexec {shlex.join(network)} {CHROMIUM} "$@"\n')
+            script.chmod(0o755)
+            program = str(script)
+        browser = playwright.chromium.launch(executable_path=program, args=ARGUMENTS)
         try:
             yield browser
         finally:
