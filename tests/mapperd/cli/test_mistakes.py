@@ -385,11 +385,19 @@ def test_wrong_token(tmp_path: Path, bench: Bench) -> None:
         codes.append(mapperctl(words))
         codes.append(mapperctl([*words, "--token-file", str(wrong)]))
         codes.append(mapperctl([*words, "--token-file", str(right)]))
+        # A copy in the user's folder needs no option.
+        copied = tmp_path / "mapperd" / "token"
+        copied.parent.mkdir()
+        copied.write_bytes(right.read_bytes())
+        copied.chmod(0o600)
+        with pytest.MonkeyPatch.context() as environment:
+            environment.setenv("XDG_CONFIG_HOME", str(tmp_path))
+            codes.append(mapperctl(words))
 
     _, printed = bench.run(
         f"server: {{address: '{address}', token_file: {right}}}\n", meanwhile=ask, seconds=8
     )
-    assert codes == [CtlExit.NO_PERMISSION, CtlExit.NO_PERMISSION, CtlExit.OK], printed
+    assert codes == [*[CtlExit.NO_PERMISSION] * 2, *[CtlExit.OK] * 2], printed
     one_line(printed, "needs a token: give --token-file")
     one_line(printed, "wrong token; use a copy of the file that server.token_file")
 
