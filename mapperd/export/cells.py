@@ -21,11 +21,10 @@ __all__ = [
     "GridLayer",
     "GridWindow",
     "Heights",
+    "TopStrip",
     "Tops",
     "indices_of",
     "known_cells",
-    "top_cells",
-    "top_voxels",
 ]
 
 MAX_CELLS = 1 << 26
@@ -38,6 +37,9 @@ UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 
 NO_TOP = np.iinfo(np.int32).min
 """Index in z of a column without an occupied voxel."""
+
+STRIP_CELLS = 1 << 24
+"""Cells of the highest voxels that are in memory at a time."""
 
 SQUARE = 256
 """Cells along an edge of the squares of which a grid of unknown extent is made."""
@@ -143,7 +145,7 @@ class KnownCells:
             np.maximum.at(square, (y, x), known[inside])  # blocks lie over each other
 
     def cells(self) -> GridLayer | None:
-        """The grid of all blocks that were added; None where nothing is known.
+        """The grid of all blocks that were added; None where nothing is known. They are forgotten.
 
         Raises:
             ExportError: it is too large.
@@ -152,7 +154,8 @@ class KnownCells:
             return None
         window = window_of(np.concatenate([_ends(*item) for item in self._squares.items()]))
         grid = np.full((window.height, window.width), UNKNOWN, dtype=np.uint8)
-        for corner, square in self._squares.items():
+        for corner in list(self._squares):
+            square = self._squares.pop(corner)  # both take the memory of the grid
             (x, y), (last_x, last_y) = _ends(corner, square) - (window.x, window.y)
             from_x, from_y = np.multiply(corner, SQUARE) - (window.x, window.y)
             rows, columns = (
@@ -190,58 +193,72 @@ def known_cells(sonar_map: MapContent, heights: Heights) -> GridLayer | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tops:
-    """The highest occupied voxel of each column.
+class TopStrip:
+    """Rows of a grid of the highest occupied voxel of each column.
 
     Attributes:
-        window: which columns.
-        z: (height, width) int32, index of the voxel in z, `NO_TOP` for empty cells; row 0 is the
-            south.
-        count: (height, width) uint16, number of pings that observed it.
+        z: (rows, width) int32, index of the voxel in z, `NO_TOP` for empty cells; row 0 is the
+            north.
+        count: (rows, width) uint16, number of pings that observed it.
     """
 
-    window: GridWindow
     z: NDArray[np.int32]
     count: NDArray[np.uint16]
 
 
-def top_voxels(sonar_map: MapContent, heights: Heights) -> Tops | None:
-    """The highest occupied voxel that counts of each column; None where none does.
+class Tops:
+    """The highest occupied voxel of each column, some rows in memory at a time.
+
+    Args:
+        sonar_map: the map; every strip reads it again.
+        heights: which voxels count.
 
     Raises:
         ExportError: the grid is too large.
-    """
-    voxels = sonar_map.occupied()
 
-    def chosen() -> Iterator[tuple[Ints, NDArray[np.uint16]]]:
-        for some in voxels.batches():
+    Attributes:
+        window: which columns; None where no voxel counts.
+    """
+
+    def __init__(self, sonar_map: MapContent, heights: Heights) -> None:
+        self._voxels = sonar_map.occupied()
+        self._heights = heights
+        self._resolution_m = sonar_map.resolution_m
+        corners = [(places.min(axis=0), places.max(axis=0)) for places, _ in self._chosen()]
+        columns = np.concatenate(corners).reshape(-1, 3)[:, :2] if corners else None
+        self.window = None if columns is None else window_of(columns)
+
+    def strips(self, rows: int) -> Iterator[TopStrip]:
+        """Yield the grid from the north.
+
+        Args:
+            rows: the height of each strip but the last is a multiple of it.
+        """
+        window = self.window
+        if window is None:
+            return
+        height = max(STRIP_CELLS // window.width // rows, 1) * rows
+        for end in range(window.height, 0, -height):
+            yield self._strip(window, max(end - height, 0), end)
+
+    def _strip(self, window: GridWindow, begin: int, end: int) -> TopStrip:
+        """Return the rows from `begin` to `end`, counted from the south."""
+        z = np.full((end - begin, window.width), NO_TOP, dtype=np.int32)
+        count = np.zeros(z.shape, dtype=np.uint16)
+        for places, observed in self._chosen():
+            rows = end - 1 - (places[:, 1] - window.y)
+            inside = (rows >= 0) & (rows < end - begin)
+            cells = rows[inside], places[inside, 0] - window.x
+            height, seen = places[inside, 2], observed[inside]
+            np.maximum.at(z, cells, height)
+            top = z[cells] == height
+            count[cells[0][top], cells[1][top]] = seen[top]
+        return TopStrip(z, count)
+
+    def _chosen(self) -> Iterator[tuple[Ints, NDArray[np.uint16]]]:
+        """Yield the indices (N, 3) and counts (N,) of the voxels that count."""
+        for some in self._voxels.batches():
             z_m = some.centres_m[:, 2]
-            counts = (z_m >= heights.min_m) & (z_m <= heights.max_m)
+            counts = (z_m >= self._heights.min_m) & (z_m <= self._heights.max_m)
             if counts.any():
-                yield (
-                    indices_of(some.centres_m[counts], sonar_map.resolution_m),
-                    some.count[counts],
-                )
-
-    corners = [(places.min(axis=0), places.max(axis=0)) for places, _ in chosen()]
-    if not corners:
-        return None
-    window = window_of(np.concatenate(corners).reshape(-1, 3)[:, :2])
-    z = np.full((window.height, window.width), NO_TOP, dtype=np.int32)
-    count = np.zeros(z.shape, dtype=np.uint16)
-    for places, observed in chosen():
-        cells = places[:, 1] - window.y, places[:, 0] - window.x
-        np.maximum.at(z, cells, places[:, 2])
-        top = z[cells] == places[:, 2]
-        count[cells[0][top], cells[1][top]] = observed[top]
-    return Tops(window, z, count)
-
-
-def top_cells(sonar_map: MapContent, heights: Heights) -> GridLayer | None:
-    """Index in z of the highest occupied voxel of each column that counts, int32, or `NO_TOP`.
-
-    Raises:
-        ExportError: the grid is too large.
-    """
-    tops = top_voxels(sonar_map, heights)
-    return None if tops is None else GridLayer(tops.z, tops.window)
+                yield indices_of(some.centres_m[counts], self._resolution_m), some.count[counts]

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 from mapperd.errors import ExportError
 from mapperd.export.calibration import ProbabilityCalibration
-from mapperd.export.cells import Heights, known_cells, top_cells, top_voxels
+from mapperd.export.cells import Heights, Tops, known_cells
 from mapperd.export.clouds import write_pcd, write_ply, write_xyz
 from mapperd.export.geotiff import write_geotiff
 from mapperd.export.grids import nav2_yaml, write_ascii_grid, write_pgm
@@ -128,7 +128,7 @@ def _xyz(sonar_map: MapContent, path: Path, _: _Asked) -> list[Path]:
 
 
 def _asc(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
-    tops = top_cells(sonar_map, asked.heights)
+    tops = Tops(sonar_map, asked.heights)
     with atomic_file(path) as file:
         write_ascii_grid(file, tops, sonar_map.resolution_m)
     return [path]
@@ -142,7 +142,7 @@ def _las(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
 
 
 def _tif(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
-    tops = top_voxels(sonar_map, asked.heights)
+    tops = Tops(sonar_map, asked.heights)
     with atomic_file(path) as file:
         write_geotiff(file, tops, sonar_map.resolution_m, asked.origin)
     return [path]

@@ -72,9 +72,7 @@ TOPS = (
 )
 
 
-def write_geotiff(
-    file: BinaryIO, tops: Tops | None, resolution_m: float, origin: Origin | None
-) -> None:
+def write_geotiff(file: BinaryIO, tops: Tops, resolution_m: float, origin: Origin | None) -> None:
     """Write float32 heights (z up, metres, not depths) and counts, north on top.
 
     The cells are columns of voxels, the same as those of `.asc`.
@@ -88,9 +86,9 @@ def write_geotiff(
     Raises:
         ExportError: the library is not there, or there is nothing to write.
     """
-    if tops is None:
-        raise ExportError("no occupied voxel: there is no surface to write")
     window = tops.window
+    if window is None:
+        raise ExportError("no occupied voxel: there is no surface to write")
     place = GridPlace(
         window.x * resolution_m,
         (window.y + window.height) * resolution_m,
@@ -103,18 +101,19 @@ def write_geotiff(
 
 def _tiles(tops: Tops, resolution_m: float) -> Iterator[Floats32 | None]:
     """Yield tiles (edge, edge, 2) of heights and counts as `write_tiles` takes them."""
-    z_from_north, count_from_north = tops.z[::-1], tops.count[::-1]
-    for row, column in itertools.product(
-        range(0, tops.window.height, TILE_CELLS), range(0, tops.window.width, TILE_CELLS)
-    ):
-        at = slice(row, row + TILE_CELLS), slice(column, column + TILE_CELLS)
-        z, count = z_from_north[at], count_from_north[at]
-        known = z != NO_TOP
-        tile = np.full((TILE_CELLS, TILE_CELLS, len(TOPS)), NO_DATA, dtype=np.float32)
-        inside = tile[: z.shape[0], : z.shape[1]]
-        inside[known, 0] = (z[known] + 0.5) * resolution_m
-        inside[known, 1] = count[known]
-        yield tile if known.any() else None
+    for strip in tops.strips(TILE_CELLS):
+        height, width = strip.z.shape
+        for row, column in itertools.product(
+            range(0, height, TILE_CELLS), range(0, width, TILE_CELLS)
+        ):
+            at = slice(row, row + TILE_CELLS), slice(column, column + TILE_CELLS)
+            z, count = strip.z[at], strip.count[at]
+            known = z != NO_TOP
+            tile = np.full((TILE_CELLS, TILE_CELLS, len(TOPS)), NO_DATA, dtype=np.float32)
+            inside = tile[: z.shape[0], : z.shape[1]]
+            inside[known, 0] = (z[known] + 0.5) * resolution_m
+            inside[known, 1] = count[known]
+            yield tile if known.any() else None
 
 
 def write_tiles(

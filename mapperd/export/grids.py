@@ -6,7 +6,7 @@ from typing import BinaryIO
 import numpy as np
 
 from mapperd.errors import ExportError
-from mapperd.export.cells import NO_TOP, GridLayer
+from mapperd.export.cells import NO_TOP, GridLayer, GridWindow, Tops
 
 __all__ = [
     "FREE_THRESH",
@@ -20,8 +20,11 @@ __all__ = [
 
 NO_DATA = "-9999"
 
+ROWS_AT_ONCE = 256
+"""Rows of a picture that are made at a time."""
 
-def write_ascii_grid(file: BinaryIO, tops: GridLayer | None, resolution_m: float) -> None:
+
+def write_ascii_grid(file: BinaryIO, tops: Tops, resolution_m: float) -> None:
     """Write elevations in metres: z up, not a depth, of the centre of each column's top voxel.
 
     The format has no place for units, axes or a name of the frame: x is east and y north, in
@@ -29,24 +32,24 @@ def write_ascii_grid(file: BinaryIO, tops: GridLayer | None, resolution_m: float
 
     Args:
         file: where to.
-        tops: indices of the highest occupied voxels.
+        tops: highest occupied voxels.
         resolution_m: edge of a cell.
 
     Raises:
         ExportError: there is nothing to write; the format knows no empty grid.
     """
-    if tops is None:
+    if tops.window is None:
         raise ExportError("no occupied voxel: there is no surface to write")
-    file.write(_header(tops, resolution_m).encode("ascii"))
-    for row in np.flipud(tops.values):  # the first line is the north
-        known = row != NO_TOP
-        words = np.full(len(row), NO_DATA, dtype=object)
-        words[known] = [f"{z:.4f}" for z in ((row[known] + 0.5) * resolution_m).tolist()]
-        file.write((" ".join(words.tolist()) + "\n").encode("ascii"))
+    file.write(_header(tops.window, resolution_m).encode("ascii"))
+    for strip in tops.strips(1):
+        for row in strip.z:  # the first line is the north
+            known = row != NO_TOP
+            words = np.full(len(row), NO_DATA, dtype=object)
+            words[known] = [f"{z:.4f}" for z in ((row[known] + 0.5) * resolution_m).tolist()]
+            file.write((" ".join(words.tolist()) + "\n").encode("ascii"))
 
 
-def _header(tops: GridLayer, resolution_m: float) -> str:
-    window = tops.window
+def _header(window: GridWindow, resolution_m: float) -> str:
     lines = [
         f"ncols {window.width}",
         f"nrows {window.height}",
@@ -79,7 +82,11 @@ def write_pgm(file: BinaryIO, cells: GridLayer | None) -> None:
         raise ExportError("nothing is known at these heights: there is no grid to write")
     window = cells.window
     file.write(f"P5\n{window.width} {window.height}\n255\n".encode("ascii"))
-    file.write(np.ascontiguousarray(GREY[np.flipud(cells.values)]).data)
+    from_north = cells.values[::-1]
+    file.writelines(
+        GREY[from_north[row : row + ROWS_AT_ONCE]].tobytes()
+        for row in range(0, window.height, ROWS_AT_ONCE)
+    )
 
 
 def nav2_yaml(image: str, cells: GridLayer, resolution_m: float) -> bytes:

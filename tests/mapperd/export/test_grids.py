@@ -63,6 +63,31 @@ def test_asc_agrees_with_a_loop_over_the_voxels(large_map: SonarMap, saved: Save
             assert band[grid.index(x, y)] == z
 
 
+@pytest.mark.parametrize("name", ["harbour.asc", "harbour.tif", "harbour.pgm"])
+def test_strips_of_a_grid_make_the_file_of_the_whole(
+    large_map: SonarMap, saved: Saved, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = saved(large_map, name).read_bytes()
+    tops = cells.Tops(large_map, Heights())
+    assert tops.window is not None
+    rows = tops.window.height
+    monkeypatch.setattr(cells, "STRIP_CELLS", 1)
+    monkeypatch.setattr("mapperd.export.geotiff.TILE_CELLS", 16)
+    monkeypatch.setattr("mapperd.export.grids.ROWS_AT_ONCE", 3)
+    strips = list(tops.strips(16))
+    assert [len(strip.z) for strip in strips] == [16] * (rows // 16) + [rows % 16] * (rows % 16 > 0)
+    assert len(strips) > 1
+    if name.endswith(".tif"):
+        with (
+            rasterio.open(saved(large_map, name)) as grid,
+            rasterio.MemoryFile(whole) as before,
+            before.open() as first,
+        ):
+            assert np.array_equal(grid.read(), first.read())
+    else:
+        assert saved(large_map, name).read_bytes() == whole
+
+
 def test_asc_of_a_band_of_heights(sonar_map: SonarMap, saved: Saved) -> None:
     path = saved(sonar_map, "harbour.asc", Heights(-8.0, -6.5))
     assert elevation(path, -3.125, 20.375) == -7.875
