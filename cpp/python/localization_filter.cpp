@@ -31,20 +31,20 @@ loc::FitKind kind_of(const std::string& name) {
   throw std::invalid_argument("kind must be cube_sum_from_one, cube_sum or product, not " + name);
 }
 
-loc::FilterRule rule_of(std::size_t min_particles, std::size_t max_particles, double kld_error,
-                        double kld_quantile, double bucket_x_m, double bucket_y_m,
-                        double bucket_yaw_rad, const std::string& resampling, double alpha_slow,
-                        double alpha_fast, std::size_t resample_interval, bool selective,
-                        double max_step_m, double least_effective_share, double draw_exponent) {
-  const loc::KldRule kld{kld_error, kld_quantile, bucket_x_m, bucket_y_m, bucket_yaw_rad};
-  const loc::FilterRule rule{{min_particles, max_particles, kld, scheme_of(resampling)},
-                             alpha_slow,
-                             alpha_fast,
-                             resample_interval,
-                             selective,
-                             max_step_m,
-                             least_effective_share,
-                             draw_exponent};
+loc::FilterParams rule_of(std::size_t min_particles, std::size_t max_particles, double kld_error,
+                          double kld_quantile, double bucket_x_m, double bucket_y_m,
+                          double bucket_yaw_rad, const std::string& resampling, double alpha_slow,
+                          double alpha_fast, std::size_t resample_interval, bool selective,
+                          double max_step_m, double least_effective_share, double draw_exponent) {
+  const loc::KldParams kld{kld_error, kld_quantile, bucket_x_m, bucket_y_m, bucket_yaw_rad};
+  const loc::FilterParams rule{{min_particles, max_particles, kld, scheme_of(resampling)},
+                               alpha_slow,
+                               alpha_fast,
+                               resample_interval,
+                               selective,
+                               max_step_m,
+                               least_effective_share,
+                               draw_exponent};
   loc::check_filter_rule(rule);
   return rule;
 }
@@ -134,7 +134,7 @@ void restore(loc::ParticleFilter& filter, const py::object& poses, const py::obj
 }
 
 py::tuple modes_of(const loc::ParticleFilter& filter, double bucket_xy_m, double bucket_yaw_rad) {
-  const loc::ClusterRule rule{bucket_xy_m, bucket_yaw_rad, loc::ClusterRule{}.cap_percentile};
+  const loc::ClusterParams rule{bucket_xy_m, bucket_yaw_rad, loc::ClusterParams{}.cap_percentile};
   loc::Clusters clusters;
   loc::Estimate best;
   {
@@ -177,7 +177,7 @@ void bind_results(py::module_& module) {
       .def("add", &loc::Recovery::add, "fit"_a)
       .def("reset", &loc::Recovery::reset)
       .def_property_readonly("injected_share", &loc::Recovery::injected_share);
-  py::class_<loc::FilterRule>(module, "MclRule")
+  py::class_<loc::FilterParams>(module, "MclRule")
       .def(py::init(&rule_of), py::kw_only(), "min_particles"_a, "max_particles"_a, "kld_error"_a,
            "kld_quantile"_a, "bucket_x_m"_a, "bucket_y_m"_a, "bucket_yaw_rad"_a,
            "resampling"_a = "low_variance", "alpha_slow"_a = 0.0, "alpha_fast"_a = 0.0,
@@ -192,7 +192,7 @@ void bind_localization_filter(py::module_& module) {
   const auto unlocked = py::call_guard<py::gil_scoped_release>();
   bind_results(module);
   py::class_<Filter>(module, "MclFilter")
-      .def(py::init<const loc::FilterRule&, std::uint64_t, int>(), "rule"_a, "seed"_a,
+      .def(py::init<const loc::FilterParams&, std::uint64_t, int>(), "rule"_a, "seed"_a,
            "threads"_a = 1)
       .def("set_rule", &Filter::set_rule, "rule"_a)
       .def("set_threads", &Filter::set_threads, "threads"_a)

@@ -36,7 +36,7 @@ loc::UnknownSpace unknown_of(const std::string& name) {
 
 loc::LikelihoodField field_of_grid(const loc::OccupancyGrid& grid, const loc::HitModel& model,
                                    bool only_boundaries, const std::string& unknown, int threads) {
-  const loc::ObstacleRule rule{only_boundaries, unknown_of(unknown)};
+  const loc::ObstacleParams rule{only_boundaries, unknown_of(unknown)};
   const py::gil_scoped_release release;
   return loc::LikelihoodField(grid, model, rule, threads);
 }

@@ -40,7 +40,7 @@ MAPPERD_VECTORISED void slide(const float* from, const float* taps, std::size_t 
 }
 
 // A row as the range response leaves it, in `to`, which holds columns * parts numbers.
-void spread_row(const Grid& grid, const Response& response, std::size_t row, float* to) {
+void spread_row(const CellGrid& grid, const Response& response, std::size_t row, float* to) {
   const std::size_t width = grid.columns * grid.parts;
   const std::size_t reach = response.range_count / 2;
   std::fill(to, to + width, 0.0F);
@@ -50,8 +50,8 @@ void spread_row(const Grid& grid, const Response& response, std::size_t row, flo
   }
 }
 
-void form_directly(const Grid& grid, const Response& response, std::size_t first, std::size_t beams,
-                   float* out, unsigned threads) {
+void form_directly(const CellGrid& grid, const Response& response, std::size_t first,
+                   std::size_t beams, float* out, unsigned threads) {
   const std::size_t reach = response.count / 2;
   const std::size_t width = beams * grid.parts;
   // Silence on both sides, wide enough for every beam's taps.
@@ -66,7 +66,7 @@ void form_directly(const Grid& grid, const Response& response, std::size_t first
   });
 }
 
-void form_by_transform(const Grid& grid, const Response& response, std::size_t first,
+void form_by_transform(const CellGrid& grid, const Response& response, std::size_t first,
                        std::size_t beams, float* out, unsigned threads) {
   const Convolution convolution(response.taps, response.count, grid.columns, first, beams);
   in_row_bands(grid.rows, threads, [&](std::size_t row, std::size_t last) {
@@ -82,13 +82,13 @@ void form_by_transform(const Grid& grid, const Response& response, std::size_t f
 
 }  // namespace
 
-void form_beams(const Grid& grid, const Response& response, std::size_t first, std::size_t beams,
-                float* out, unsigned threads) {
+void form_beams(const CellGrid& grid, const Response& response, std::size_t first,
+                std::size_t beams, float* out, unsigned threads) {
   const auto form = response.count <= kDirectTaps ? form_directly : form_by_transform;
   form(grid, response, first, beams, out, threads);
 }
 
-void form_beams_at(const Grid& grid, const Response& response, const std::int64_t* firsts,
+void form_beams_at(const CellGrid& grid, const Response& response, const std::int64_t* firsts,
                    std::size_t beams, float* out, unsigned threads) {
   const auto columns = static_cast<std::int64_t>(grid.columns);
   in_row_bands(grid.rows, threads, [=](std::size_t row, std::size_t last) {

@@ -9,7 +9,7 @@ namespace acoustics = mapperd::acoustics;
 
 namespace {
 
-using acoustics::Grid;
+using acoustics::CellGrid;
 using acoustics::Response;
 
 std::vector<float> random_numbers(std::size_t count, std::uint64_t key) {
@@ -54,7 +54,7 @@ void compare(const Setup& s, unsigned threads) {
   const std::vector<float> taps = random_numbers(s.taps, 2);
   const std::vector<float> range = random_numbers(s.range_taps, 3);
   std::vector<float> out(s.rows * s.beams * s.parts, -7.0F);
-  const Grid grid{cells.data(), s.rows, s.columns, s.parts};
+  const CellGrid grid{cells.data(), s.rows, s.columns, s.parts};
   const Response response{taps.data(), s.taps, range.data(), s.range_taps};
   acoustics::form_beams(grid, response, s.first, s.beams, out.data(), threads);
   const std::vector<double> expected = brute_force(s, cells, taps, range);
@@ -110,7 +110,7 @@ TEST_CASE("beams anywhere with the pitch's own places are those of the pitch") {
   const std::vector<float> cells = random_numbers(6 * 40 * 2, 1);
   const std::vector<float> taps = random_numbers(15, 2);
   const std::vector<float> range{0.25F, 1.0F, 0.25F};
-  const Grid grid{cells.data(), 6, 40, 2};
+  const CellGrid grid{cells.data(), 6, 40, 2};
   std::vector<float> expected(6 * 32 * 2);
   acoustics::form_beams(grid, {taps.data(), 15, range.data(), 3}, 4, 32, expected.data(), 1);
   std::vector<float> repeated;

@@ -181,7 +181,7 @@ struct Bench {
     const Particles start = cloud(count);
     std::mt19937_64 generator(1);
     plain::Cloud other;
-    FilterRule rule;
+    FilterParams rule;
     rule.resample.min_particles = rule.resample.max_particles = count;
     ParticleFilter filter(rule, 1, 1);
     ParticleFilter independent(rule, 1, 1);

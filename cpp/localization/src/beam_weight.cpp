@@ -212,13 +212,13 @@ void beam_log_likelihoods(const RangeMap& map, const Beams& beams, const BeamMod
                           std::size_t first, std::size_t last, double* out) {
   const double peak = model.z_hit / (model.sigma_hit_m * std::sqrt(2.0 * kPi));
   const double floor = std::max(1e-12 * peak, 1e-27);
-  const Lattice lattice = lattice_of(map.frame());
+  const GridTransform to_grid = grid_transform_of(map.frame());
   BeamBlock block(map, beams, model);
   BlockPoses poses;
   double logs[kBlock];
   for (std::size_t start = first; start < last; start += kBlock) {
     const std::size_t count = std::min(kBlock, last - start);
-    pose_block(&particles.x[start], &particles.y[start], &particles.yaw[start], count, lattice,
+    pose_block(&particles.x[start], &particles.y[start], &particles.yaw[start], count, to_grid,
                poses);
     block.place(poses);
     if (aggregation == BeamAggregation::kCubeSum) {

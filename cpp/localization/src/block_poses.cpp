@@ -3,9 +3,9 @@
 namespace mapperd::localization {
 
 MAPPERD_VECTORISED_WIDE void pose_block(const double* x, const double* y, const double* yaw,
-                                        std::size_t count, const Lattice& lattice,
+                                        std::size_t count, const GridTransform& to_grid,
                                         BlockPoses& out) {
-  const Lattice l = lattice;
+  const GridTransform l = to_grid;
   for (std::size_t i = 0; i < count; ++i) {
     const double dx = x[i] - l.origin_x;
     const double dy = y[i] - l.origin_y;

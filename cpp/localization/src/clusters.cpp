@@ -21,14 +21,14 @@ struct Cell {
   std::size_t label = kNone;
 };
 
-struct Cells {
+struct PoseCells {
   std::vector<Cell> cell;
   std::vector<std::size_t> of_particle;
   std::unordered_map<std::uint64_t, std::size_t> place;
 };
 
-Cells cells_of(const Particles& p, const std::vector<double>& w, const ClusterRule& rule) {
-  Cells cells;
+PoseCells cells_of(const Particles& p, const std::vector<double>& w, const ClusterParams& rule) {
+  PoseCells cells;
   cells.place.reserve(p.size());
   for (std::size_t i = 0; i < p.size(); ++i) {
     const std::uint64_t bucket =
@@ -63,7 +63,7 @@ std::vector<std::size_t> by_falling_weight(const std::vector<Cell>& cells) {
 }
 
 // The six neighbours; headings go round.
-void spread_from(Cells& cells, std::size_t from, const ClusterRule& rule,
+void spread_from(PoseCells& cells, std::size_t from, const ClusterParams& rule,
                  std::vector<std::size_t>& open) {
   const Cell here = cells.cell[from];
   for (int k = 0; k < 6; ++k) {
@@ -82,7 +82,7 @@ void spread_from(Cells& cells, std::size_t from, const ClusterRule& rule,
   }
 }
 
-std::size_t label_cells(Cells& cells, const ClusterRule& rule) {
+std::size_t label_cells(PoseCells& cells, const ClusterParams& rule) {
   std::size_t labels = 0;
   std::vector<std::size_t> open;
   for (const std::size_t start : by_falling_weight(cells.cell)) {
@@ -101,12 +101,12 @@ std::size_t label_cells(Cells& cells, const ClusterRule& rule) {
 }  // namespace
 
 Clusters clusters_of(const Particles& particles, const std::vector<double>& weight,
-                     const ClusterRule& rule) {
+                     const ClusterParams& rule) {
   if (!(rule.bucket_xy_m >= 1e-3 && rule.bucket_yaw_rad >= 1e-3)) {
     throw std::invalid_argument("the clusters' buckets must be at least 0.001");
   }
   if (particles.size() == 0) return {};
-  Cells cells = cells_of(particles, weight, rule);
+  PoseCells cells = cells_of(particles, weight, rule);
   cap(cells.cell, rule.cap_percentile);
   const std::size_t labels = label_cells(cells, rule);
   std::vector<double> mass(labels);

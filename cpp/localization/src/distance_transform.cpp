@@ -37,9 +37,10 @@ std::vector<std::int32_t> along_columns(const std::vector<std::uint8_t>& marked,
 }
 
 // The parabolas (c - site)^2 + height that are the lowest somewhere in one row.
-class Envelope {
+class RowEnvelope {
  public:
-  explicit Envelope(std::size_t columns) : site_(columns), height_(columns), from_(columns + 1) {}
+  explicit RowEnvelope(std::size_t columns)
+      : site_(columns), height_(columns), from_(columns + 1) {}
 
   // Replaces distances along columns by squared distances.
   void transform(std::int32_t* row, std::int32_t columns, std::int32_t limit) {
@@ -98,7 +99,7 @@ std::vector<std::int32_t> squared_distances(const std::vector<std::uint8_t>& mar
   std::vector<std::int32_t> distance = along_columns(marked, rows, columns);
   const std::int32_t reach = std::min(limit, kFarCells - 1);
   run_parallel((rows + kRowsATask - 1) / kRowsATask, threads, [&](std::size_t task) {
-    Envelope envelope(columns);
+    RowEnvelope envelope(columns);
     const std::size_t end = std::min(rows, (task + 1) * kRowsATask);
     for (std::size_t r = task * kRowsATask; r < end; ++r) {
       envelope.transform(&distance[r * columns], static_cast<std::int32_t>(columns), reach);

@@ -83,13 +83,13 @@ MAPPERD_VECTORISED_WIDE void products(const BlockPoses& poses, const Task& task,
   product.logs(kappa, out);
 }
 
-Task task_of(const LikelihoodField& field, const Endpoints& ends, const Lattice& lattice) {
+Task task_of(const LikelihoodField& field, const Endpoints& ends, const GridTransform& to_grid) {
   Task task{{},
             ends.quality,
             ends.fan,
             field.background(),
-            lattice.last_u,
-            lattice.last_v,
+            to_grid.last_u,
+            to_grid.last_v,
             field.stride()};
   const double per_cell = 1.0 / field.frame().resolution_m;
   task.ends.reserve(ends.x_m.size());
@@ -126,13 +126,13 @@ void field_log_likelihoods(const LikelihoodField& field, const Endpoints& ends,
   if (!field.is_flat() && ends.z_m.empty() && ends.beams() > 0) {
     throw std::invalid_argument("a field with layers needs the heights of the ends of beams");
   }
-  const Lattice lattice = lattice_of(field.frame());
-  const Task task = task_of(field, ends, lattice);
+  const GridTransform to_grid = grid_transform_of(field.frame());
+  const Task task = task_of(field, ends, to_grid);
   BlockPoses poses;
   double logs[kBlock];
   for (std::size_t start = first; start < last; start += kBlock) {
     const std::size_t count = std::min(kBlock, last - start);
-    pose_block(&particles.x[start], &particles.y[start], &particles.yaw[start], count, lattice,
+    pose_block(&particles.x[start], &particles.y[start], &particles.yaw[start], count, to_grid,
                poses);
     if (aggregation == BeamAggregation::kCubeSum) {
       cube_sums(poses, task, logs);

@@ -21,7 +21,7 @@ std::uint64_t cut_to_bits(double bucket, int bits) {
 
 }  // namespace
 
-void check_kld(const KldRule& rule) {
+void check_kld(const KldParams& rule) {
   if (!(rule.error > 0.0 && rule.error <= 1.0)) {
     throw std::invalid_argument("the KLD error must lie above 0 and up to 1");
   }

@@ -72,7 +72,7 @@ void check_hit_model(const HitModel& m) {
 }
 
 LikelihoodField::LikelihoodField(const OccupancyGrid& grid, const HitModel& model,
-                                 const ObstacleRule& rule, int threads)
+                                 const ObstacleParams& rule, int threads)
     : frame_(grid.frame) {
   check_frame(frame_);
   check_hit_model(model);

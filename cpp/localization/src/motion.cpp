@@ -42,7 +42,7 @@ MotionDraws omnidirectional(double distance, double direction, double turn, cons
 }
 
 // Arrays of one block; plain pointers, for the vectoriser.
-struct Block {
+struct PoseBlock {
   double* __restrict__ x;
   double* __restrict__ y;
   double* __restrict__ yaw;
@@ -56,7 +56,7 @@ struct Scaled {
   double bearing;
 };
 
-MAPPERD_VECTORISED_WIDE void turn_go_turn(Block b, const Scaled& s, const NormalBlock& n) {
+MAPPERD_VECTORISED_WIDE void turn_go_turn(PoseBlock b, const Scaled& s, const NormalBlock& n) {
   const Scaled d = s;
   for (std::size_t i = 0; i < b.count; ++i) {
     const double first = d.mean[0] + d.sigma[0] * n.number[0][i];
@@ -70,7 +70,7 @@ MAPPERD_VECTORISED_WIDE void turn_go_turn(Block b, const Scaled& s, const Normal
   }
 }
 
-MAPPERD_VECTORISED_WIDE void go_and_turn(Block b, const Scaled& s, const NormalBlock& n) {
+MAPPERD_VECTORISED_WIDE void go_and_turn(PoseBlock b, const Scaled& s, const NormalBlock& n) {
   const Scaled d = s;
   for (std::size_t i = 0; i < b.count; ++i) {
     const double distance = d.mean[0] + d.sigma[0] * n.number[0][i];
@@ -83,7 +83,7 @@ MAPPERD_VECTORISED_WIDE void go_and_turn(Block b, const Scaled& s, const NormalB
   }
 }
 
-MAPPERD_VECTORISED_WIDE void shake(Block b, const Scaled& s, const NormalBlock& n) {
+MAPPERD_VECTORISED_WIDE void shake(PoseBlock b, const Scaled& s, const NormalBlock& n) {
   const Scaled d = s;
   for (std::size_t i = 0; i < b.count; ++i) {
     const double ahead = d.sigma[0] * n.number[0][i];
@@ -95,7 +95,7 @@ MAPPERD_VECTORISED_WIDE void shake(Block b, const Scaled& s, const NormalBlock& 
   }
 }
 
-void apply(const Block& block, const MotionDraws& draws, const NormalBlock& normals) {
+void apply(const PoseBlock& block, const MotionDraws& draws, const NormalBlock& normals) {
   const Scaled scaled{{draws.mean[0], draws.mean[1], draws.mean[2]},
                       {draws.sigma[0], draws.sigma[1], draws.sigma[2]},
                       draws.bearing_rad};
@@ -109,7 +109,7 @@ void apply(const Block& block, const MotionDraws& draws, const NormalBlock& norm
   }
 }
 
-void apply_floor(const Block& block, const MotionFloor& floor, const NormalBlock& normals) {
+void apply_floor(const PoseBlock& block, const MotionFloor& floor, const NormalBlock& normals) {
   for (std::size_t i = 0; i < block.count; ++i) {
     block.x[i] += floor.sigma_xy_m * normals.number[0][i];
     block.y[i] += floor.sigma_xy_m * normals.number[1][i];
@@ -147,7 +147,7 @@ void move(Particles& particles, std::size_t first, std::size_t last, const Motio
   const bool has_floor = floor.sigma_xy_m > 0.0 || floor.sigma_yaw_rad > 0.0;
   for (std::size_t start = first; start < last; start += kBlock) {
     const std::size_t count = std::min(kBlock, last - start);
-    const Block block{&particles.x[start], &particles.y[start], &particles.yaw[start], count};
+    const PoseBlock block{&particles.x[start], &particles.y[start], &particles.yaw[start], count};
     draw_normals(stream, Purpose::kMotion, start, count, normals);
     apply(block, draws, normals);
     if (!has_floor) continue;

@@ -42,8 +42,8 @@ bool sum_to_one(Particles& particles) {
 
 }  // namespace
 
-void check_filter_rule(const FilterRule& rule) {
-  const ResampleRule& r = rule.resample;
+void check_filter_rule(const FilterParams& rule) {
+  const ResampleParams& r = rule.resample;
   if (r.min_particles < 1 || r.min_particles > r.max_particles || r.max_particles > kMaxParticles) {
     throw std::invalid_argument("particles must be 1 <= min <= max <= 10000000");
   }
@@ -61,12 +61,12 @@ void check_filter_rule(const FilterRule& rule) {
   }
 }
 
-ParticleFilter::ParticleFilter(const FilterRule& rule, std::uint64_t seed, int threads)
+ParticleFilter::ParticleFilter(const FilterParams& rule, std::uint64_t seed, int threads)
     : rule_(rule), seed_(seed), threads_(threads), recovery_(rule.alpha_slow, rule.alpha_fast) {
   check_filter_rule(rule);
 }
 
-void ParticleFilter::set_rule(const FilterRule& rule) {
+void ParticleFilter::set_rule(const FilterParams& rule) {
   check_filter_rule(rule);
   const bool same = rule.alpha_slow == rule_.alpha_slow && rule.alpha_fast == rule_.alpha_fast;
   if (!same) recovery_ = Recovery(rule.alpha_slow, rule.alpha_fast);
@@ -291,7 +291,7 @@ double ParticleFilter::log_of_mean_kept(const std::vector<double>& draw_weight) 
 }
 
 bool ParticleFilter::fits_one_bucket(const Estimate& estimate) const {
-  const KldRule& kld = rule_.resample.kld;
+  const KldParams& kld = rule_.resample.kld;
   return estimate.heading_known && std::sqrt(estimate.covariance[0][0]) < kld.bucket_x_m &&
          std::sqrt(estimate.covariance[1][1]) < kld.bucket_y_m &&
          std::sqrt(estimate.covariance[2][2]) < kld.bucket_yaw_rad;
@@ -301,7 +301,7 @@ double ParticleFilter::effective_size() const { return localization::effective_s
 
 Estimate ParticleFilter::estimate() const { return estimate_of(particles_, weights()); }
 
-Clusters ParticleFilter::clusters(const ClusterRule& rule) const {
+Clusters ParticleFilter::clusters(const ClusterParams& rule) const {
   return clusters_of(particles_, weights(), rule);
 }
 

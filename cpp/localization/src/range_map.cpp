@@ -213,7 +213,7 @@ void RangeMap::cast(const Rays& rays, double most, double* out) const {
 
 double RangeMap::cast(const Pose2& ray, double max_range_m) const {
   BlockPoses poses;
-  pose_block(&ray.x, &ray.y, &ray.yaw, 1, lattice_of(frame_), poses);
+  pose_block(&ray.x, &ray.y, &ray.yaw, 1, grid_transform_of(frame_), poses);
   Rays rays;
   rays.count = 1;
   rays.u[0] = poses.u[0];

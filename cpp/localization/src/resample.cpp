@@ -77,7 +77,7 @@ class Draws {
   Stream stream_;
 };
 
-Drawn independent(const Draws& draws, const ResampleRule& rule, bool converged) {
+Drawn independent(const Draws& draws, const ResampleParams& rule, bool converged) {
   Drawn drawn;
   const bool fixed = rule.min_particles == rule.max_particles;
   BucketSet buckets(fixed ? 1 : rule.max_particles);
@@ -86,7 +86,7 @@ Drawn independent(const Draws& draws, const ResampleRule& rule, bool converged) 
     const std::size_t parent = draws.parent(i);
     drawn.parent.push_back(parent);
     if (fixed) continue;
-    const KldRule& kld = rule.kld;
+    const KldParams& kld = rule.kld;
     const std::uint64_t bucket =
         bucket_of(draws.pose(i, parent), kld.bucket_x_m, kld.bucket_y_m, kld.bucket_yaw_rad);
     if (!buckets.insert(bucket)) continue;
@@ -132,7 +132,7 @@ std::vector<std::size_t> comb(const std::vector<double>& weight, std::size_t cou
 }
 
 Drawn draw_parents(const Particles& particles, const std::vector<double>& weight,
-                   const ResampleRule& rule, bool converged, double random_share,
+                   const ResampleParams& rule, bool converged, double random_share,
                    const FreeSpace* free, const Stream& stream) {
   const bool fixed = rule.min_particles == rule.max_particles;
   const bool combed = rule.scheme == Scheme::kLowVariance;

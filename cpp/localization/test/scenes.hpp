@@ -72,8 +72,8 @@ inline Matrix3 diagonal(double xx, double yy, double aa) {
   return {{{xx, 0, 0}, {0, yy, 0}, {0, 0, aa}}};
 }
 
-inline FilterRule sized(std::size_t min_particles, std::size_t max_particles) {
-  FilterRule rule;
+inline FilterParams sized(std::size_t min_particles, std::size_t max_particles) {
+  FilterParams rule;
   rule.resample.min_particles = min_particles;
   rule.resample.max_particles = max_particles;
   return rule;

@@ -23,7 +23,7 @@ TEST_CASE("a vehicle that circles for ever stays where it is, and its numbers so
   hits.max_range_m = 30.0;
   const LikelihoodField field(grid, hits, {}, 1);
   const FreeSpace free(grid);
-  FilterRule rule = sized(24, 24);
+  FilterParams rule = sized(24, 24);
   rule.alpha_slow = 0.0001;
   rule.alpha_fast = 0.001;
   rule.resample_interval = 3;

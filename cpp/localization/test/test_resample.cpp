@@ -48,7 +48,7 @@ Particles in_a_row(std::size_t count) {
 
 TEST_CASE("independent draws come as often as their weights require (chi-square)") {
   const auto weight = uneven(101);
-  ResampleRule rule{50000, 50000, {}, Scheme::kMultinomial};
+  ResampleParams rule{50000, 50000, {}, Scheme::kMultinomial};
   for (std::uint64_t seed = 1; seed <= 5; ++seed) {
     const Drawn drawn = draw_parents(in_a_row(101), weight, rule, false, 0.0, nullptr, {seed, 1});
     CHECK(drawn.parent.size() == 50000);
@@ -62,7 +62,7 @@ TEST_CASE("weights of any sum are drawn as those of sum 1 are") {
     const auto share = uneven(101);
     auto weight = share;
     for (double& w : weight) w *= sum;
-    const ResampleRule rule{20000, 20000, {}, Scheme::kMultinomial};
+    const ResampleParams rule{20000, 20000, {}, Scheme::kMultinomial};
     const Drawn drawn = draw_parents(in_a_row(101), weight, rule, false, 0.0, nullptr, {1, 1});
     const double chi = chi_square(drawn.parent, share);
     CHECK((chi > 0.5 && chi < 1.5));
@@ -94,7 +94,7 @@ TEST_CASE("the comb takes none without weight, not even where a tooth is an edge
 
 TEST_CASE("offsets of the comb are uniform: means over many combs are the weights") {
   const auto weight = uneven(23);
-  ResampleRule rule{10, 10, {}, Scheme::kLowVariance};
+  ResampleParams rule{10, 10, {}, Scheme::kLowVariance};
   std::vector<std::size_t> all;
   for (std::uint64_t step = 0; step < 20000; ++step) {
     const Drawn drawn = draw_parents(in_a_row(23), weight, rule, false, 0.0, nullptr, {3, step});
@@ -110,7 +110,7 @@ TEST_CASE("a weight of 1 among zeros is every particle's parent, in first and la
     std::vector<double> weight(10, 0.0);
     weight[place] = 1.0;
     for (const Scheme scheme : {Scheme::kLowVariance, Scheme::kMultinomial}) {
-      const ResampleRule rule{5, 50, {}, scheme};
+      const ResampleParams rule{5, 50, {}, scheme};
       const Drawn drawn = draw_parents(in_a_row(10), weight, rule, false, 0.0, nullptr, {1, 1});
       for (const std::size_t parent : drawn.parent) CHECK(parent == place);
       CHECK(drawn.parent.size() == 50);  // one bucket has no information
@@ -141,7 +141,7 @@ TEST_CASE("the number follows the buckets seen") {
   for (const Scheme scheme : {Scheme::kLowVariance, Scheme::kMultinomial}) {
     Particles particles = in_a_row(1000);
     for (std::size_t i = 0; i < 1000; ++i) particles.x[i] = static_cast<double>(i % 20) + 0.25;
-    const ResampleRule rule{50, 5000, {0.05, 3.0, 1.0, 1.0, 0.5}, scheme};
+    const ResampleParams rule{50, 5000, {0.05, 3.0, 1.0, 1.0, 0.5}, scheme};
     const Drawn drawn = draw_parents(particles, weight, rule, false, 0.0, nullptr, {8, 1});
     CHECK(drawn.buckets == 20);
     CHECK(drawn.parent.size() == 430);  // n(20) for 0.05 and 3
@@ -153,7 +153,7 @@ TEST_CASE("random particles are the share asked for, fill buckets and lie in fre
   const FreeSpace free(grid);
   const std::vector<double> weight(100, 0.01);
   for (const Scheme scheme : {Scheme::kLowVariance, Scheme::kMultinomial}) {
-    const ResampleRule rule{20000, 20000, {}, scheme};
+    const ResampleParams rule{20000, 20000, {}, scheme};
     const Drawn drawn = draw_parents(in_a_row(100), weight, rule, false, 0.25, &free, {2, 2});
     double random = 0.0;
     for (const std::size_t parent : drawn.parent) random += parent == kRandom ? 1.0 : 0.0;

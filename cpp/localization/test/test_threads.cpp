@@ -11,7 +11,7 @@ Particles run(int threads, std::uint64_t seed, bool beams) {
   const RangeMap ranges(grid, false, threads);
   const LikelihoodField field(grid, {}, {}, threads);
   const FreeSpace free(grid);
-  FilterRule rule = sized(700, 3000);
+  FilterParams rule = sized(700, 3000);
   rule.alpha_slow = 0.05;
   rule.alpha_fast = 0.5;
   ParticleFilter filter(rule, seed, threads);

@@ -3,17 +3,17 @@
 namespace mapperd::map {
 
 Voxel BlockWriter::at(const VoxelIndex& voxel) {
-  const Place at = enter(voxel);
+  const VoxelPlace at = enter(voxel);
   return {at.cell.units()[at.voxel], at.cell.count(at.voxel)};
 }
 
 void BlockWriter::set(const VoxelIndex& voxel, const Voxel& state) {
-  const Place at = enter(voxel);
+  const VoxelPlace at = enter(voxel);
   at.cell.units()[at.voxel] = state.units;
   at.cell.set_count(at.voxel, state.count);
 }
 
-BlockWriter::Place BlockWriter::enter(const VoxelIndex& voxel) {
+BlockWriter::VoxelPlace BlockWriter::enter(const VoxelIndex& voxel) {
   const BlockKey key = block_holding(voxel);
   if (block_ == nullptr || !(block_->key == key)) {
     leave();

@@ -323,7 +323,7 @@ double EvidenceGrid::binned_column_of(double sine) const {
   return static_cast<double>(bin_column_[i]) + sine * static_cast<double>(bin_slope_[i]);
 }
 
-inline EvidenceGrid::Place EvidenceGrid::place_of(const Vec3& v) const {
+inline EvidenceGrid::SamplePlace EvidenceGrid::place_of(const Vec3& v) const {
   const double horizontal = std::sqrt(v.x * v.x + v.y * v.y);
   return {(horizontal * sin_half_ - std::abs(v.z) * cos_half_) / edge_m_,
           std::sqrt(horizontal * horizontal + v.z * v.z) / row_pitch_, -v.y / horizontal};
@@ -335,7 +335,7 @@ CodeCounts EvidenceGrid::at(const CellPoints& points, std::uint8_t* codes,
                             std::uint8_t* shares) const {
   std::array<double, CellPoints::kCount> inside, row, sine;
   for (std::size_t i = 0; i < CellPoints::kCount; ++i) {
-    const Place place = place_of(points.at(i));
+    const SamplePlace place = place_of(points.at(i));
     inside[i] = place.inside;
     row[i] = place.row;
     sine[i] = place.sine;
@@ -351,7 +351,7 @@ CodeCounts EvidenceGrid::at(const CellPoints& points, std::uint8_t* codes,
   return found;
 }
 
-inline EvidenceGrid::Evidence EvidenceGrid::at(const Vec3& v, const Place& at) const {
+inline EvidenceGrid::Evidence EvidenceGrid::at(const Vec3& v, const SamplePlace& at) const {
   const auto& [inside, row, sine] = at;
   if (!(v.x > 0) || inside <= -kOccupiedSlack) return {};
   const double column = irregular_ ? column_of(sine) : binned_column_of(sine);

@@ -72,7 +72,7 @@ void check_id(std::size_t at, std::string_view id) {
 }
 
 // The fields that must be there, and once.
-struct Seen {
+struct RequiredFields {
   bool id = false;
   bool size = false;
   bool res = false;
@@ -83,7 +83,8 @@ void first_time(std::size_t at, bool& seen, const char* keyword) {
   seen = true;
 }
 
-void parse_field(std::size_t at, std::string_view line, Seen& seen, OctomapHeader& header) {
+void parse_field(std::size_t at, std::string_view line, RequiredFields& seen,
+                 OctomapHeader& header) {
   const std::string_view keyword = line.substr(0, line.find_first_of(" \t"));
   const std::string_view value = trimmed(line.substr(keyword.size()));
   if (keyword == "id") {
@@ -107,7 +108,7 @@ void refuse_octomap(std::size_t at, const std::string& what) {
 OctomapHeader parse_octomap_header(std::string_view file) {
   OctomapHeader header;
   header.binary = magic_of(file);
-  Seen seen;
+  RequiredFields seen;
   std::size_t at = 0;
   while (true) {
     const std::size_t end = file.find('\n', at);

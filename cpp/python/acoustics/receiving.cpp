@@ -72,8 +72,8 @@ void add_gaussian_power(py::array_t<Complex>& field, const Floats& power, std::u
 }
 
 // The array as floats, and how many of them a cell has.
-struct Cells {
-  explicit Cells(const py::array& array)
+struct CellArray {
+  explicit CellArray(const py::array& array)
       : is_complex(array.dtype().kind() == 'c'),
         held(is_complex ? py::array(py::array_t<Complex, py::array::c_style>::ensure(array))
                         : py::array(Floats::ensure(array))) {
@@ -90,7 +90,7 @@ struct Cells {
 
   bool is_complex;
   py::array held;
-  acoustics::Grid grid;
+  acoustics::CellGrid grid;
 };
 
 void demand_odd(const Floats& taps, const char* what) {
@@ -99,7 +99,7 @@ void demand_odd(const Floats& taps, const char* what) {
 
 py::array form_beams(const py::array& cells, const Floats& taps, std::size_t first,
                      std::size_t beams, const Floats& range_taps, unsigned threads) {
-  const Cells from(cells);
+  const CellArray from(cells);
   demand_odd(taps, "taps are an odd number");
   demand_odd(range_taps, "range_taps are an odd number");
   py::array formed = from.like(from.grid.rows, beams);
@@ -113,7 +113,7 @@ py::array form_beams(const py::array& cells, const Floats& taps, std::size_t fir
 
 py::array form_beams_at(const py::array& cells, const Floats& taps, const Firsts& firsts,
                         const Floats& range_taps, unsigned threads) {
-  const Cells from(cells);
+  const CellArray from(cells);
   demand(taps.ndim() == 2 && firsts.ndim() == 1 && size_of(firsts, 0) == size_of(taps, 0),
          "taps are (beams, count) and firsts (beams,)");
   demand_odd(range_taps, "range_taps are an odd number");
@@ -129,7 +129,7 @@ py::array form_beams_at(const py::array& cells, const Floats& taps, const Firsts
 }
 
 py::array_t<float> amplitudes(const py::array& beams, const Floats& gain, unsigned threads) {
-  const Cells from(beams);
+  const CellArray from(beams);
   demand(gain.ndim() == 1 && size_of(gain, 0) == from.grid.rows, "one gain a row");
   py::array_t<float> shown(std::vector<std::size_t>{from.grid.rows, from.grid.columns});
   float* out = shown.mutable_data();

@@ -68,13 +68,13 @@ Setting setting(Array<float> loss, Array<float> vertical, Array<float> taps, py:
           {lambert, specular, spreading, turns_per_m, nodes_per_cell, key}};
 }
 
-struct Rays {
+struct RayArrays {
   Array<std::int32_t> face, seen, transmit, receive;
   Array<float> cell, span_m, gain;
   Array<double> legs;
 };
 
-void check(const FaceTable& faces, const Rays& rays) {
+void check(const FaceTable& faces, const RayArrays& rays) {
   static_assert(sizeof(acoustics::Leg) == 16 * sizeof(double));
   const py::ssize_t count = rays.face.size();
   require(rays.seen.size() == count && rays.transmit.size() == count &&
@@ -93,7 +93,7 @@ void check(const FaceTable& faces, const Rays& rays) {
   }
 }
 
-acoustics::Echoes echoes_of(const FaceTable& faces, const Rays& rays, const Setting& s) {
+acoustics::Echoes echoes_of(const FaceTable& faces, const RayArrays& rays, const Setting& s) {
   check(faces, rays);
   return {
       faces.view(),
@@ -113,7 +113,7 @@ T* cells_of(Array<T>& grid, const Setting& s) {
   return grid.mutable_data();
 }
 
-void scatter_field(Array<std::complex<float>> field, const FaceTable& faces, const Rays& rays,
+void scatter_field(Array<std::complex<float>> field, const FaceTable& faces, const RayArrays& rays,
                    const Setting& s, int threads) {
   const acoustics::Echoes echoes = echoes_of(faces, rays, s);
   auto* cells = cells_of(field, s);
@@ -121,17 +121,17 @@ void scatter_field(Array<std::complex<float>> field, const FaceTable& faces, con
   acoustics::scatter_field(echoes, cells, threads);
 }
 
-void scatter_power(Array<float> power, const FaceTable& faces, const Rays& rays, const Setting& s,
-                   int threads) {
+void scatter_power(Array<float> power, const FaceTable& faces, const RayArrays& rays,
+                   const Setting& s, int threads) {
   const acoustics::Echoes echoes = echoes_of(faces, rays, s);
   auto* cells = cells_of(power, s);
   const py::gil_scoped_release unlocked;
   acoustics::scatter_power(echoes, cells, threads);
 }
 
-Rays rays_of(Array<std::int32_t> face, Array<std::int32_t> seen, Array<std::int32_t> transmit,
-             Array<std::int32_t> receive, Array<float> cell, Array<float> span_m, Array<float> gain,
-             Array<double> legs) {
+RayArrays rays_of(Array<std::int32_t> face, Array<std::int32_t> seen, Array<std::int32_t> transmit,
+                  Array<std::int32_t> receive, Array<float> cell, Array<float> span_m,
+                  Array<float> gain, Array<double> legs) {
   return {face, seen, transmit, receive, cell, span_m, gain, legs};
 }
 
@@ -142,7 +142,7 @@ void bind_scatter(py::module_& module) {
   py::class_<FaceTable>(module, "FaceTable")
       .def(py::init(&face_table), arg("planes"), arg("objects"), arg("materials"), arg("smooth"),
            arg("curved_normal"), arg("table"));
-  py::class_<Rays>(module, "Rays")
+  py::class_<RayArrays>(module, "RayArrays")
       .def(py::init(&rays_of), arg("face"), arg("seen"), arg("transmit"), arg("receive"),
            arg("cell"), arg("span_m"), arg("gain"), arg("legs"));
   py::class_<Setting>(module, "Setting")

@@ -13,7 +13,7 @@
 
 namespace mapperd::acoustics {
 
-struct Grid {
+struct CellGrid {
   const float* cells;
   std::size_t rows, columns;
   std::size_t parts;  ///< 1 or 2
@@ -29,12 +29,12 @@ struct Response {
 
 /// Beam b hears column first + b + k - (count - 1) / 2 by taps[k]; columns and rows outside the
 /// grid are silent. `out` is (rows, beams), of as many parts.
-void form_beams(const Grid& grid, const Response& response, std::size_t first, std::size_t beams,
-                float* out, unsigned threads);
+void form_beams(const CellGrid& grid, const Response& response, std::size_t first,
+                std::size_t beams, float* out, unsigned threads);
 
 /// The same for beams that do not follow the columns' pitch: beam b hears column firsts[b] + k by
 /// taps[b * count + k]; count may be even.
-void form_beams_at(const Grid& grid, const Response& response, const std::int64_t* firsts,
+void form_beams_at(const CellGrid& grid, const Response& response, const std::int64_t* firsts,
                    std::size_t beams, float* out, unsigned threads);
 
 }  // namespace mapperd::acoustics

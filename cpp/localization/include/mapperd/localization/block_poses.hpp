@@ -21,14 +21,14 @@ struct BlockPoses {
 };
 
 /// Transform from the map frame to cells of the padded grid.
-struct Lattice {
+struct GridTransform {
   double origin_x, origin_y;
   double cosine, sine;  ///< of the grid, over the resolution
   double yaw;
   double last_u, last_v;  ///< the border
 };
 
-inline Lattice lattice_of(const GridFrame& frame) {
+inline GridTransform grid_transform_of(const GridFrame& frame) {
   return {frame.origin.x,
           frame.origin.y,
           std::cos(frame.origin.yaw) / frame.resolution_m,
@@ -40,6 +40,6 @@ inline Lattice lattice_of(const GridFrame& frame) {
 
 /// Computes the poses of `count` particles, and fills the rest of the block.
 void pose_block(const double* x, const double* y, const double* yaw, std::size_t count,
-                const Lattice& lattice, BlockPoses& out);
+                const GridTransform& to_grid, BlockPoses& out);
 
 }  // namespace mapperd::localization

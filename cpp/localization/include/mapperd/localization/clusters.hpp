@@ -14,7 +14,7 @@
 namespace mapperd::localization {
 
 /// Buckets of the clusters; finer than those of KLD-sampling.
-struct ClusterRule {
+struct ClusterParams {
   double bucket_xy_m = 0.2;
   double bucket_yaw_rad = 0.524;
   double cap_percentile = 0.9;  ///< buckets' mean weights are cut to this percentile's
@@ -31,7 +31,7 @@ struct Clusters {
 
 /// \throws std::invalid_argument for buckets of no size.
 Clusters clusters_of(const Particles& particles, const std::vector<double>& weight,
-                     const ClusterRule& rule);
+                     const ClusterParams& rule);
 
 /// Estimate from the heaviest cluster of at least two particles, or from all particles if no
 /// cluster has two.

@@ -15,7 +15,7 @@
 namespace mapperd::localization {
 
 /// `quantile` is the standard normal quantile itself, not a probability.
-struct KldRule {
+struct KldParams {
   double error = 0.05;
   double quantile = 0.99;
   double bucket_x_m = 0.5;
@@ -24,7 +24,7 @@ struct KldRule {
 };
 
 /// \throws std::invalid_argument for error 0, a negative quantile or buckets of no size.
-void check_kld(const KldRule& rule);
+void check_kld(const KldParams& rule);
 
 /// n(k) = ceil((k - 1) / (2 error) (1 - 2 / (9 (k - 1)) + quantile sqrt(2 / (9 (k - 1))))^3), the
 /// Wilson-Hilferty form of the chi-square quantile. Up to two buckets give no information: the

@@ -35,7 +35,7 @@ enum class UnknownSpace {
   kUniform,     ///< 1 / max_range: the reference's `model_unknown_space`, which draws poses outward
 };
 
-struct ObstacleRule {
+struct ObstacleParams {
   bool only_boundaries = false;  ///< occupied cells with a free one at a side; the rest is far
   UnknownSpace unknown = UnknownSpace::kAsFree;
 };
@@ -45,7 +45,7 @@ struct ObstacleRule {
 /// given. Values below 1e-12 of the largest are raised to that: no product is ever 0.
 class LikelihoodField {
  public:
-  LikelihoodField(const OccupancyGrid& grid, const HitModel& model, const ObstacleRule& rule,
+  LikelihoodField(const OccupancyGrid& grid, const HitModel& model, const ObstacleParams& rule,
                   int threads);
   /// Takes given values, row-major.
   LikelihoodField(const GridFrame& frame, const std::vector<float>& values, double outside);

@@ -21,8 +21,8 @@
 
 namespace mapperd::localization {
 
-struct FilterRule {
-  ResampleRule resample;
+struct FilterParams {
+  ResampleParams resample;
   double alpha_slow = 0.0;
   double alpha_fast = 0.0;
   std::size_t resample_interval = 1;  ///< in updates
@@ -38,7 +38,7 @@ struct FilterRule {
 };
 
 /// \throws std::invalid_argument for values out of range.
-void check_filter_rule(const FilterRule& rule);
+void check_filter_rule(const FilterParams& rule);
 
 /// Counters since the start.
 struct FilterCounts {
@@ -77,15 +77,15 @@ enum class FitKind { kCubeSumFromOne, kCubeSum, kProduct };
 /// of threads. Not to be used from two threads at once.
 class ParticleFilter {
  public:
-  ParticleFilter(const FilterRule& rule, std::uint64_t seed, int threads);
+  ParticleFilter(const FilterParams& rule, std::uint64_t seed, int threads);
 
   const Particles& particles() const { return particles_; }
-  const FilterRule& rule() const { return rule_; }
+  const FilterParams& rule() const { return rule_; }
   const FilterCounts& counts() const { return counts_; }
   std::uint64_t seed() const { return seed_; }
 
   /// Replaces the rule and keeps the cloud; the number of particles changes at the next resampling.
-  void set_rule(const FilterRule& rule);
+  void set_rule(const FilterParams& rule);
   void set_threads(int threads);
 
   /// Starts with a new cloud of max_particles, or with the one given; resets the averages and the
@@ -122,7 +122,7 @@ class ParticleFilter {
 
   double effective_size() const;
   Estimate estimate() const;
-  Clusters clusters(const ClusterRule& rule) const;
+  Clusters clusters(const ClusterParams& rule) const;
   std::vector<double> weights() const { return linear_weights(particles_.log_weight); }
 
  private:
@@ -134,7 +134,7 @@ class ParticleFilter {
   double log_of_mean_kept(const std::vector<double>& draw_weight) const;
   bool fits_one_bucket(const Estimate& estimate) const;
 
-  FilterRule rule_;
+  FilterParams rule_;
   std::uint64_t seed_;
   int threads_;
   std::uint64_t step_ = 0;

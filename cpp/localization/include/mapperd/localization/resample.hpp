@@ -19,10 +19,10 @@ enum class Scheme {
   kMultinomial,  ///< independent draws
 };
 
-struct ResampleRule {
+struct ResampleParams {
   std::size_t min_particles = 100;
   std::size_t max_particles = 5000;
-  KldRule kld;
+  KldParams kld;
   Scheme scheme = Scheme::kLowVariance;
 };
 
@@ -38,7 +38,7 @@ inline constexpr std::size_t kRandom = static_cast<std::size_t>(-1);
 /// set the number. `converged`: the cloud is known to fit into a bucket, and two buckets or fewer
 /// want min_particles instead of max_particles.
 Drawn draw_parents(const Particles& particles, const std::vector<double>& weight,
-                   const ResampleRule& rule, bool converged, double random_share,
+                   const ResampleParams& rule, bool converged, double random_share,
                    const FreeSpace* free, const Stream& stream);
 
 /// Low-variance resampling: `count` parents from weights of any positive sum, for an offset in [0,

@@ -32,11 +32,11 @@ class BlockWriter {
   void set(const VoxelIndex& voxel, const Voxel& state);
 
  private:
-  struct Place {
+  struct VoxelPlace {
     CellVoxels cell;
     int voxel;
   };
-  Place enter(const VoxelIndex& voxel);
+  VoxelPlace enter(const VoxelIndex& voxel);
   void leave();
 
   VoxelMap& map_;

@@ -104,11 +104,11 @@ class EvidenceGrid {
 
   /// Of a point: how far, in voxels, it lies inside the aperture's faces, and its place in the
   /// grid.
-  struct Place {
+  struct SamplePlace {
     double inside, row, sine;
   };
-  Place place_of(const Vec3& in_sonar) const;
-  Evidence at(const Vec3& in_sonar, const Place& place) const;
+  SamplePlace place_of(const Vec3& in_sonar) const;
+  Evidence at(const Vec3& in_sonar, const SamplePlace& place) const;
 
   void choose_pitch(const PingImage& image, double detail);
   void index_bearings();

@@ -1,4 +1,6 @@
-/// OctreeMapper: occupancy by points and rays, with one probability for hits and one for misses.
+/// \file
+/// \brief OctreeMapper: occupancy by points and rays, with one probability for hits and one for
+/// misses.
 ///
 /// Names and defaults are those of `OctreeMapper` of sonar_3d_reconstruction (octree_mapper.cpp),
 /// so that programs written for it compile against this map. Points are anything with members x(),
