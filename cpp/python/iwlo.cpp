@@ -15,8 +15,8 @@ using namespace pybind11::literals;
 IwloParams iwlo_params(double L_occ, double L_free, double L_min, double L_max, double sharpness,
                        double decay_rate, double min_alpha, double intensity_threshold,
                        double intensity_max, bool adaptive_update, double adaptive_threshold,
-                       double adaptive_max_ratio, double adaptive_min_ratio,
-                       bool protect_occupied) {
+                       double adaptive_max_ratio, double adaptive_min_ratio, bool protect_occupied,
+                       double prior) {
   const IwloParams params{L_occ,
                           L_free,
                           L_min,
@@ -30,7 +30,8 @@ IwloParams iwlo_params(double L_occ, double L_free, double L_min, double L_max, 
                           adaptive_threshold,
                           adaptive_max_ratio,
                           adaptive_min_ratio,
-                          protect_occupied};
+                          protect_occupied,
+                          prior};
   const IwloRule checked_rule(params);
   return checked_rule.params();
 }
@@ -61,7 +62,8 @@ void bind_iwlo(py::module_& module) {
            "adaptive_threshold"_a = defaults.adaptive_threshold,
            "adaptive_max_ratio"_a = defaults.adaptive_max_ratio,
            "adaptive_min_ratio"_a = defaults.adaptive_min_ratio,
-           "protect_occupied"_a = defaults.protect_occupied)
+           "protect_occupied"_a = defaults.protect_occupied, "prior"_a = defaults.prior)
+      .def_readonly("prior", &IwloParams::prior)
       .def(
           "occupied_weight",
           [](const IwloParams& params, double intensity) {

@@ -9,6 +9,7 @@
 
 #include "arrays.hpp"
 #include "bindings.hpp"
+#include "mapperd/map/arc_integrator.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/ping_box.hpp"
 #include "mapperd/map/rays.hpp"
@@ -58,6 +59,33 @@ PingStats evidence_grid(VoxelMap& map, const py::object& intensity, const py::ob
                             aggregation_of(aggregation), detail,      threads};
   const py::gil_scoped_release release;
   return integrate_evidence_grid(map, ping.image, pose, settings, motion);
+}
+
+ArcParams arc_params(double half_aperture_rad, double beam_width_rad, double spread_below,
+                     double spread_above, double broad_share, double missed_share,
+                     double first_return, double quiet, double behind_scale, double min_step,
+                     double max_step) {
+  return {half_aperture_rad, beam_width_rad, spread_below, spread_above, broad_share, missed_share,
+          first_return,      quiet,          behind_scale, min_step,     max_step};
+}
+
+PingStats arc(VoxelMap& map, const ArcModel& model, const py::object& levels,
+              const py::object& noise_object, const py::object& bearings, double range_resolution_m,
+              const py::object& map_T_sonar, double min_range_m, bool carve_no_return, int threads,
+              const PingMotion& motion) {
+  const Ping ping(levels, bearings, range_resolution_m);
+  const Array<float> noise = checked<float>(noise_object, "noise", 1);
+  if (static_cast<std::size_t>(noise.shape(0)) != ping.image.rows) {
+    throw std::invalid_argument("noise must have one entry a row of levels");
+  }
+  const Transform pose = transform_of(map_T_sonar, "map_T_sonar");
+  PingParams settings;
+  settings.vertical_aperture_rad = 2 * model.params().half_aperture_rad;
+  settings.min_range_m = min_range_m;
+  settings.carve_no_return = carve_no_return;
+  settings.threads = threads;
+  const py::gil_scoped_release release;
+  return integrate_arc(map, model, {ping.image, noise.data()}, pose, settings, motion);
 }
 
 PingStats rays(VoxelMap& map, const py::object& intensity, const py::object& bearings,
@@ -192,6 +220,21 @@ void bind_map(py::module_& module) {
       .def_readonly("free", &PingStats::free)
       .def_readonly("blocks_visited", &PingStats::blocks_visited)
       .def_readonly("blocks_created", &PingStats::blocks_created);
+  const ArcParams arcs;
+  py::class_<ArcParams>(module, "ArcParams")
+      .def(py::init(&arc_params), py::kw_only(), "half_aperture_rad"_a = arcs.half_aperture_rad,
+           "beam_width_rad"_a = arcs.beam_width_rad, "spread_below"_a = arcs.spread_below,
+           "spread_above"_a = arcs.spread_above, "broad_share"_a = arcs.broad_share,
+           "missed_share"_a = arcs.missed_share, "first_return"_a = arcs.first_return,
+           "quiet"_a = arcs.quiet, "behind_scale"_a = arcs.behind_scale,
+           "min_step"_a = arcs.min_step, "max_step"_a = arcs.max_step)
+      .def_property_readonly("free_step",
+                             [](const ArcParams& params) { return ArcModel::free_step(params); });
+  py::class_<ArcModel>(module, "ArcModel")
+      .def(py::init([](const ArcParams& params, const IwloParams& rule) {
+             return ArcModel(params, IwloRule(rule));
+           }),
+           "params"_a, "rule"_a);
   py::class_<VoxelMap>(module, "VoxelMap")
       .def(py::init<double, const IwloParams&>(), "resolution_m"_a, "iwlo"_a)
       .def_property_readonly("resolution_m", &VoxelMap::resolution_m)
@@ -206,6 +249,10 @@ void bind_map(py::module_& module) {
            "min_range_m"_a = fan.min_range_m, "carve_no_return"_a = fan.carve_no_return,
            "aggregation"_a = "occupied_first", "detail"_a = fan.detail, "threads"_a = fan.threads,
            "motion"_a = still)
+      .def("integrate_arc", &arc, "model"_a, "levels"_a, "noise"_a, "bearings_rad"_a,
+           "range_resolution_m"_a, "map_T_sonar"_a, py::kw_only(),
+           "min_range_m"_a = fan.min_range_m, "carve_no_return"_a = fan.carve_no_return,
+           "threads"_a = fan.threads, "motion"_a = still)
       .def("integrate_rays", &rays, "intensity"_a, "bearings_rad"_a, "range_resolution_m"_a,
            "map_T_sonar"_a, py::kw_only(), "vertical_aperture_rad"_a,
            "min_range_m"_a = fan.min_range_m, "angular_cone_width"_a = 0.5, "motion"_a = still)

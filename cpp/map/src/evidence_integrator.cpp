@@ -9,22 +9,16 @@
 
 #include "mapperd/common/parallel.hpp"
 #include "mapperd/map/evidence_grid.hpp"
+#include "mapperd/map/fan_blocks.hpp"
 
 namespace mapperd::map {
 namespace {
-
-// Blocks are worked on in cubes of so many along an edge: what one thread takes at once.
-constexpr int kCubeBlocks = 4;
 
 // Nearer than this many voxels range and bearing bend too much within a cell: each voxel is placed
 // on its own. Beyond, the linear functions put some voxels into a neighbouring grid cell, at any
 // detail: of test_evidence.cpp's voxels 2.9, 2.1, 1.7 and 1.5 % are of another class at detail 1,
 // 2, 4 and 8.
 constexpr float kNearVoxels = 24.0F;
-
-// By how much, in voxels, what a moving sonar sees of a block may depart from a linear function of
-// the place.
-constexpr double kMaxBend = 0.05;
 
 constexpr int kAhead = 2;  // cells that are fetched from memory before their turn
 
@@ -33,21 +27,6 @@ GridMemory& grid_memory() {
   return memory;
 }
 
-struct Cube {
-  BlockKey first;  // relative to the sonar's block
-  int blocks;      // along an edge
-};
-
-// A block as the sonar sees it. Lengths in voxels.
-struct BlockView {
-  Vec3 centre;               // the map's axes, from the sonar, in metres
-  Vec3 seen;                 // sonar frame
-  std::array<Vec3, 3> step;  // what a voxel's step along the map's x, y, z is in the sonar frame
-  bool is_linear;
-};
-
-// One ping. Coordinates are local to the sonar's block: far from the map's origin no precision is
-// lost.
 class PingUpdate {
  public:
   PingUpdate(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
@@ -55,19 +34,13 @@ class PingUpdate {
       : map_(map),
         rule_(map.rule()),
         threads_(settings.threads),
-        edge_m_(map.resolution_m()),
-        block_m_(edge_m_ * kBlockEdge),
-        start_(at_transmission(map_T_sonar, motion, block_m_)),
-        grid_(grid_memory(), image, settings, map.rule(), edge_m_),
-        low_side_{low_normal(grid_.low_sine())},
-        high_side_{-1.0 * low_normal(grid_.high_sine())} {
-    if (motion.any()) view_.emplace(motion, start_.block_T_sonar);
-  }
+        grid_(grid_memory(), image, settings, map.rule(), map.resolution_m()),
+        fan_(map, grid_, map_T_sonar, motion) {}
 
   PingStats run() {
     if (grid_.is_empty()) return {};
-    find_cubes();
-    fetch();
+    cubes_ = fan_.cubes();
+    fan_.fetch(map_, cubes_);
     return apply();
   }
 
@@ -76,114 +49,6 @@ class PingUpdate {
     PingStats stats;
     std::vector<Block> created;
   };
-
-  // Of the plane through the sonar's vertical axis and a bearing; points to larger bearings.
-  static Vec3 low_normal(double sine) {
-    return {-sine, -std::sqrt(std::max(0.0, 1.0 - sine * sine)), 0.0};
-  }
-
-  BlockKey absolute(const BlockKey& at) const {
-    const BlockKey& origin = start_.block;
-    return {origin.x + at.x, origin.y + at.y, origin.z + at.z};
-  }
-
-  Vec3 to_sonar(const Vec3& v) const { return start_.block_T_sonar.rotate_back(v); }
-
-  Vec3 centre_of(const Cube& cube) const {
-    const double half = 0.5 * cube.blocks;
-    return Vec3{(cube.first.x + half) * block_m_, (cube.first.y + half) * block_m_,
-                (cube.first.z + half) * block_m_} -
-           start_.block_T_sonar.translation;
-  }
-
-  // Whether a cube shares space with the fan, by the ball around it.
-  bool may_be_seen(const Cube& cube) const {
-    const BlockKey low = absolute(cube.first);
-    const int rest = cube.blocks - 1;
-    if (!map_.limit().meets(low, {low.x + rest, low.y + rest, low.z + rest})) return false;
-    const Vec3 centre = centre_of(cube);
-    double radius = 0.8661 * cube.blocks * block_m_;
-    Vec3 seen = centre;
-    if (view_) {
-      const MotionBound bound = view_->motion_bound(centre, radius);
-      seen = view_->seen(centre);
-      radius += 2 * bound.stretch * radius;
-    }
-    const Vec3 v = to_sonar(seen);
-    const double reach = radius + edge_m_;  // of footprints, and beyond the aperture's faces
-    const double horizontal = std::sqrt(v.x * v.x + v.y * v.y);
-    const double range = std::sqrt(horizontal * horizontal + v.z * v.z);
-    return range - radius < grid_.reach_m() && range + reach > grid_.min_range_m() &&
-           horizontal * grid_.sin_half_aperture() - std::abs(v.z) * grid_.cos_half_aperture() >
-               -reach &&
-           v.x > -radius && dot(v, low_side_) > -reach && dot(v, high_side_) > -reach;
-  }
-
-  void find_cubes() {
-    int blocks = kCubeBlocks;
-    while (blocks * block_m_ < 1.02 * grid_.reach_m() + block_m_) blocks *= 2;
-    for (int octant = 0; octant < 8; ++octant) {
-      const auto low = [&](int bit) { return (octant >> bit & 1) != 0 ? 0 : -blocks; };
-      visit(
-          {{low(0), low(1), low(2)}, blocks}, [&](const Cube& cube) { cubes_.push_back(cube); },
-          kCubeBlocks);
-    }
-  }
-
-  // All cubes of `smallest` blocks in a cube that may be seen.
-  template <typename Found>
-  void visit(const Cube& cube, const Found& found, int smallest) const {
-    if (!may_be_seen(cube)) return;
-    if (cube.blocks == smallest) return found(cube);
-    const int half = cube.blocks / 2;
-    const BlockKey& at = cube.first;
-    for (int child = 0; child < 8; ++child) {
-      visit({{at.x + half * (child & 1), at.y + half * (child >> 1 & 1),
-              at.z + half * (child >> 2 & 1)},
-             half},
-            found, smallest);
-    }
-  }
-
-  // All blocks that may be changed come into memory before anything is changed: the ping counts
-  // wholly or not.
-  void fetch() const {
-    if (!map_.residency().is_partial()) return;
-    std::vector<BlockKey> blocks;
-    for (const Cube& cube : cubes_) {
-      visit(
-          cube,
-          [&](const Cube& block) {
-            if (classes_of(view_of(block)) != kHasNothing) blocks.push_back(absolute(block.first));
-          },
-          1);
-    }
-    map_.residency().fetch(blocks);
-  }
-
-  BlockView view_of(const Cube& block) const {
-    BlockView view{centre_of(block), {}, {}, true};
-    Vec3 seen = view.centre;
-    SeenAxes axes;
-    if (view_) {
-      const Seen apparent = view_->look(view.centre);
-      seen = apparent.at;
-      axes = apparent.axes;
-      view.is_linear =
-          view_->motion_bound(view.centre, 0.8661 * block_m_).bend <= kMaxBend * edge_m_;
-    }
-    view.seen = (1.0 / edge_m_) * to_sonar(seen);
-    view.step = {to_sonar(axes.x), to_sonar(axes.y), to_sonar(axes.z)};
-    return view;
-  }
-
-  // Classes of evidence that the block may hold.
-  std::uint8_t classes_of(const BlockView& view) const {
-    const Vec3& v = view.seen;
-    const double horizontal = std::max(std::sqrt(v.x * v.x + v.y * v.y), 1e-12);
-    return grid_.classes_of_block(edge_m_ * std::sqrt(horizontal * horizontal + v.z * v.z),
-                                  -v.y / horizontal);
-  }
 
   PingStats apply() {
     const WriteLock lock(map_);
@@ -202,14 +67,14 @@ class PingUpdate {
     return stats;
   }
 
-  void update(const Cube& cube, CubeResult& result) {
+  void update(const BlockCube& cube, CubeResult& result) {
     CellPool::Cache pool(map_.pool());
-    visit(cube, [&](const Cube& block) { update_block(block, pool, result); }, 1);
+    fan_.visit(cube, [&](const BlockCube& block) { update_block(block, pool, result); }, 1);
   }
 
-  void update_block(const Cube& at, CellPool::Cache& pool, CubeResult& result) {
-    const BlockView view = view_of(at);
-    const std::uint8_t classes = classes_of(view);
+  void update_block(const BlockCube& at, CellPool::Cache& pool, CubeResult& result) {
+    const BlockView view = fan_.view_of(at);
+    const std::uint8_t classes = fan_.classes_of(view);
     if (classes == kHasNothing) return;
     ++result.stats.blocks_visited;
     BlockUpdate update(*this, view, pool);
@@ -219,7 +84,7 @@ class PingUpdate {
       update.find_cells();
     }
     if (update.free_cells == 0 && update.mixed.empty()) return;
-    const BlockKey key = absolute(at.first);
+    const BlockKey key = fan_.absolute(at.first);
     Block* const known = map_.find(key);
     std::optional<Block> fresh;
     Block& block = known != nullptr ? *known : fresh.emplace(key, rule_);
@@ -321,20 +186,7 @@ class PingUpdate {
 
     CodeCounts look_up_each(int cell, std::uint8_t* codes, std::uint8_t* shares) const {
       CellPoints points;
-      static_assert(CellPoints::kCount == kCellVoxels);
-      const int corner = offset_of_cell(cell);
-      for (int v = 0; v < kCellVoxels; ++v) {
-        const int offset = corner + offset_in_cell(v);
-        const auto from_middle = [](int at) { return at - (kBlockEdge - 1) / 2.0; };
-        points.set(static_cast<std::size_t>(v),
-                   view_.centre + ping_.edge_m_ * Vec3{from_middle(offset & 15),
-                                                       from_middle(offset >> 4 & 15),
-                                                       from_middle(offset >> 8)});
-      }
-      if (ping_.view_) ping_.view_->see(points);
-      for (std::size_t v = 0; v < CellPoints::kCount; ++v) {
-        points.set(v, ping_.to_sonar(points.at(v)));
-      }
+      ping_.fan_.places_of(view_, cell, points);
       return ping_.grid_.at(points, codes, shares);
     }
 
@@ -348,18 +200,13 @@ class PingUpdate {
   VoxelMap& map_;
   const IwloRule& rule_;
   int threads_;
-  double edge_m_;
-  double block_m_;
-  BlockPose start_;
   EvidenceGrid grid_;
-  Vec3 low_side_;  // positive inside
-  Vec3 high_side_;
+  FanBlocks fan_;
   RuleTables tables_ = rule_.tables();
   const Kernels& kernels_ = kernels();
   GridView grid_view_ = grid_.view();
   CellsTask cells_task_ = grid_.cells_task();
-  std::optional<MovingView> view_;
-  std::vector<Cube> cubes_;
+  std::vector<BlockCube> cubes_;
   std::uint64_t revision_ = 0;
 };
 

@@ -33,6 +33,7 @@ double checked_settling_count(const IwloParams& p) {
   require(p.min_alpha > 0 && p.min_alpha <= 1, "min_alpha must lie in (0, 1]");
   require(std::isfinite(p.intensity_threshold), "intensity_threshold must be finite");
   require(std::isfinite(p.intensity_max), "intensity_max must be finite");
+  require(finite(p.prior), "prior must be a number of at most 127 in size");
   require(p.adaptive_threshold > 0 && p.adaptive_threshold <= 1,
           "adaptive_threshold must lie in (0, 1]");
   require(p.adaptive_max_ratio >= 0 && p.adaptive_max_ratio <= 1,
@@ -117,7 +118,7 @@ void IwloRule::fill_scales() {
   occupied_unscaled_from_ = static_cast<std::int16_t>(max_units_ + 1);
   for (std::size_t i = 0; i < span; ++i) {
     const auto units = static_cast<std::int16_t>(min_units_ + static_cast<std::int32_t>(i));
-    const double p = sigmoid(log_odds(units));
+    const double p = sigmoid(unit() * units);
     const double excess = p - (1.0 - threshold);
     if (p >= threshold) {
       occupied_unscaled_from_ = std::min(occupied_unscaled_from_, units);

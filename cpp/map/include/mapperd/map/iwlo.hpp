@@ -34,6 +34,9 @@ struct IwloParams {
   /// it stays so for ever, because steps below half a unit are lost.
   double adaptive_min_ratio = 0.25;
   bool protect_occupied = true;  ///< false: free steps are never scaled down
+  /// Log-odds of an unobserved voxel. The map holds the evidence of the pings, which is added to
+  /// it; all parameters above, clamps and scales included, are of that evidence.
+  double prior = 0.0;
 };
 
 inline constexpr double kMaxLogOdds = 127.0;
@@ -87,9 +90,10 @@ class IwloRule {
   /// The same in units of the map.
   int shift() const { return shift_; }
   double unit() const { return std::ldexp(1.0, -shift_); }
-  double log_odds(std::int16_t units) const { return unit() * units; }
+  double log_odds(std::int16_t units) const { return unit() * units + params_.prior; }
   std::int16_t units(double log_odds) const {  ///< clamped
-    return clamped(std::llrint(std::ldexp(std::clamp(log_odds, -1e3, 1e3), shift_)));
+    const double evidence = std::clamp(log_odds - params_.prior, -1e3, 1e3);
+    return clamped(std::llrint(std::ldexp(evidence, shift_)));
   }
   std::int32_t file_units(std::int16_t units) const {
     return std::int32_t{units} * (1 << (24 - shift_));
@@ -123,6 +127,11 @@ class IwloRule {
   /// Positive: by how much a free step lowers a voxel.
   std::int16_t free_units(std::int16_t units, std::uint16_t count) const {
     const std::int16_t down = multiply_q15(full_free_, alpha_[count]);
+    return units <= unscaled_up_to_ ? down : multiply_q15(down, free_scale_[scale_index(units)]);
+  }
+
+  /// A step downwards, as positive units, as small as the adaptive rule makes it for a voxel.
+  std::int16_t scaled_down(std::int16_t units, std::int16_t down) const {
     return units <= unscaled_up_to_ ? down : multiply_q15(down, free_scale_[scale_index(units)]);
   }
 
