@@ -25,6 +25,7 @@ from mapperd.server.state_feed import StateFeed
 from mapperd.server.stream_server import StreamServer
 from mapperd.wire.auth import Limits
 from mapperd.wire.messages import Interest, MapFacts
+from tests.support.waiting import run
 
 TOKEN = b"correct-horse-battery-staple"
 
@@ -264,13 +265,6 @@ async def served(
         yield Served(daemon, server, doors, tls[1] if tls else None)
 
 
-async def until(true: Any) -> None:
-    """Wait until a condition holds, for at most a minute."""
-    async with asyncio.timeout(60):
-        while not true():  # noqa: ASYNC110 what is waited for has no event
-            await asyncio.sleep(0.005)
-
-
 def descriptors() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 
@@ -314,9 +308,10 @@ MALFORMED: list[Any] = [
 
 
 def go(work: Callable[[Served], Awaitable[None]], folder: Path, **more: Any) -> None:
-    async def run() -> None:
+    """Run a test against a server; nothing of it may be left over."""
+
+    async def serving() -> None:
         async with served(folder, **more) as one:
             await work(one)
-        assert asyncio.all_tasks() == {asyncio.current_task()}
 
-    asyncio.run(run())
+    run(serving(), nothing_left=True)

@@ -1,13 +1,8 @@
-"""Free ports, resources of this process, and coroutines with a time limit."""
+"""Free ports, and resources of this process."""
 
-import asyncio
 import os
 import socket
-from collections.abc import Coroutine
 from pathlib import Path
-from typing import Any
-
-LIMIT_S = 60.0
 
 
 def free_port(kind: int = socket.SOCK_DGRAM) -> int:
@@ -31,13 +26,3 @@ def resident_bytes() -> int:
 def open_files() -> int:
     """Return the number of file descriptors of this process."""
     return len(list(Path("/proc/self/fd").iterdir()))
-
-
-def run(work: Coroutine[Any, Any, None]) -> None:
-    """Run a coroutine in a new event loop, for at most a minute."""
-
-    async def limited() -> None:
-        async with asyncio.timeout(LIMIT_S):
-            await work
-
-    asyncio.run(limited())

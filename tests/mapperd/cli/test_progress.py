@@ -1,6 +1,7 @@
 import io
 
 from mapperd.cli.progress import ProgressBar
+from tests.support.clocks import StandingClock
 
 
 class Terminal(io.StringIO):
@@ -8,16 +9,8 @@ class Terminal(io.StringIO):
         return True
 
 
-class Clock:
-    def __init__(self) -> None:
-        self.now_s = 100.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
 def test_terminal_gets_a_bar_with_rate_and_time_left() -> None:
-    out, clock = Terminal(), Clock()
+    out, clock = Terminal(), StandingClock(100.0)
     bar = ProgressBar(out, clock)
     clock.now_s += 10
     bar.show(0.25, 200)
@@ -30,7 +23,7 @@ def test_terminal_gets_a_bar_with_rate_and_time_left() -> None:
 
 
 def test_terminal_is_not_flooded() -> None:
-    out, clock = Terminal(), Clock()
+    out, clock = Terminal(), StandingClock(100.0)
     bar = ProgressBar(out, clock)
     for step in range(1000):
         clock.now_s += 0.001
@@ -39,7 +32,7 @@ def test_terminal_is_not_flooded() -> None:
 
 
 def test_file_gets_a_line_every_few_seconds_only() -> None:
-    out, clock = io.StringIO(), Clock()
+    out, clock = io.StringIO(), StandingClock(100.0)
     bar = ProgressBar(out, clock)
     for step in range(100):
         clock.now_s += 0.11
@@ -51,7 +44,7 @@ def test_file_gets_a_line_every_few_seconds_only() -> None:
 
 
 def test_strange_fractions_are_drawn_all_the_same() -> None:
-    out, clock = Terminal(), Clock()
+    out, clock = Terminal(), StandingClock(100.0)
     bar = ProgressBar(out, clock)
     for fraction in (0.0, -1.0, 7.0):
         clock.now_s += 4000
@@ -65,7 +58,7 @@ def test_output_that_fails_does_not_stop_the_work() -> None:
         def write(self, _: str) -> int:
             raise OSError(28, "No space left on device")
 
-    clock = Clock()
+    clock = StandingClock(100.0)
     bar = ProgressBar(Full(), clock)
     clock.now_s += 10
     bar.show(0.5, 1)

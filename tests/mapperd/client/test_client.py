@@ -5,7 +5,7 @@ import contextlib
 import ssl
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Coroutine
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from mapperd.client import (
 from mapperd.wire.messages import ByeMessage, PoseMessage, StatusMessage
 from tests.conftest import ROOT
 from tests.support.stream_server import TOKEN, Served, Server, a_block
+from tests.support.waiting import run, until
 
 pytestmark = pytest.mark.net
 
@@ -38,25 +39,13 @@ POSE = PoseMessage(
 
 
 def go(work: Coroutine[Any, Any, None]) -> None:
-    """Run a test; nothing of it may be left over."""
-
-    async def run() -> None:
-        async with asyncio.timeout(20):
-            await work
-        assert asyncio.all_tasks() == {asyncio.current_task()}
-
-    asyncio.run(run(), debug=True)
+    run(work, nothing_left=True)
 
 
 @contextlib.asynccontextmanager
 async def pair(served: Served, **options: Any) -> AsyncIterator[tuple[Server, MapClient]]:
     async with Server(served) as server, MapClient(server.address, **options) as client:
         yield server, client
-
-
-async def until(is_so: Callable[[], object]) -> None:
-    while not is_so():  # noqa: ASYNC110 of another task
-        await asyncio.sleep(0.005)
 
 
 def with_blocks(number: int) -> Served:

@@ -20,8 +20,9 @@ from mapperd.server.state_feed import StateFeed
 from mapperd.server.stream_server import StreamServer
 from mapperd.wire.messages import EventMessage, LocalizationMessage, RobotsMessage, Want
 from tests.mapperd.localization.believed import snapshot as believed
-from tests.mapperd.server.watched import PlainSource, run
+from tests.mapperd.server.watched import PlainSource
 from tests.support.control_server import FakeDaemon
+from tests.support.waiting import run
 
 pytestmark = pytest.mark.net
 

@@ -8,7 +8,8 @@ import pytest
 
 from mapperd.client import LinkChanged, MapClient
 from mapperd.wire.auth import Limits
-from tests.mapperd.server.watched import bed_of, run
+from tests.mapperd.server.watched import bed_of
+from tests.support.waiting import run
 
 pytestmark = pytest.mark.net
 

@@ -25,6 +25,7 @@ from mapperd.server.stream_server import StreamServer
 from mapperd.wire.blocks import UNKNOWN
 from mapperd.wire.messages import MapFacts
 from tests.support.control_server import FakeDaemon
+from tests.support.waiting import run
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -95,11 +96,11 @@ async def until_equal(clients: list[MapClient], sonar_map: SonarMap) -> None:
 
 
 def go(work: Callable[[AsyncExitStack], Awaitable[None]]) -> None:
-    async def run() -> None:
-        async with asyncio.timeout(60), AsyncExitStack() as stack:
+    async def stacked() -> None:
+        async with AsyncExitStack() as stack:
             await work(stack)
 
-    asyncio.run(run())
+    run(stacked())
 
 
 def test_mirrors_equal_the_map_through_restarts_and_breaks(

@@ -14,7 +14,7 @@ import pytest
 
 from mapperd import _core
 from mapperd.api import DaemonApi, OperationError
-from mapperd.cli.mapperd import DaemonExit, main
+from mapperd.cli.mapperd import main
 from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore, Refused
 from mapperd.config.loader import config_from_text
@@ -29,7 +29,9 @@ from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.pipeline.watchdog import Watchdog
 from oculus_driver import Faults, PlaybackSonar
-from tests.support.process import free_port, run
+from oculus_driver.command_line import ExitCode
+from tests.support.process import free_port
+from tests.support.waiting import run
 
 pytestmark = pytest.mark.net
 
@@ -323,7 +325,7 @@ def test_recording_of_a_troubled_dive_gives_the_map_again(
     (bench,) = bench_
     out = tmp_path / "out"
     words = ["--replay", str(tmp_path / "recordings"), "--as-recorded", "--out", str(out)]
-    assert main(words) == DaemonExit.OK
+    assert main(words) == ExitCode.OK
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     counters = bench.live.counters
     assert summary["map_sha256"] == bench.map.sha256()

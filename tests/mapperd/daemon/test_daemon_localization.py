@@ -24,7 +24,8 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import OdometryPoses
 from oculus_driver import PlaybackSonar
 from tests.mapperd.daemon.test_daemon import drive
-from tests.support.process import free_port, run
+from tests.support.process import free_port
+from tests.support.waiting import run, until
 
 pytestmark = pytest.mark.net
 
@@ -84,11 +85,6 @@ async def localizing(
             driving.cancel()
             await asyncio.gather(driving, return_exceptions=True)
             await running
-
-
-async def until(true: Callable[[], object]) -> None:
-    while not true():  # noqa: ASYNC110 no event to await
-        await asyncio.sleep(0.01)
 
 
 def state(daemon: Daemon) -> object:

@@ -6,21 +6,15 @@ import pytest
 
 from mapperd.daemon.journal import Journal, goes_to_journal
 from mapperd.events import SEPARATE, Event, EventLog, Severity
+from tests.support.clocks import StandingClock
 
 
 def event(text: str, severity: Severity = Severity.NOTICE, code: str = "sonar_link") -> Event:
     return Event(1, 0, severity, code, text)
 
 
-class Clock:
-    now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
-def journal(**changes: Any) -> tuple[Journal, io.StringIO, Clock]:
-    stream, clock = io.StringIO(), Clock()
+def journal(**changes: Any) -> tuple[Journal, io.StringIO, StandingClock]:
+    stream, clock = io.StringIO(), StandingClock()
     return Journal(stream, clock, **({"priorities": True} | changes)), stream, clock
 
 
@@ -96,7 +90,7 @@ class Broken(io.StringIO):
 
 
 def test_nobody_reading_is_no_reason_to_end() -> None:
-    Journal(Broken(), Clock(), priorities=True).write(event("hello"))
+    Journal(Broken(), StandingClock(), priorities=True).write(event("hello"))
 
 
 def test_only_the_journals_own_stream_gets_priorities() -> None:
@@ -139,7 +133,7 @@ def test_events_are_numbered_kept_for_a_while_and_reported() -> None:
 
 
 def test_repeated_events_are_one_entry_with_a_count_and_the_last_time() -> None:
-    clock = Clock()
+    clock = StandingClock()
     log = EventLog(lambda: round(clock() * 1e9))
     log.add(Severity.NOTICE, "sonar_link", "sonar: pinging")
     for clock.now_s in range(0, 4 * 3600, 5):  # two links that nobody answers
@@ -158,7 +152,7 @@ def test_repeated_events_are_one_entry_with_a_count_and_the_last_time() -> None:
 
 
 def test_an_event_long_after_another_is_its_own_entry() -> None:
-    clock = Clock()
+    clock = StandingClock()
     log = EventLog(lambda: round(clock() * 1e9))
     for clock.now_s in (*range(10), 610):
         log.add(Severity.WARNING, "behind", "pings come faster than they can be mapped")

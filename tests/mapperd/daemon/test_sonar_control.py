@@ -18,7 +18,8 @@ from mapperd.pipeline.pose_lookup import FixedPose
 from oculus_driver import PlaybackSonar
 from oculus_driver.sound_speed import speed_of_sound_mps
 from oculus_driver.wire import FireFlags, PingRate
-from tests.support.process import free_port, run
+from tests.support.process import free_port
+from tests.support.waiting import run
 
 MakeBytes = Callable[..., bytes]
 M750D = 1032

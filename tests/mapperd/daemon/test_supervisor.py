@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from mapperd.daemon.systemd import Notifier
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog
 from mapperd.pipeline.watchdog import Worker
+from tests.support.waiting import until
 
 
 class Daemon:
@@ -75,12 +76,6 @@ class Daemon:
         if self.refuses:
             raise OperationError("disk full", "cannot_write")
         return {}
-
-
-async def until(holds: Callable[[], bool], within_s: float = 10.0) -> None:
-    async with asyncio.timeout(within_s):
-        while not holds():  # noqa: ASYNC110 a signal or a datagram sets no event
-            await asyncio.sleep(0.01)
 
 
 class Manager:

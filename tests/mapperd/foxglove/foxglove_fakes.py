@@ -1,7 +1,6 @@
 """A client of the map stream fed by a test, and another decoder of messages."""
 
 import asyncio
-import time
 from collections.abc import AsyncIterator, Collection, Mapping
 from functools import cache
 from typing import Any
@@ -111,7 +110,7 @@ SETTINGS = SettingsMessage(
 WAY = np.arange(30, dtype=np.float64).reshape(10, 3)
 
 
-class FakeClient:
+class FakeStream:
     """Has all that a client has; `feed` makes it know something."""
 
     def __init__(self) -> None:
@@ -217,11 +216,3 @@ def points_of_cloud(cloud: Any) -> NDArray[np.void]:
         }
     )
     return np.frombuffer(cloud.data, kind)
-
-
-async def until(true: Any, timeout_s: float = 20.0) -> None:
-    """Wait for something that comes about in another task or thread."""
-    end_s = time.monotonic() + timeout_s
-    while not true():
-        assert time.monotonic() < end_s, "it never came about"
-        await asyncio.sleep(0.01)

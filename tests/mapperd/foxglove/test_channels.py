@@ -20,7 +20,7 @@ from tests.mapperd.foxglove.foxglove_fakes import (
     POSE,
     ROBOTS,
     T0,
-    FakeClient,
+    FakeStream,
     S,
     message_class,
     points_of_cloud,
@@ -239,7 +239,7 @@ def test_another_shape_gets_another_lookup_table() -> None:
     ],
 )
 def test_an_estimate_that_is_invalid_is_not_drawn(pose: Any) -> None:
-    client = FakeClient()
+    client = FakeStream()
     client.feed(msgspec.structs.replace(LOCALIZATION, report={"pose": pose}))
     state = StateMessages(client)
     assert state.message("/localization/pose", S) is None
@@ -247,6 +247,6 @@ def test_an_estimate_that_is_invalid_is_not_drawn(pose: Any) -> None:
 
 
 def test_nothing_is_reported_of_what_nobody_knows() -> None:
-    state = StateMessages(FakeClient())
+    state = StateMessages(FakeStream())
     changing = {topic for topic in state.topics if state.message(topic, S) is not None}
     assert changing == {"/status", "/settings"}

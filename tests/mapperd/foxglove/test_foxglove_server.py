@@ -22,12 +22,12 @@ from mapperd.wire.messages import SettingsMessage, StatusMessage
 from tests.mapperd.foxglove.foxglove_fakes import (
     POSE,
     T0,
-    FakeClient,
+    FakeStream,
     S,
     message_class,
     points_of_cloud,
-    until,
 )
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.net
 
@@ -110,12 +110,12 @@ async def viewer(port: int) -> AsyncIterator[Viewer]:
 
 
 def served(
-    changing: Callable[[FakeClient, int], Awaitable[None]], *, may_change: bool = True
+    changing: Callable[[FakeStream, int], Awaitable[None]], *, may_change: bool = True
 ) -> None:
     """Serve while something is done."""
 
     async def run() -> None:
-        client, ports = FakeClient(), list[int]()
+        client, ports = FakeStream(), list[int]()
         serving = asyncio.create_task(
             serve(client, "127.0.0.1", 0, ports.append, may_change=may_change)
         )
@@ -132,7 +132,7 @@ def served(
 
 
 def test_all_channels_are_advertised() -> None:
-    async def changing(_: FakeClient, port: int) -> None:
+    async def changing(_: FakeStream, port: int) -> None:
         async with viewer(port) as eye:
             info = await eye.of("serverInfo")
             await eye.hear(lambda: len(eye.channels) == len(CHANNELS))
@@ -144,7 +144,7 @@ def test_all_channels_are_advertised() -> None:
 
 
 def test_an_older_viewers_protocol_is_refused() -> None:
-    async def changing(_: FakeClient, port: int) -> None:
+    async def changing(_: FakeStream, port: int) -> None:
         with pytest.raises(InvalidStatus, match="400"):
             await connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.websocket.v1"])  # type: ignore[list-item]
 
@@ -152,7 +152,7 @@ def test_an_older_viewers_protocol_is_refused() -> None:
 
 
 def test_a_late_viewer_sees_the_map_as_the_mirror_has_it() -> None:
-    async def changing(client: FakeClient, port: int) -> None:
+    async def changing(client: FakeStream, port: int) -> None:
         client.feed_all()
         rng = np.random.default_rng(1)
         for x in range(3):
@@ -175,7 +175,7 @@ def test_a_late_viewer_sees_the_map_as_the_mirror_has_it() -> None:
 
 
 def test_what_does_not_change_is_reported_to_every_new_viewer() -> None:
-    async def changing(client: FakeClient, port: int) -> None:
+    async def changing(client: FakeStream, port: int) -> None:
         client.feed_all()
         client.occupy((0, 0, 0), {0: 8}, T0 + 9)
         await until(lambda: not client.unread)
@@ -193,7 +193,7 @@ def _sorted(rows: Any) -> Any:
 
 
 def test_viewers_see_what_they_watch_and_the_daemons_time() -> None:
-    async def changing(client: FakeClient, port: int) -> None:
+    async def changing(client: FakeStream, port: int) -> None:
         async with viewer(port) as one, viewer(port) as other:
             await one.watch("/pose", "/tf")
             await other.watch("/status", "/fan", "/path", "/robots", "/log", "/settings")
@@ -217,7 +217,7 @@ def test_viewers_see_what_they_watch_and_the_daemons_time() -> None:
 
 
 def test_costly_kinds_are_wanted_only_while_somebody_watches() -> None:
-    async def changing(client: FakeClient, port: int) -> None:
+    async def changing(client: FakeStream, port: int) -> None:
         async with viewer(port) as eye:
             await eye.watch("/sonar/fan", "/returns")
             await until(lambda: "image" in client.wants and "returns" in client.wants)
@@ -229,7 +229,7 @@ def test_costly_kinds_are_wanted_only_while_somebody_watches() -> None:
 
 
 def test_parameters_go_both_ways() -> None:
-    async def changing(client: FakeClient, port: int) -> None:
+    async def changing(client: FakeStream, port: int) -> None:
         client.feed_all()
         await until(lambda: not client.unread)
         async with viewer(port) as eye:
@@ -261,7 +261,7 @@ def test_parameters_go_both_ways() -> None:
 
 
 def test_a_refused_parameter_goes_back_with_a_warning() -> None:
-    async def changing(client: FakeClient, port: int) -> None:
+    async def changing(client: FakeStream, port: int) -> None:
         client.feed_all()
         await until(lambda: not client.unread)
         async with viewer(port) as eye:
@@ -285,7 +285,7 @@ def test_a_refused_parameter_goes_back_with_a_warning() -> None:
 
 
 def test_viewers_may_look_and_change_nothing_where_it_is_not_allowed() -> None:
-    async def changing(client: FakeClient, port: int) -> None:
+    async def changing(client: FakeStream, port: int) -> None:
         client.feed_all()
         await until(lambda: not client.unread)
         async with viewer(port) as eye:
@@ -304,7 +304,7 @@ def _values(answer: Any) -> dict[str, Any]:
 
 
 def test_a_lost_link_is_reported_and_taken_back() -> None:
-    async def changing(client: FakeClient, port: int) -> None:
+    async def changing(client: FakeStream, port: int) -> None:
         async with viewer(port) as eye:
             await eye.of("serverInfo")
             client.feed(LinkChanged(ConnectionStatus("waiting", "sub:1", "nobody answers", 0.0)))
@@ -318,7 +318,7 @@ def test_a_lost_link_is_reported_and_taken_back() -> None:
 
 
 def test_a_daemons_clock_that_is_set_back_begins_a_session() -> None:
-    async def changing(client: FakeClient, port: int) -> None:
+    async def changing(client: FakeStream, port: int) -> None:
         client.feed_all()
         await until(lambda: not client.unread)
         async with viewer(port) as eye:
@@ -335,8 +335,8 @@ def test_a_daemons_clock_that_is_set_back_begins_a_session() -> None:
 
 
 def test_a_port_in_use_is_one_clear_error() -> None:
-    async def changing(_: FakeClient, port: int) -> None:
+    async def changing(_: FakeStream, port: int) -> None:
         with pytest.raises(LiveError, match=f"127.0.0.1:{port}: cannot listen"):
-            await serve(FakeClient(), "127.0.0.1", port)
+            await serve(FakeStream(), "127.0.0.1", port)
 
     served(changing)

@@ -14,7 +14,8 @@ from websockets.exceptions import InvalidStatus
 from mapperd.foxglove import proxy
 from mapperd.foxglove.proxy import ViewerAccess, ViewerProxy, hidden_host
 from mapperd.foxglove.server import serve
-from tests.mapperd.foxglove.foxglove_fakes import FakeClient, until
+from tests.mapperd.foxglove.foxglove_fakes import FakeStream
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.net
 
@@ -28,7 +29,7 @@ def served(act: Callable[[int], Awaitable[None]], access: ViewerAccess) -> None:
     async def run() -> None:
         ports: list[int] = []
         serving = asyncio.create_task(
-            serve(FakeClient(), "127.0.0.1", 0, ports.append, access=access)
+            serve(FakeStream(), "127.0.0.1", 0, ports.append, access=access)
         )
         try:
             await until(lambda: ports or serving.done())
@@ -166,7 +167,7 @@ def test_viewers_are_cut_at_the_end() -> None:
 
     async def run() -> None:
         ports: list[int] = []
-        serving = asyncio.create_task(serve(FakeClient(), "127.0.0.1", 0, ports.append))
+        serving = asyncio.create_task(serve(FakeStream(), "127.0.0.1", 0, ports.append))
         await until(lambda: ports)
         links.append(await viewer(ports[0]))
         serving.cancel()

@@ -30,21 +30,21 @@ from tests.mapperd.foxglove.foxglove_fakes import (
     STATUS,
     T0,
     WAY,
-    FakeClient,
+    FakeStream,
     S,
     message_class,
     points_of_cloud,
-    until,
 )
+from tests.support.waiting import until
 
 
 def recorded(
-    path: Path, changing: Callable[[FakeClient, FoxgloveRecording], Awaitable[None]]
+    path: Path, changing: Callable[[FakeStream, FoxgloveRecording], Awaitable[None]]
 ) -> None:
     """Record while something is published."""
 
     async def run() -> None:
-        client = FakeClient()
+        client = FakeStream()
         recording = FoxgloveRecording(client, path)
         recording.start()
         try:
@@ -55,7 +55,7 @@ def recorded(
     asyncio.run(run())
 
 
-async def feed_all(client: FakeClient, recording: FoxgloveRecording) -> None:
+async def feed_all(client: FakeStream, recording: FoxgloveRecording) -> None:
     client.feed_all()
     client.occupy((0, 0, 0), {0: 8, 1: -8}, T0 + 9)
     before = recording.messages
@@ -147,7 +147,7 @@ def test_what_is_reported_is_what_is_written(tmp_path: Path) -> None:
 
 
 def test_stamps_are_the_daemons_and_logs_go_forward(tmp_path: Path) -> None:
-    async def changing(client: FakeClient, recording: FoxgloveRecording) -> None:
+    async def changing(client: FakeStream, recording: FoxgloveRecording) -> None:
         await feed_all(client, recording)
         before = recording.messages
         client.feed(POSE)  # older than what was published
@@ -170,7 +170,7 @@ def test_changes_after_a_whole_map_give_the_map(
     monkeypatch.setattr(mcap_recorder, "RECORDING", PublishPace(shortest_s=0.0, share=math.inf))
     rng = np.random.default_rng(3)
 
-    async def changing(client: FakeClient, recording: FoxgloveRecording) -> None:
+    async def changing(client: FakeStream, recording: FoxgloveRecording) -> None:
         await feed_all(client, recording)
         for _ in range(150):
             await asyncio.sleep(0)
@@ -196,7 +196,7 @@ def test_changes_after_a_whole_map_give_the_map(
     assert len(wanted) > 50
 
 
-def _of_mirror(client: FakeClient) -> dict[tuple[float, ...], float]:
+def _of_mirror(client: FakeStream) -> dict[tuple[float, ...], float]:
     assert client.mirror is not None
     cells = client.mirror.cells()
     return {
@@ -215,7 +215,7 @@ def test_a_file_that_was_never_ended_is_read_up_to_its_last_chunk(
     monkeypatch.setattr(mcap_recorder, "KEEP_S", 0.0)
     whole: list[bytes] = []
 
-    async def changing(client: FakeClient, recording: FoxgloveRecording) -> None:
+    async def changing(client: FakeStream, recording: FoxgloveRecording) -> None:
         await feed_all(client, recording)
         await until(lambda: path.stat().st_size == recording.bytes)
         whole.append(path.read_bytes())
@@ -265,7 +265,7 @@ def test_a_full_disk_is_one_clear_error_and_leaves_whole_chunks(
             finally:
                 self._file = file
 
-    async def changing(client: FakeClient, recording: FoxgloveRecording) -> None:
+    async def changing(client: FakeStream, recording: FoxgloveRecording) -> None:
         await feed_all(client, recording)
         await until(lambda: path.stat().st_size == recording.bytes)
         good.append(path.read_bytes())
@@ -294,7 +294,7 @@ class _FullFile:
 
 
 def test_attempts_to_connect_are_logged_once(tmp_path: Path) -> None:
-    async def changing(client: FakeClient, recording: FoxgloveRecording) -> None:
+    async def changing(client: FakeStream, recording: FoxgloveRecording) -> None:
         await feed_all(client, recording)
         for state, reason in (
             ("waiting", "nobody answers"),
@@ -316,7 +316,7 @@ def test_attempts_to_connect_are_logged_once(tmp_path: Path) -> None:
 
 
 def test_another_map_is_reported_as_one_that_is_empty(tmp_path: Path) -> None:
-    async def changing(client: FakeClient, recording: FoxgloveRecording) -> None:
+    async def changing(client: FakeStream, recording: FoxgloveRecording) -> None:
         await feed_all(client, recording)
         assert client.mirror is not None
         client.mirror.forget()
@@ -336,7 +336,7 @@ def test_a_file_that_is_there_is_left_alone(tmp_path: Path) -> None:
     path.write_bytes(b"mine")
 
     async def start() -> None:
-        FoxgloveRecording(FakeClient(), path).start()
+        FoxgloveRecording(FakeStream(), path).start()
 
     with pytest.raises(ExportError, match="file exists"):
         asyncio.run(start())
@@ -345,7 +345,7 @@ def test_a_file_that_is_there_is_left_alone(tmp_path: Path) -> None:
 
 def test_it_ends_with_the_client_and_reports_the_reason(tmp_path: Path) -> None:
     async def run() -> None:
-        client = FakeClient()
+        client = FakeStream()
         client.error = StreamError("no such token", "wrong_token")
         recording = FoxgloveRecording(client, tmp_path / "a.mcap")
         recording.start()

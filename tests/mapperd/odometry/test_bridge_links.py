@@ -32,6 +32,7 @@ from tests.support.peers.dvl import Dvl
 from tests.support.peers.nmea_talker import NmeaTalker
 from tests.support.peers.serial_pty import SerialPty
 from tests.support.process import free_port
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.net
 
@@ -79,13 +80,7 @@ class Bench:
         """Send, and wait until all of it has come."""
         before = self.bytes
         await send(data)
-        await self.until(lambda: self.bytes == before + len(data))
-
-    @staticmethod
-    async def until(true: Callable[[], bool]) -> None:
-        async with asyncio.timeout(LIMIT_S):
-            while not true():  # noqa: ASYNC110 counters have no event
-                await asyncio.sleep(0.002)
+        await until(lambda: self.bytes == before + len(data))
 
     def pose(self, ago_s: float = 0.15) -> FusedPose:
         fused = self.bridge.fusion.at(self.now_ns - round(ago_s * S))
@@ -138,7 +133,7 @@ def test_autopilot_over_udp() -> None:
             autopilot.boot_ms += round(1000 * STEP_S)
 
     async def work() -> None:
-        await bench.until(lambda: bench.link.status.opened == 1)
+        await until(lambda: bench.link.status.opened == 1)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             sender.connect(("127.0.0.1", port))
             sender.setblocking(False)  # noqa: FBT003 the socket's own argument
@@ -221,7 +216,7 @@ def test_dvl_over_tcp_is_reset_and_comes_back() -> None:
             first = bench.pose(0.35).segment
             await bench.heard(to(writer), Dvl().velocity()[:60])
             writer.transport.abort()
-            await bench.until(lambda: bench.link.status.losses == 1)
+            await until(lambda: bench.link.status.losses == 1)
             bench.wait(10.0)
             assert bench.reason() in ("after_odometry", "no_odometry")
             await dvl_drive(bench, to(await calls.get()), message, 20)
@@ -255,17 +250,17 @@ def test_dvl_on_a_serial_line_is_unplugged_and_comes_back(
 
             message = lambda dvl: dvl.velocity_sentence((0.4, 0.0, 0.0))  # noqa: E731
             plug.symlink_to(line.path)
-            await bench.until(lambda: bench.link.status.opened == 1)
+            await until(lambda: bench.link.status.opened == 1)
             await dvl_drive(bench, send, message, 20)
             way_m = check_dvl(bench, 0.0, 1.7)
             plug.unlink()
             line.unplug()
-            await bench.until(lambda: bench.link.status.losses == 1)
+            await until(lambda: bench.link.status.losses == 1)
             bench.wait(10.0)
             assert bench.reason() in ("after_odometry", "no_odometry")
             line.plug()
             plug.symlink_to(line.path)
-            await bench.until(lambda: bench.link.status.opened == 2)
+            await until(lambda: bench.link.status.opened == 2)
             await dvl_drive(bench, send, message, 20)
             check_dvl(bench, way_m, 1.9)
 
@@ -303,7 +298,7 @@ def test_nmea_talker_over_tcp_is_cut_and_comes_back() -> None:
                 writer.write(b"$GPGGA,22")
                 await writer.drain()
                 writer.close()
-                await bench.until(partial(lost, cuts))
+                await until(partial(lost, cuts))
                 bench.wait(10.0)
                 assert bench.reason() == "after_odometry"
 

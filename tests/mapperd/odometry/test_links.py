@@ -13,17 +13,12 @@ import pytest
 
 from mapperd.config.odometry import parse_address
 from mapperd.odometry.links import OdometryLink, OdometryLinkStatus
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.net
 
 States = list[tuple[str, str]]
 Heard = list[tuple[bytes, bool]]
-
-
-async def until(true: Callable[[], bool]) -> None:
-    async with asyncio.timeout(15):
-        while not true():  # noqa: ASYNC110 counters have no event
-            await asyncio.sleep(0.005)
 
 
 def run(text: str, work: Callable[[OdometryLink, Heard, States], Awaitable[None]]) -> States:

@@ -23,8 +23,8 @@ from tests.support.control_server import (
     descriptors,
     go,
     message_of,
-    until,
 )
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.net
 

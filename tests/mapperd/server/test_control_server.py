@@ -2,7 +2,6 @@
 
 import asyncio
 import ssl
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,23 +14,13 @@ from mapperd.events import Severity
 from mapperd.server.connection import EVENTS_AT_ONCE
 from mapperd.wire.auth import Limits
 from mapperd.wire.requests import Request
-from tests.support.control_server import FREE, Line, Served, message_of, refusal, served, until
+from tests.support.control_server import FREE, Line, Served, go, message_of, refusal, served
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.net
 
 Contexts = tuple[ssl.SSLContext, ssl.SSLContext]
 KINDS = ["unix", "tcp", "tls"]
-
-
-def go(work: Callable[[Served], Awaitable[None]], folder: Path, **more: object) -> None:
-    """Run a test's coroutine against a server; nothing of it may be left over."""
-
-    async def run() -> None:
-        async with served(folder, **more) as one:  # type: ignore[arg-type]
-            await work(one)
-        assert asyncio.all_tasks() == {asyncio.current_task()}
-
-    asyncio.run(run(), debug=True)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -10,8 +10,9 @@ import pytest
 
 from mapperd.server.session import ClientSession
 from tests.mapperd.server.test_stream_server import fill
-from tests.mapperd.server.watched import as_bytes, bed_of, run
+from tests.mapperd.server.watched import as_bytes, bed_of
 from tests.support.control_server import TOKEN
+from tests.support.waiting import run
 
 
 @pytest.mark.slow

@@ -12,7 +12,8 @@ from mapperd.wire.auth import Limits
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import AckMessage, AskMessage, ChangeMessage, Interest
 from tests.mapperd.server.test_session import SentState
-from tests.mapperd.server.watched import bed_of, run
+from tests.mapperd.server.watched import bed_of
+from tests.support.waiting import run
 
 
 @pytest.mark.parametrize("door", ["unix", "tls"])

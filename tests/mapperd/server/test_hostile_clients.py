@@ -18,7 +18,8 @@ from mapperd.wire.messages import (
     Interest,
     MapBox,
 )
-from tests.mapperd.server.watched import as_bytes, bed_of, run
+from tests.mapperd.server.watched import as_bytes, bed_of
+from tests.support.waiting import run
 
 pytestmark = pytest.mark.net
 

@@ -22,7 +22,8 @@ from tests.mapperd.server.sent_state import (
     scatter,
     source_of,
 )
-from tests.mapperd.server.watched import Bed, Watcher, bed_of, run
+from tests.mapperd.server.watched import Bed, Watcher, bed_of
+from tests.support.waiting import run
 
 MESSAGE = 1000
 """Bytes of one in these tests."""

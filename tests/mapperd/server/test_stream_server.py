@@ -20,8 +20,9 @@ from mapperd.wire.messages import (
     SettingsMessage,
     StatusMessage,
 )
-from tests.mapperd.server.watched import Watcher, as_bytes, bed_of, run
+from tests.mapperd.server.watched import Watcher, as_bytes, bed_of
 from tests.support.control_server import TOKEN
+from tests.support.waiting import run
 
 pytestmark = pytest.mark.net
 

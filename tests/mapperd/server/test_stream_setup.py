@@ -29,7 +29,7 @@ from mapperd.wire.messages import (
 from tests.mapperd.daemon.test_daemon import bench_of
 from tests.mapperd.server.watched import Key, Watcher
 from tests.support.control_server import TOKEN
-from tests.support.process import run
+from tests.support.waiting import run
 
 pytestmark = pytest.mark.net
 

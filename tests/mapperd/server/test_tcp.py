@@ -16,8 +16,9 @@ import pytest
 from mapperd.server.connection import ClientConnection
 from mapperd.server.pacer import CALM, TCP_CC_INFO, TcpState, tcp_state, tune
 from mapperd.wire.auth import Limits
-from tests.mapperd.server.watched import Bed, Watcher, bed_of, run
+from tests.mapperd.server.watched import Bed, Watcher, bed_of
 from tests.support.control_server import TOKEN
+from tests.support.waiting import run
 
 pytestmark = pytest.mark.net
 

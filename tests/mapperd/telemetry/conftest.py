@@ -37,7 +37,7 @@ POSE = {
 }
 
 
-class FakeDaemon:
+class FakeVehicle:
     """Operations that remember what they were asked."""
 
     def __init__(self, settings: dict[str, Any] | None = None) -> None:
@@ -116,8 +116,8 @@ class FakeDaemon:
 
 
 @pytest.fixture
-def daemon() -> FakeDaemon:
-    return FakeDaemon()
+def daemon() -> FakeVehicle:
+    return FakeVehicle()
 
 
 def drained(outbox: Outbox) -> dict[str, list[Any]]:

@@ -10,8 +10,9 @@ from mapperd.events import Severity
 from mapperd.telemetry import broker
 from mapperd.telemetry import telemetry as telemetry_module
 from mapperd.telemetry.telemetry import Phase, Telemetry
-from tests.mapperd.telemetry.conftest import FakeDaemon
+from tests.mapperd.telemetry.conftest import FakeVehicle
 from tests.support.process import free_tcp_port
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.net
 
@@ -25,14 +26,8 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(broker, "TIMEOUT_S", 0.2)
 
 
-async def until(true: Callable[[], object]) -> None:
-    async with asyncio.timeout(LONG_S):
-        while not true():  # noqa: ASYNC110 many kinds of news
-            await asyncio.sleep(0.005)
-
-
 @contextlib.asynccontextmanager
-async def running_telemetry(daemon: FakeDaemon) -> AsyncIterator[Telemetry]:
+async def running_telemetry(daemon: FakeVehicle) -> AsyncIterator[Telemetry]:
     telemetry = Telemetry(daemon, environment={}, chance=lambda: 0.5)
     task = asyncio.create_task(telemetry.run())
     try:
@@ -43,7 +38,7 @@ async def running_telemetry(daemon: FakeDaemon) -> AsyncIterator[Telemetry]:
 
 
 def test_nobody_listens() -> None:
-    daemon = FakeDaemon({"port": free_tcp_port()})
+    daemon = FakeVehicle({"port": free_tcp_port()})
 
     async def run() -> None:
         async with running_telemetry(daemon) as telemetry:
@@ -109,7 +104,7 @@ def test_somebody_else_listens(server: Server) -> None:
 
     async def run() -> Telemetry:
         async with await asyncio.start_server(serve, "127.0.0.1", 0) as listening:
-            daemon = FakeDaemon({"port": listening.sockets[0].getsockname()[1]})
+            daemon = FakeVehicle({"port": listening.sockets[0].getsockname()[1]})
             async with running_telemetry(daemon) as telemetry:
                 await until(lambda: telemetry.counts["lost"] >= 8)
                 assert served - ended <= 3  # sockets are closed, not left to the collector

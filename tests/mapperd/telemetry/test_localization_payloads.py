@@ -12,7 +12,7 @@ from mapperd.config.tree import AmclConfig, MqttConfig
 from mapperd.telemetry.payloads import SAMPLE
 from mapperd.telemetry.topics import Asked, Topics
 from tests.mapperd.localization.believed import STAMP_NS, snapshot
-from tests.mapperd.telemetry.conftest import ROOT, T0_S, FakeDaemon, drained
+from tests.mapperd.telemetry.conftest import ROOT, T0_S, FakeVehicle, drained
 from tests.mapperd.telemetry.test_publisher import PublisherHarness
 from tests.mapperd.telemetry.test_requests import Asker
 from tests.support.peers.mosquitto import mosquitto_path, running_mosquitto
@@ -22,7 +22,7 @@ POSE = {"x_m": 1.5, "y_m": -2, "yaw_rad": 0.5}
 OURS = ("amcl_pose", "map_odom", "particle_cloud", "diagnostics")
 
 
-def test_all_is_reported_under_the_published_names(daemon: FakeDaemon) -> None:
+def test_all_is_reported_under_the_published_names(daemon: FakeVehicle) -> None:
     daemon.localized = snapshot(0.2)
     published = PublisherHarness(daemon).publish()
     (pose,), (moved,), (cloud,), (levels,) = (published[topic] for topic in OURS)
@@ -37,18 +37,18 @@ def test_all_is_reported_under_the_published_names(daemon: FakeDaemon) -> None:
     assert levels["std_x"]["warn_level"] == 0.2
 
 
-def test_nothing_is_reported_while_it_is_off(daemon: FakeDaemon) -> None:
+def test_nothing_is_reported_while_it_is_off(daemon: FakeVehicle) -> None:
     assert not set(OURS) & set(PublisherHarness(daemon).publish(6.0))
 
 
-def test_without_a_belief_levels_alone_are_reported(daemon: FakeDaemon) -> None:
+def test_without_a_belief_levels_alone_are_reported(daemon: FakeVehicle) -> None:
     daemon.localized = snapshot(None, transform=None)
     published = PublisherHarness(daemon).publish()
     assert set(OURS) & set(published) == {"diagnostics"}
     assert published["diagnostics"][0]["text"] == "no estimate yet"
 
 
-def test_rates_are_bounded(daemon: FakeDaemon) -> None:
+def test_rates_are_bounded(daemon: FakeVehicle) -> None:
     harness = PublisherHarness(daemon)
     found: dict[str, int] = dict.fromkeys(OURS, 0)
     base = snapshot(0.0)
@@ -66,13 +66,13 @@ def test_rates_are_bounded(daemon: FakeDaemon) -> None:
     assert 2 <= found["diagnostics"] <= 3
 
 
-def test_nothing_is_reported_twice(daemon: FakeDaemon) -> None:
+def test_nothing_is_reported_twice(daemon: FakeVehicle) -> None:
     daemon.localized = snapshot(0.0)
     published = PublisherHarness(daemon).publish(4.0)
     assert [len(published[topic]) for topic in OURS] == [1, 1, 1, 1]
 
 
-def test_levels_are_reported_when_they_change(daemon: FakeDaemon) -> None:
+def test_levels_are_reported_when_they_change(daemon: FakeVehicle) -> None:
     daemon.localized = snapshot(0.0)
     harness = PublisherHarness(daemon)
     harness.publish(1.5)
@@ -81,7 +81,7 @@ def test_levels_are_reported_when_they_change(daemon: FakeDaemon) -> None:
     assert (levels["level"], levels["std_x"]["level"]) == ("WARN", "WARN")
 
 
-def test_requests_are_obeyed(daemon: FakeDaemon) -> None:
+def test_requests_are_obeyed(daemon: FakeVehicle) -> None:
     asker = Asker(daemon)
     for below, body in (
         ("cmd/initial_pose", {"pose": POSE}),
@@ -118,14 +118,14 @@ def test_requests_are_obeyed(daemon: FakeDaemon) -> None:
     ],
 )
 def test_what_cannot_be_is_refused(
-    daemon: FakeDaemon, name: str, body: dict[str, Any], reason: str
+    daemon: FakeVehicle, name: str, body: dict[str, Any], reason: str
 ) -> None:
     (answer,) = Asker(daemon).ask(f"cmd/{name}", {"id": 1, **body})[f"cmd/{name}/result"]
     assert (answer["ok"], answer["reason"]) == (False, reason)
     assert daemon.asked == []
 
 
-def test_not_a_number_is_no_json(daemon: FakeDaemon) -> None:
+def test_not_a_number_is_no_json(daemon: FakeVehicle) -> None:
     payload = json.dumps({"id": 1, "pose": POSE | {"x_m": float("nan")}}).encode()
     (answer,) = Asker(daemon).ask("cmd/initial_pose", payload)["cmd/initial_pose/result"]
     assert (answer["ok"], answer["reason"]) == (False, "bad_request")
@@ -143,7 +143,7 @@ def test_settings_name_the_topics() -> None:
     assert bare.also == {"initialpose": "initial_pose"}
 
 
-def test_a_command_keeps_its_name(daemon: FakeDaemon) -> None:
+def test_a_command_keeps_its_name(daemon: FakeVehicle) -> None:
     asker = Asker(daemon, AmclConfig(map_topic="reset"))
     (answer,) = asker.ask("cmd/reset", {"id": 1})["cmd/reset/result"]
     assert answer["ok"]
@@ -158,7 +158,7 @@ def test_mosquitto_carries_it(tmp_path: Path) -> None:
     if mosquitto_path() is None:
         pytest.skip("Mosquitto is not installed")
     port = free_tcp_port()
-    daemon = FakeDaemon({"port": port, "commands": True})
+    daemon = FakeVehicle({"port": port, "commands": True})
     daemon.localized = snapshot(0.2)
 
     async def run() -> None:

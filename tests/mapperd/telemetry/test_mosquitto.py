@@ -5,11 +5,13 @@ import contextlib
 import json
 import shutil
 import subprocess
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from tests.support.waiting import until
 
 pytest.importorskip("aiomqtt", reason="aiomqtt is not installed")
 
@@ -19,7 +21,7 @@ from mapperd.events import Severity
 from mapperd.telemetry import broker
 from mapperd.telemetry import telemetry as telemetry_module
 from mapperd.telemetry.telemetry import Phase, Telemetry
-from tests.mapperd.telemetry.conftest import POSE, ROBOT, ROOT, FakeDaemon
+from tests.mapperd.telemetry.conftest import POSE, ROBOT, ROOT, FakeVehicle
 from tests.support.peers.mosquitto import Cable, mosquitto_path, running_mosquitto
 from tests.support.process import free_tcp_port
 
@@ -37,12 +39,6 @@ LONG_S = 60.0
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(telemetry_module, "RETRY_DELAY_S", 0.05)
     monkeypatch.setattr(telemetry_module, "MAX_RETRY_DELAY_S", 0.1)
-
-
-async def until(true: Callable[[], object]) -> None:
-    async with asyncio.timeout(LONG_S):
-        while not true():  # noqa: ASYNC110 many kinds of news
-            await asyncio.sleep(0.01)
 
 
 class Listener:
@@ -98,7 +94,7 @@ async def listening(port: int, **login: Any) -> AsyncIterator[Listener]:
 
 
 @contextlib.asynccontextmanager
-async def running_telemetry(daemon: FakeDaemon, **more: Any) -> AsyncIterator[Telemetry]:
+async def running_telemetry(daemon: FakeVehicle, **more: Any) -> AsyncIterator[Telemetry]:
     telemetry = Telemetry(daemon, chance=lambda: 0.5, **({"environment": {}} | more))
     task = asyncio.create_task(telemetry.run())
     try:
@@ -116,7 +112,7 @@ def port(tmp_path: Path) -> Any:
 
 
 def test_everything_is_reported_and_the_end_too(port: int) -> None:
-    daemon = FakeDaemon({"port": port})
+    daemon = FakeVehicle({"port": port})
     daemon.pose, daemon.robots = POSE, [ROBOT]
     daemon.events.add(Severity.NOTICE, "started", "the daemon has started")
 
@@ -154,7 +150,7 @@ def test_everything_is_reported_and_the_end_too(port: int) -> None:
 def test_a_broken_link_is_offline_and_later_reports_missed_events(port: int) -> None:
     async def run() -> None:
         async with Cable(port) as cable, listening(port) as shore:
-            daemon = FakeDaemon({"port": cable.port})
+            daemon = FakeVehicle({"port": cable.port})
             async with running_telemetry(daemon) as telemetry:
                 await shore.hears("status", b"online")
                 await until(lambda: telemetry.phase is Phase.CONNECTED)
@@ -179,7 +175,7 @@ def test_a_jammed_cable_costs_telemetry_and_no_event(
 
     async def run() -> None:
         async with Cable(port) as cable, listening(port) as shore:
-            daemon = FakeDaemon({"port": cable.port, "queue": 10})
+            daemon = FakeVehicle({"port": cable.port, "queue": 10})
             async with running_telemetry(daemon) as telemetry:
                 await shore.hears("status", b"online")
                 cable.jammed = True
@@ -200,7 +196,7 @@ def test_a_jammed_cable_costs_telemetry_and_no_event(
 
 def test_a_broker_that_starts_again_has_all_that_is_kept(tmp_path: Path) -> None:
     port = free_tcp_port()
-    daemon = FakeDaemon({"port": port})
+    daemon = FakeVehicle({"port": port})
 
     async def run() -> None:
         async with running_telemetry(daemon) as telemetry:
@@ -218,7 +214,7 @@ def test_a_broker_that_starts_again_has_all_that_is_kept(tmp_path: Path) -> None
 
 
 def test_commands_are_obeyed_where_they_are_allowed(port: int) -> None:
-    daemon = FakeDaemon({"port": port, "commands": True})
+    daemon = FakeVehicle({"port": port, "commands": True})
 
     async def run() -> None:
         async with listening(port) as shore:
@@ -243,7 +239,7 @@ def test_commands_are_obeyed_where_they_are_allowed(port: int) -> None:
 
 
 def test_commands_are_not_heard_where_they_are_not_allowed(port: int) -> None:
-    daemon = FakeDaemon({"port": port})
+    daemon = FakeVehicle({"port": port})
 
     async def run() -> None:
         async with listening(port) as shore, running_telemetry(daemon) as telemetry:
@@ -260,7 +256,7 @@ def test_commands_are_not_heard_where_they_are_not_allowed(port: int) -> None:
 
 
 def test_oversized_and_flooding_senders_do_no_harm(port: int) -> None:
-    daemon = FakeDaemon({"port": port, "commands": True})
+    daemon = FakeVehicle({"port": port, "commands": True})
 
     async def run() -> None:
         async with listening(port) as shore, running_telemetry(daemon) as telemetry:
@@ -285,7 +281,7 @@ def test_a_password_is_asked_for_and_wrong_ones_are_a_reason(tmp_path: Path) -> 
     users, secret, port = tmp_path / "users", tmp_path / "mqtt-password", free_tcp_port()
     subprocess.run([tool, "-b", "-c", str(users), "rov", "right"], check=True)  # noqa: S603 ours
     secret.write_text("wrong\n", encoding="utf-8")
-    daemon = FakeDaemon({"port": port, "username": "rov"})
+    daemon = FakeVehicle({"port": port, "username": "rov"})
 
     async def run() -> None:
         environment = {"CREDENTIALS_DIRECTORY": str(tmp_path)}
@@ -312,8 +308,8 @@ def test_tls_is_checked(tmp_path: Path) -> None:
     files = ["-keyout", str(key), "-out", str(certificate), "-days", "2"]
     subprocess.run([tool, *words, *names, *files], check=True, capture_output=True)  # noqa: S603 ours
     lines = ("allow_anonymous true", f"certfile {certificate}", f"keyfile {key}")
-    trusted = FakeDaemon({"port": port, "tls": True, "ca_file": str(certificate)})
-    unknown = FakeDaemon({"port": port, "tls": True})
+    trusted = FakeVehicle({"port": port, "tls": True, "ca_file": str(certificate)})
+    unknown = FakeVehicle({"port": port, "tls": True})
 
     async def run() -> None:
         async with running_telemetry(trusted) as telemetry:
@@ -329,7 +325,7 @@ def test_tls_is_checked(tmp_path: Path) -> None:
 
 def test_two_of_one_name_do_not_stop_the_listener(port: int) -> None:
     """A broker has one client of a name at a time; both come back, nobody falls over."""
-    daemon = FakeDaemon({"port": port})
+    daemon = FakeVehicle({"port": port})
 
     async def run() -> None:
         async with running_telemetry(daemon) as one:

@@ -9,7 +9,7 @@ from mapperd.events import Severity
 from mapperd.telemetry.outbox import Kind, Outbox
 from mapperd.telemetry.publisher import Reporter
 from mapperd.telemetry.topics import Topics
-from tests.mapperd.telemetry.conftest import POSE, ROBOT, T0_S, FakeDaemon, below, drained
+from tests.mapperd.telemetry.conftest import POSE, ROBOT, T0_S, FakeVehicle, below, drained
 
 VITALS = {"cpu_percent": 12.5, "memory_bytes": 1, "disk_free_bytes": {"/state": 5}}
 
@@ -17,7 +17,7 @@ VITALS = {"cpu_percent": 12.5, "memory_bytes": 1, "disk_free_bytes": {"/state": 
 class PublisherHarness:
     """A reporter and its clock."""
 
-    def __init__(self, daemon: FakeDaemon, limit: int = 1000) -> None:
+    def __init__(self, daemon: FakeVehicle, limit: int = 1000) -> None:
         self.outbox = Outbox(limit)
         topics = Topics.of(daemon.settings.current.mqtt)
         self.reporter = Reporter(daemon, topics, self.outbox, lambda: VITALS, lambda: {"lost": 1})
@@ -45,7 +45,7 @@ def settings_in(published: dict[str, list[Any]]) -> dict[str, list[Any]]:
     return {topic: values for topic, values in published.items() if topic.startswith("config/")}
 
 
-def test_all_that_a_broker_keeps_is_reported_at_first(daemon: FakeDaemon) -> None:
+def test_all_that_a_broker_keeps_is_reported_at_first(daemon: FakeVehicle) -> None:
     published = PublisherHarness(daemon).publish()
     config = daemon.settings.current
     expected = {f"config/{name}": [value_of(config, name)] for name in parameters()}
@@ -67,7 +67,7 @@ def test_all_that_a_broker_keeps_is_reported_at_first(daemon: FakeDaemon) -> Non
     assert published["health"][0]["telemetry"] == {"lost": 1}
 
 
-def test_rates_are_those_of_the_convention(daemon: FakeDaemon) -> None:
+def test_rates_are_those_of_the_convention(daemon: FakeVehicle) -> None:
     harness = PublisherHarness(daemon)
     harness.publish()
     published = harness.publish(60.0)
@@ -80,7 +80,7 @@ def test_rates_are_those_of_the_convention(daemon: FakeDaemon) -> None:
     assert published["pose"][0]["position_std_m"] == [0.1, 0.1, None]
 
 
-def test_pose_rate_is_followed_and_a_pose_is_reported_once(daemon: FakeDaemon) -> None:
+def test_pose_rate_is_followed_and_a_pose_is_reported_once(daemon: FakeVehicle) -> None:
     harness = PublisherHarness(daemon)
     daemon.settings.follow(("mqtt.pose_rate",), lambda _: None)
     assert isinstance(daemon.settings.apply({"mqtt.pose_rate": 1.0}, "x"), Applied)
@@ -95,7 +95,7 @@ def test_pose_rate_is_followed_and_a_pose_is_reported_once(daemon: FakeDaemon) -
     assert len(drained(harness.outbox)["pose"]) == 1
 
 
-def test_what_a_broker_keeps_is_retained_and_the_rest_is_not(daemon: FakeDaemon) -> None:
+def test_what_a_broker_keeps_is_retained_and_the_rest_is_not(daemon: FakeVehicle) -> None:
     harness = PublisherHarness(daemon)
     daemon.pose, daemon.robots = POSE, [ROBOT]
     daemon.events.add(Severity.INFO, "code", "text")
@@ -118,7 +118,7 @@ def test_what_a_broker_keeps_is_retained_and_the_rest_is_not(daemon: FakeDaemon)
 
 
 def test_a_change_of_state_is_reported_at_once_but_not_ten_times_a_second(
-    daemon: FakeDaemon,
+    daemon: FakeVehicle,
 ) -> None:
     harness = PublisherHarness(daemon)
     harness.publish(5.0)
@@ -132,7 +132,7 @@ def test_a_change_of_state_is_reported_at_once_but_not_ten_times_a_second(
     assert harness.publish(2.0)["state"][-1]["phase"] == "phase 99"
 
 
-def test_a_changed_setting_is_reported_and_the_sonar_s_place_with_it(daemon: FakeDaemon) -> None:
+def test_a_changed_setting_is_reported_and_the_sonar_s_place_with_it(daemon: FakeVehicle) -> None:
     harness = PublisherHarness(daemon)
     (before,) = harness.publish()["tf"]
     assert before["child_frame"] == "sonar_link"
@@ -145,7 +145,7 @@ def test_a_changed_setting_is_reported_and_the_sonar_s_place_with_it(daemon: Fak
     assert published["tf"][0]["orientation_wxyz"] == [1.0, 0.0, 0.0, 0.0]
 
 
-def test_robots_are_reported_when_they_are_seen_and_when_they_are_gone(daemon: FakeDaemon) -> None:
+def test_robots_are_reported_when_they_are_seen_and_when_they_are_gone(daemon: FakeVehicle) -> None:
     harness = PublisherHarness(daemon)
     topic = "sonar_robot_detections"
     assert topic not in harness.publish(1.0)
@@ -160,7 +160,7 @@ def test_robots_are_reported_when_they_are_seen_and_when_they_are_gone(daemon: F
     assert harness.publish(1.0)[topic][-1]["robots"] == []
 
 
-def test_events_wait_where_they_are_kept_while_there_is_no_room(daemon: FakeDaemon) -> None:
+def test_events_wait_where_they_are_kept_while_there_is_no_room(daemon: FakeVehicle) -> None:
     harness = PublisherHarness(daemon, limit=10)
     for k in range(35):
         daemon.events.add(Severity.NOTICE, "code", f"event {k}", value_m=k)
@@ -172,7 +172,7 @@ def test_events_wait_where_they_are_kept_while_there_is_no_room(daemon: FakeDaem
     assert harness.outbox.dropped[Kind.EVENT] == 0
 
 
-def test_forgotten_events_are_counted_and_reported(daemon: FakeDaemon) -> None:
+def test_forgotten_events_are_counted_and_reported(daemon: FakeVehicle) -> None:
     harness = PublisherHarness(daemon, limit=2000)
     for k in range(1200):
         daemon.events.add(Severity.NOTICE, "code", f"event {k}")
@@ -184,7 +184,7 @@ def test_forgotten_events_are_counted_and_reported(daemon: FakeDaemon) -> None:
     assert "event" not in harness.publish()
 
 
-def test_everything_is_reported_again_to_a_new_connection(daemon: FakeDaemon) -> None:
+def test_everything_is_reported_again_to_a_new_connection(daemon: FakeVehicle) -> None:
     harness = PublisherHarness(daemon)
     first = harness.publish(3.0)
     daemon.events.add(Severity.NOTICE, "code", "text")

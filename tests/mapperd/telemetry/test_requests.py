@@ -10,7 +10,7 @@ from mapperd.config.tree import AmclConfig
 from mapperd.telemetry.outbox import Kind, Outbox
 from mapperd.telemetry.requests import TelemetryRequests
 from mapperd.telemetry.topics import Topics
-from tests.mapperd.telemetry.conftest import ROOT, FakeDaemon, drained
+from tests.mapperd.telemetry.conftest import ROOT, FakeVehicle, drained
 
 SET = "config/filtering.min_range/set"
 RESULT = "config/filtering.min_range/result"
@@ -19,7 +19,7 @@ RESULT = "config/filtering.min_range/result"
 class Asker:
     """Sends requests and collects the answers."""
 
-    def __init__(self, daemon: FakeDaemon, amcl: AmclConfig | None = None) -> None:
+    def __init__(self, daemon: FakeVehicle, amcl: AmclConfig | None = None) -> None:
         self.outbox = Outbox(1000)
         config = daemon.settings.current
         topics = Topics.of(config.mqtt, amcl or config.amcl)
@@ -45,11 +45,11 @@ class Asker:
 
 
 @pytest.fixture
-def asker(daemon: FakeDaemon) -> Asker:
+def asker(daemon: FakeVehicle) -> Asker:
     return Asker(daemon)
 
 
-def test_commands_are_obeyed_and_answered(daemon: FakeDaemon, asker: Asker) -> None:
+def test_commands_are_obeyed_and_answered(daemon: FakeVehicle, asker: Asker) -> None:
     assert asker.ask("cmd/save", {"id": "a", "name": "map.bt"}) == {
         "cmd/save/result": [
             {
@@ -71,7 +71,7 @@ def test_commands_are_obeyed_and_answered(daemon: FakeDaemon, asker: Asker) -> N
     assert asker.requests.counts == {"done": 4}
 
 
-def test_a_request_that_comes_twice_is_done_once(daemon: FakeDaemon, asker: Asker) -> None:
+def test_a_request_that_comes_twice_is_done_once(daemon: FakeVehicle, asker: Asker) -> None:
     first = asker.ask("cmd/reset", {"id": "x"})
     assert asker.ask("cmd/reset", {"id": "x"}) == first
     assert daemon.asked == [("reset", "mqtt")]
@@ -80,7 +80,7 @@ def test_a_request_that_comes_twice_is_done_once(daemon: FakeDaemon, asker: Aske
     assert asker.requests.counts == {"done": 2, "repeated": 1}
 
 
-def test_a_setting_is_changed_with_and_without_an_id(daemon: FakeDaemon, asker: Asker) -> None:
+def test_a_setting_is_changed_with_and_without_an_id(daemon: FakeVehicle, asker: Asker) -> None:
     assert asker.ask(SET, 2.5) == {RESULT: [{"id": None, "ok": True, "value": 2.5}]}
     assert asker.ask(SET, {"id": 1, "value": 3})[RESULT] == [{"id": 1, "ok": True, "value": 3}]
     assert daemon.settings.current.filtering.min_range == 3.0
@@ -120,7 +120,7 @@ def test_a_setting_is_changed_with_and_without_an_id(daemon: FakeDaemon, asker: 
     ],
 )
 def test_what_cannot_be_done_is_answered_with_a_reason(  # noqa: PLR0917 a table
-    daemon: FakeDaemon, asker: Asker, below: str, body: Any, reason: str, words: str
+    daemon: FakeVehicle, asker: Asker, below: str, body: Any, reason: str, words: str
 ) -> None:
     before = daemon.settings.current
     ((answer,),) = asker.ask(below, body).values()
@@ -131,7 +131,7 @@ def test_what_cannot_be_done_is_answered_with_a_reason(  # noqa: PLR0917 a table
     assert asker.requests.counts == {"refused": 1}
 
 
-def test_a_broker_s_memory_is_no_wish(daemon: FakeDaemon, asker: Asker) -> None:
+def test_a_broker_s_memory_is_no_wish(daemon: FakeVehicle, asker: Asker) -> None:
     assert asker.ask("cmd/reset", {"id": 1}, retained=True) == {}
     assert asker.ask("status", b"online") == {}
     assert daemon.asked == []
@@ -161,7 +161,7 @@ PAYLOADS = st.binary(max_size=60) | ANYTHING.map(lambda one: json.dumps(one).enc
 @settings(max_examples=60, deadline=None)
 @given(TEXT, st.sampled_from(("cmd/reset", SET, "cmd/save")), PAYLOADS)
 def test_any_payload_is_answered_and_does_no_harm(name: str, below: str, payload: bytes) -> None:
-    daemon = FakeDaemon()
+    daemon = FakeVehicle()
     asker = Asker(daemon)
     asker.requests.offer(f"{ROOT}/cmd/{name}", payload, retained=False)
     asker.requests.offer(f"{ROOT}/{below}", payload, retained=False)

@@ -12,14 +12,14 @@ from mapperd.telemetry.requests import MAX_BYTES, MAX_ID, MAX_WAITING, REMEMBERE
 from mapperd.telemetry.telemetry import MAX_RETRY_DELAY_S, RETRY_DELAY_S
 from mapperd.telemetry.topics import MAX_NAME, Topics
 from tests.mapperd.localization.believed import snapshot
-from tests.mapperd.telemetry.conftest import POSE, ROBOT, T0_S, FakeDaemon, below
+from tests.mapperd.telemetry.conftest import POSE, ROBOT, T0_S, FakeVehicle, below
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "guides" / "telemetry.md").read_text(
     encoding="utf-8"
 )
 
 
-def test_table_has_every_topic_with_its_quality_and_whether_it_is_kept(daemon: FakeDaemon) -> None:
+def test_table_has_every_topic_with_its_quality_and_whether_it_is_kept(daemon: FakeVehicle) -> None:
     daemon.pose, daemon.robots, daemon.localized = POSE, [ROBOT], snapshot()
     daemon.events.add(Severity.INFO, "code", "text")
     outbox = Outbox(100)

@@ -21,7 +21,7 @@ from mapperd.wire.messages import (
     ReturnsMessage,
     RobotsMessage,
 )
-from tests.mapperd.viewer.view_fakes import FakeClient, pose_at, some_map
+from tests.mapperd.viewer.view_fakes import FakePageClient, pose_at, some_map
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -124,7 +124,7 @@ def test_what_moves_is_moved_and_not_made_again(server: "ViserServer") -> None:
 
 def test_a_new_session_removes_everything(server: "ViserServer") -> None:
     async def run() -> None:
-        client = FakeClient(some_map())
+        client = FakePageClient(some_map())
         view = ViewerPage(server, cast("MapClient", client))
 
         def shown() -> bool:

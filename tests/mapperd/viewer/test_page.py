@@ -13,7 +13,7 @@ from mapperd.client import ConnectionStatus
 from mapperd.viewer.colours import Scale, colours_of
 from mapperd.viewer.map_layer import POINT_RADIUS
 from tests.mapperd.viewer.view_browser import Serving, chromium, downloads
-from tests.mapperd.viewer.view_fakes import FakeClient, mirror_of, pose_at, some_map
+from tests.mapperd.viewer.view_fakes import FakePageClient, mirror_of, pose_at, some_map
 from tests.mapperd.viewer.view_pictures import camera_towards, picture_of, quaternion_of
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def browser() -> Iterator["Browser"]:
 def serving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Serving]:
     pytest.importorskip("viser", reason="the extra `topside` is not installed")
     folder = tmp_path_factory.mktemp("kept")
-    with Serving(lambda: FakeClient(some_map()), folder=folder) as one:
+    with Serving(lambda: FakePageClient(some_map()), folder=folder) as one:
         one.do(one.client.connect)
         yield one
 

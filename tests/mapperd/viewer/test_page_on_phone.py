@@ -9,7 +9,7 @@ import zstandard
 
 from mapperd.wire.messages import ImageMessage
 from tests.mapperd.viewer.view_browser import Serving, chromium
-from tests.mapperd.viewer.view_fakes import FakeClient, pose_at, some_map
+from tests.mapperd.viewer.view_fakes import FakePageClient, pose_at, some_map
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -22,7 +22,7 @@ WIDTH, HEIGHT = 375, 812
 @pytest.fixture(scope="module")
 def serving() -> Iterator[Serving]:
     pytest.importorskip("viser", reason="the extra `topside` is not installed")
-    with Serving(lambda: FakeClient(some_map())) as one:
+    with Serving(lambda: FakePageClient(some_map())) as one:
         one.do(one.client.connect)
         yield one
 

@@ -15,6 +15,7 @@ from mapperd.errors import ExportError
 from mapperd.foxglove.recording import FoxgloveRecording
 from mapperd.viewer.save import SaveControls
 from tests.mapperd.foxglove import foxglove_fakes as fakes
+from tests.support.waiting import until
 
 pytest.importorskip("viser", reason="the extra `topside` is not installed")
 
@@ -48,7 +49,7 @@ def kept(folder: Path, press: Callable[[SaveControls, Notes, Any], Awaitable[Non
     watched = Watched(server.gui)
 
     async def run() -> None:
-        client = fakes.FakeClient()
+        client = fakes.FakeStream()
         keep = SaveControls(
             cast("Any", watched),
             server.gui.add_tab_group().add_tab("View"),
@@ -72,7 +73,7 @@ def test_two_presses_make_a_recording(tmp_path: Path) -> None:
         await keep._record(cast("Any", notes))
         await asyncio.sleep(0)
         client.feed_all()
-        await fakes.until(lambda: not client.unread)
+        await until(lambda: not client.unread)
         await keep.update()
         assert keep._button.label.startswith("Stop recording (")
         await keep._record(cast("Any", notes))
@@ -109,7 +110,7 @@ def test_a_recording_that_ends_by_itself_is_reported(tmp_path: Path) -> None:
         await keep._record(cast("Any", notes))
         running = cast("Any", keep._running)
         running._recorder.tick = full
-        await fakes.until(lambda: running.ended)
+        await until(lambda: running.ended)
         await keep.update()
         assert keep._running is None
         assert "Stop" not in keep._button.label

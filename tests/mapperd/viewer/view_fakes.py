@@ -65,7 +65,7 @@ def some_map() -> BlockSet:
     return blocks_of(np.concatenate([floor, wall, *piles]))
 
 
-class FakeClient:
+class FakePageClient:
     """What the page needs of a `MapClient`."""
 
     def __init__(self, blocks: BlockSet) -> None:

@@ -17,7 +17,7 @@ from oculus_driver import (
 )
 from oculus_driver.wire import MessageId
 from tests.oculus_driver.virtual_sonar.client import STANDBY, Client
-from tests.support.process import run
+from tests.support.waiting import run
 
 pytestmark = pytest.mark.net
 

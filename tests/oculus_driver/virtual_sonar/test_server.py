@@ -21,7 +21,7 @@ from oculus_driver import (
 )
 from oculus_driver.wire import USER_CONFIG, MessageId
 from tests.oculus_driver.virtual_sonar.client import FIRE, STANDBY, Client
-from tests.support.process import run
+from tests.support.waiting import run
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -20,7 +20,7 @@ from oculus_driver.virtual_sonar.faults import FaultInjector
 from oculus_driver.virtual_sonar.server import broadcast
 from oculus_driver.wire import MessageId
 from tests.oculus_driver.virtual_sonar.client import Client
-from tests.support.process import run
+from tests.support.waiting import run
 
 pytestmark = pytest.mark.net
 

@@ -18,8 +18,9 @@ from mapperd.cli.mapperctl.command import main
 from mapperd.foxglove import server as foxglove_server
 from mapperd.foxglove.proxy import ORIGINS, ViewerAccess
 from mapperd.wire.messages import ByeMessage
-from tests.mapperd.foxglove.foxglove_fakes import message_class, points_of_cloud, until
+from tests.mapperd.foxglove.foxglove_fakes import message_class, points_of_cloud
 from tests.support.stream_server import Served, Server, a_block
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.net
 
