@@ -50,7 +50,7 @@ class Problem:
     Attributes:
         code: `no_sonar`, `sonar_in_use`, `sonar_unreachable`, `sonar_silent`, `no_odometry`,
             `odometry_quiet`, `odometry_format`, `clock_off`, `odometry_rejected`, `no_attitude`,
-            `no_position`, `no_map`, `recording_paused`, `bricks_lost`.
+            `no_position`, `no_map`, `pose_unconfirmed`, `recording_paused`, `bricks_lost`.
         text: what is wrong and what to do, one line.
         link: the odometry source that it is about, or "".
     """
@@ -73,7 +73,7 @@ def problems_of(status: Values, config: Config) -> list[Problem]:
     return [
         *_sonar(status["sonar"], config),
         *_odometry(status["odometry"], config.odometry),
-        *_localization(status["localization"]),
+        *_localization(status["localization"], config),
         *_recording(status["recording"]),
         *lost_bricks(status["store"]),
     ]
@@ -194,13 +194,29 @@ def _clock_off(name: str, offset_s: float) -> str:
     )
 
 
-def _localization(localization: Values | None) -> Iterator[Problem]:
-    if localization is not None and not localization["map"]:
+def _localization(localization: Values | None, config: Config) -> Iterator[Problem]:
+    if localization is None:
+        return
+    if localization["map"] and not localization.get("confirmed", True) and not _confirms(config):
+        yield Problem(
+            "pose_unconfirmed",
+            "the searched pose stays ambiguous: these settings have no independent search that "
+            "confirms it. Give an initial pose, or set localization.alternative_interval, "
+            "localization.search_poses and amcl.laser_model_type as config/localization.yaml does",
+        )
+    if not localization["map"]:
         yield Problem(
             "no_map",
             "localization has no map: set localization.map_path to a saved map, or send one with "
             "`mapperctl set_map`",
         )
+
+
+def _confirms(config: Config) -> bool:
+    """Return whether alternative hypotheses are tried, which confirm a searched pose."""
+    ours = config.localization
+    is_product = config.amcl.laser_model_type == "likelihood_field_prob"
+    return is_product and ours.alternative_interval > 0 and ours.search_poses > 0
 
 
 def _missing(odometry: Values, config: OdometryFusionConfig) -> Iterator[Problem]:

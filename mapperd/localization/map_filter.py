@@ -142,8 +142,6 @@ class MapFilter:
         if weighing is not None and not weighing.is_product:
             # This model counts no hits: drop what earlier ones showed.
             self.watch, self.alternative = FitWatch(), None
-        if not self._tries_alternatives():
-            self.confirmed = True
 
     def take_map(self, known: LocalizationMap) -> None:
         """As `PoseFilter.take_map`; an error leaves the filter unchanged."""
@@ -240,10 +238,10 @@ class MapFilter:
         self.watch, self.alternative, self._alone_m = FitWatch(), None, 0.0
         self._window, self._unverified_m, self.verdict = ScanWindow(), 0.0, None
         if blind:
-            self.confirmed = not self._tries_alternatives()
+            self.confirmed = False
 
     def _tries_alternatives(self) -> bool:
-        """Whether alternatives are tried; without them no pose can be confirmed."""
+        """Whether alternatives are tried; without them no searched pose is ever confirmed."""
         return (
             self._config.localization.alternative_interval > 0.0
             and self._map is not None

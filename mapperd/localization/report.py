@@ -108,6 +108,7 @@ def _of_belief(snapshot: LocalizationSnapshot) -> dict[str, Any]:
         "std_yaw_deg": math.degrees(std_yaw_rad),
         "cluster_count": len(belief.masses),
         "ambiguous": belief.ambiguous,
+        "confirmed": belief.confirmed,
         "elsewhere": belief.elsewhere,
         "effective_size": belief.effective_size,
     }

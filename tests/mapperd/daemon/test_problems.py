@@ -74,6 +74,14 @@ def test_headlines_say_mapping_only_where_something_is_mapped() -> None:
         assert activity_of("mapping", mapped | {"problems": [{"code": code}]}) == activity
 
 
+def test_an_unconfirmed_pose_is_no_problem_where_a_search_may_confirm_it() -> None:
+    state = status("attitude", "position", localization={"map": "a.map", "confirmed": False})
+    model = "amcl: {laser_model_type: likelihood_field_prob}\n"
+    search = "localization: {search_poses: 1000, alternative_interval: 3}\n"
+    assert found(state, model + search) == []
+    assert len(found(state, search)) == 1
+
+
 def test_a_session_that_maps_has_no_problem() -> None:
     assert found(status("attitude", "position")) == []
     assert found(status("attitude", "velocity", "depth")) == []
@@ -187,6 +195,12 @@ def test_nothing_is_missed_in_the_first_seconds() -> None:
             "",
             "recording_paused",
             ["less than 1024 MiB are free", "recording.budget"],
+        ),
+        (
+            status("attitude", "position", localization={"map": "a.map", "confirmed": False}),
+            "",
+            "pose_unconfirmed",
+            ["stays ambiguous", "initial pose", "alternative_interval", "config/localization.yaml"],
         ),
         (
             status("attitude", "position", store={"bricks_lost": 3}),

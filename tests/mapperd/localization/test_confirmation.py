@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mapperd.config.loader import config_from_text
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.hypothesis import MAX_UNSUPPORTED, FitWatch
 from mapperd.localization.map_filter import FilterState, MapFilter
@@ -115,17 +116,24 @@ def test_last_estimate_is_no_more_certain_on_a_new_map(script: Any) -> None:
     assert not drive(particles, THERE[3:5], 3)[-1].ambiguous
 
 
-def test_without_alternatives_nothing_can_confirm_a_pose(script: Any) -> None:
-    script(lambda pose: pose)
-    particles = MapFilter(profile("alternative_interval: 0"))
+@pytest.mark.parametrize("model", ["likelihood_field", "likelihood_field_prob", "beam"])
+def test_without_alternatives_a_searched_pose_stays_ambiguous(model: str) -> None:
+    settings = f"localization: {{alternative_interval: 0}}\namcl: {{laser_model_type: {model}}}\n"
+    particles = MapFilter(config_from_text(settings))
     particles.take_map(room())
     particles.start_anywhere()
+    assert all(one.ambiguous for one in drive(particles, THERE[:9]))
+    particles.start_at(PlanarGaussian(*THERE[0], SIGMA))
     assert not drive(particles, THERE[:9])[-1].ambiguous
+
+
+def test_a_searched_pose_stays_ambiguous_when_alternatives_are_switched_off(script: Any) -> None:
+    script(lambda pose: pose)
     unconfirmed = on_the_map()
     unconfirmed.start_anywhere()
     assert drive(unconfirmed, THERE[:4])[-1].ambiguous
     unconfirmed.reconfigure(profile("alternative_interval: 0"))
-    assert not drive(unconfirmed, THERE[4:6], 4)[-1].ambiguous
+    assert drive(unconfirmed, THERE[4:6], 4)[-1].ambiguous
 
 
 @pytest.mark.parametrize("updates", [3, 20, 40])
