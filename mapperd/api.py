@@ -89,8 +89,8 @@ class DaemonApi(Protocol):
     def status(self) -> dict[str, Any]:
         """Return the status as plain values with units in the keys; cheap, from any thread.
 
-        Keys: `phase`, `activity` (`phase`, or that nothing is mapped), `reason`, `t_s` (the daemon's clock), `problems` (most severe first, each
-        with `code` and `text`),
+        Keys: `phase`, `activity` (`phase`, or that nothing is mapped), `reason`, `t_s` (the
+        daemon's clock), `problems` (most severe first, each with `code` and `text`),
         `version`, `uptime_s`, `sonar`, `odometry`, `pose` (None before the first),
         `localization` (None where it is off), `pings`, `latency_ms`, `behind`, `map`, `store`,
         `recording`, `robots`, `servers`.

@@ -8,6 +8,7 @@ MapperdError
  +-- StoreError       the map's file cannot be used
  +-- CheckpointError  a saved state cannot be resumed
  +-- ExportError      a result cannot be written
+      +-- ExportExtraError  a library is missing that an extra installs
 """
 
 import errno
@@ -19,6 +20,7 @@ __all__ = [
     "CheckpointError",
     "ConfigError",
     "ExportError",
+    "ExportExtraError",
     "LiveError",
     "MapError",
     "MapperdError",
@@ -94,6 +96,10 @@ class CheckpointError(MapperdError):
 
 class ExportError(MapperdError):
     """A file of results cannot be written."""
+
+
+class ExportExtraError(ExportError):
+    """A format needs a library that an extra installs."""
 
 
 @dataclass(frozen=True, slots=True)

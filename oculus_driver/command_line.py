@@ -6,15 +6,34 @@ import argparse
 import difflib
 import shlex
 import sys
+from enum import IntEnum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-__all__ = ["CommandParser", "GroupedHelp", "did_you_mean"]
+__all__ = ["CommandParser", "ExitCode", "GroupedHelp", "did_you_mean"]
 
-USAGE = 2
+
+class ExitCode(IntEnum):
+    """Exit codes of all commands; those above 64 are of sysexits.h. docs/reference/cli.md."""
+
+    OK = 0
+    FAULT = 1
+    USAGE = 2
+    NOT_ALL = 3
+    BAD_DATA = 65
+    NO_INPUT = 66
+    UNAVAILABLE = 69
+    CANNOT_WRITE = 73
+    TRY_AGAIN = 75
+    PROTOCOL = 76
+    NO_PERMISSION = 77
+    BAD_CONFIG = 78
+    INTERRUPTED = 130
+
+
 SHELLS = ("bash", "zsh", "tcsh")
 UNKNOWN = "unrecognized arguments: "
 
@@ -39,7 +58,7 @@ class CommandParser(argparse.ArgumentParser):
         if message.startswith(UNKNOWN):
             word = message.removeprefix(UNKNOWN).split()[0].partition("=")[0]
             message += did_you_mean(word, self._options())
-        self.exit(USAGE, f"{self.prog}: {message} (see {self.prog} --help)\n")
+        self.exit(ExitCode.USAGE, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
     def add_completion(self, whole: Callable[[], argparse.ArgumentParser] | None = None) -> None:
         """Add `--print-completion SHELL`.

@@ -4,6 +4,9 @@ OculusError
 ├── ProtocolError    bytes or values do not fit the wire format
 │   └── EncodeError  a value does not fit the message
 ├── RecordingError   a file cannot be opened, read or written as a recording
+│   ├── RecordingMissingError     it does not exist or cannot be opened
+│   └── RecordingUnwritableError  it exists already or cannot be written
+├── ExtraMissingError  a library is missing that an extra installs
 ├── DiscoveryError   the port of the status broadcasts cannot be opened
 ├── OutsideLimitsError  a value is outside the validity of a formula
 ├── SettingsError    the settings are invalid
@@ -45,6 +48,18 @@ class RecordingError(OculusError):
 
     The message is one line: the file, the problem, and what to do.
     """
+
+
+class RecordingMissingError(RecordingError):
+    """A file does not exist or cannot be opened."""
+
+
+class RecordingUnwritableError(RecordingError):
+    """A file exists already or cannot be written."""
+
+
+class ExtraMissingError(OculusError):
+    """A library is missing that an extra installs."""
 
 
 class DiscoveryError(OculusError):

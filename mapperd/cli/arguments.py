@@ -17,14 +17,19 @@ __all__ = ["Arguments", "parse_arguments"]
 MAX_POSITION_M = 1e7
 MAX_OFFSET_S = 1e10
 EPILOG = """\
-examples:
-  mapperd --config vehicle.yaml
+set up:
+  mapperd init                  ask for the vehicle and the sonar, and write the settings
+  mapperd doctor                check every link, and name a remedy for the first failure
+  mapperd calibrate RECORDING   estimate mounting angles, time offset and scale of the ranges
+
+map live:
+  mapperd                       with the settings of `mapperd init`
+  mapperd --config vehicle.yaml --duration 600 --out dive
+
+map recordings:
   mapperd --replay dive.mcap --out dive
   mapperd --replay dive.mcap --view
-
-`mapperd init` writes the settings of a vehicle. `mapperd doctor` checks every link and names a
-remedy for the first failure.
-`mapperd calibrate RECORDING` estimates mounting angles, time offset and scale of the ranges.
+  mapperd --replay recordings/ --as-recorded
 
 exit codes: 0 the map is written; 2 usage error; 65 not a recording, nothing was mapped, or a part
 is damaged; 66 cannot open the recording; 69 cannot open a link; 73 cannot write; 78 invalid
@@ -161,8 +166,9 @@ def _parser(commands: Sequence[Callable[[], CommandParser]] = ()) -> CommandPars
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    add = parser.add_argument
-    add(
+    replay = parser.add_argument_group("map recordings").add_argument
+    add = parser.add_argument_group("map live or recordings").add_argument
+    replay(
         "--replay",
         metavar="FILE",
         type=Path,
@@ -170,7 +176,7 @@ def _parser(commands: Sequence[Callable[[], CommandParser]] = ()) -> CommandPars
         default=[],
         help="recordings in order, or folders of them; default: map live",
     )
-    add(
+    replay(
         "--as-recorded",
         action="store_true",
         help="repeat the live session, with its settings, drops, resets and requests",
@@ -188,7 +194,7 @@ def _parser(commands: Sequence[Callable[[], CommandParser]] = ()) -> CommandPars
         help="folder for map.bt, map.ply, map.png and summary.json (default: mapperd-replay, or "
         "mapperd-live)",
     )
-    add(
+    replay(
         "--store",
         metavar="MAP",
         type=Path,
@@ -200,7 +206,7 @@ def _parser(commands: Sequence[Callable[[], CommandParser]] = ()) -> CommandPars
         type=_pose,
         help="pose of a vehicle that stands still (metres, degrees); ignores odometry",
     )
-    add(
+    replay(
         "--odometry",
         metavar="FILE",
         type=Path,
@@ -209,15 +215,15 @@ def _parser(commands: Sequence[Callable[[], CommandParser]] = ()) -> CommandPars
         help="odometry of other files in place of the recorded one: TUM, CSV with a header, ROS "
         "bags, ArduPilot .tlog and .BIN, captures, recordings",
     )
-    add(
+    replay(
         "--odometry-offset",
         metavar="S",
         type=_offset,
         default=0.0,
         help="add S seconds to the times of these files",
     )
-    add("--odometry-topic", metavar="TOPIC", help="topic of the poses in a ROS bag")
-    add(
+    replay("--odometry-topic", metavar="TOPIC", help="topic of the poses in a ROS bag")
+    replay(
         "--odometry-frames",
         metavar=("FIXED", "BODY"),
         nargs=2,
@@ -228,14 +234,14 @@ def _parser(commands: Sequence[Callable[[], CommandParser]] = ()) -> CommandPars
         choices=("evidence_grid", "rays"),
         help="method of integration (default: the setting mapping.integrator)",
     )
-    add(
+    replay(
         "--start",
         metavar="S",
         type=_seconds,
         default=0.0,
         help="skip the first S seconds",
     )
-    add(
+    replay(
         "--view",
         metavar="PORT",
         nargs="?",
@@ -244,12 +250,12 @@ def _parser(commands: Sequence[Callable[[], CommandParser]] = ()) -> CommandPars
         help=f"show the replay in the browser, until Ctrl-C (default port: {VIEW_PORT})",
     )
     add("--duration", metavar="S", type=_positive, help="map S seconds and stop")
-    add(
+    replay(
         "--allow-damaged",
         action="store_true",
         help="also map recorded data that fail their checksum",
     )
-    add("--version", action="version", version=f"mapperd {__version__}")
+    parser.add_argument("--version", action="version", version=f"mapperd {__version__}")
     parser.add_completion(lambda: _with_commands(commands))
     return parser
 

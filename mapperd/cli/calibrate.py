@@ -17,7 +17,7 @@ from mapperd.config.layers import load_settings
 from mapperd.errors import ConfigError, ExportError, MapperdError, missing_extra
 from mapperd.io import atomic_file, make_folder
 from mapperd.session.recordings import files_in, sessions_of
-from oculus_driver.command_line import CommandParser
+from oculus_driver.command_line import CommandParser, ExitCode
 from oculus_driver.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -25,12 +25,11 @@ if TYPE_CHECKING:
 
 __all__ = ["calibrate_command", "calibrate_parser"]
 
-BAD_DATA, NO_INPUT, CANNOT_WRITE, BAD_CONFIG, INTERRUPTED = 65, 66, 73, 78, 130
 _EXITS = (
-    (ConfigError, BAD_CONFIG),
-    (ExportError, CANNOT_WRITE),
-    (OSError, CANNOT_WRITE),
-    (Exception, BAD_DATA),
+    (ConfigError, ExitCode.BAD_CONFIG),
+    (ExportError, ExitCode.CANNOT_WRITE),
+    (OSError, ExitCode.CANNOT_WRITE),
+    (Exception, ExitCode.BAD_DATA),
 )
 UNITS = {"time_offset": "s", "range_scale": "", "x": "m", "y": "m", "z": "m"}
 DIGITS = {"time_offset": 4, "range_scale": 4}
@@ -42,16 +41,16 @@ def calibrate_command(argv: Sequence[str]) -> int:
     """Run `mapperd calibrate`; every failure is one line and an exit code."""
     args = calibrate_parser().parse_args(argv)
     if (problem := unreadable([args.recording])) is not None:
-        return _fail(NO_INPUT, problem)
+        return _fail(ExitCode.NO_INPUT, problem)
     missing = next((name for name in ("scipy", "matplotlib") if find_spec(name) is None), None)
     if missing is not None:
-        return _fail(BAD_CONFIG, missing_extra(missing, "calibrate"))
+        return _fail(ExitCode.BAD_CONFIG, missing_extra(missing, "calibrate"))
     try:
         return _calibrate(args)
     except (MapperdError, RecordingError, OSError) as error:
         return _fail(next(code for kind, code in _EXITS if isinstance(error, kind)), error)
     except KeyboardInterrupt:
-        return INTERRUPTED
+        return ExitCode.INTERRUPTED
 
 
 def _calibrate(args: argparse.Namespace) -> int:
@@ -147,6 +146,6 @@ def _progress(text: str) -> None:
         print(f"mapperd: {text}", file=sys.stderr)  # noqa: T201
 
 
-def _fail(code: int, message: object) -> int:
+def _fail(code: ExitCode, message: object) -> int:
     print(f"mapperd: {message}", file=sys.stderr)  # noqa: T201
     return code

@@ -24,14 +24,11 @@ from mapperd.errors import ConfigError, Reject
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.formats import check_levelling, make_decoder
 from mapperd.odometry.links import OdometryLink
-from oculus_driver.command_line import CommandParser
+from oculus_driver.command_line import CommandParser, ExitCode
 from oculus_driver.discovery.probe import Layer, ProbeOptions, evaluate, probe
 
 __all__ = ["doctor", "doctor_parser"]
 
-BAD_CONFIG = 78
-FAULT = 1
-INTERRUPTED = 130
 MARKS = {"ok": "ok  ", "doubtful": "?   ", "failed": "FAIL", "not tested": "-   "}
 ANSWER_TIMEOUT_S = 5.0
 MAX_SECONDS = 3600.0
@@ -47,7 +44,7 @@ def doctor(argv: Sequence[str]) -> int:
         check_levelling(layered.config)
     except ConfigError as error:
         print(f"mapperd: {error}", file=sys.stderr)  # noqa: T201 a command speaks
-        return BAD_CONFIG
+        return ExitCode.BAD_CONFIG
     if layered.notice:
         print(f"mapperd: {layered.notice}", file=sys.stderr)  # noqa: T201
     try:
@@ -55,7 +52,7 @@ def doctor(argv: Sequence[str]) -> int:
             return _judged(*asked, as_json=args.json)
         found = asyncio.run(_examined(layered.config, args.seconds, ping=args.ping))
     except KeyboardInterrupt:
-        return INTERRUPTED
+        return ExitCode.INTERRUPTED
     failed = [
         name for name, layers in found.items() if any(layer.verdict == "failed" for layer in layers)
     ]
@@ -64,7 +61,7 @@ def doctor(argv: Sequence[str]) -> int:
         print(json.dumps({"links": facts, "failed": failed}))  # noqa: T201
     else:
         print("\n".join(_lines(found)))  # noqa: T201
-    return FAULT if failed else 0
+    return ExitCode.FAULT if failed else 0
 
 
 def _asked(config: Config, seconds: float) -> tuple[Path, dict[str, Any], dict[str, Any]] | None:
@@ -91,7 +88,7 @@ def _judged(path: Path, before: dict[str, Any], status: dict[str, Any], *, as_js
         print("\n".join(status_lines(status, before)))  # noqa: T201
         if not problems:
             print("no problems")  # noqa: T201
-    return FAULT if problems else 0
+    return ExitCode.FAULT if problems else 0
 
 
 def doctor_parser() -> CommandParser:

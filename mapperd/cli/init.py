@@ -22,11 +22,9 @@ from mapperd.io import atomic_file
 from mapperd.odometry.formats import check_libraries
 from mapperd.server.listeners import address_of
 from mapperd.wire.auth import is_loopback
-from oculus_driver.command_line import CommandParser
+from oculus_driver.command_line import CommandParser, ExitCode
 
 __all__ = ["Setup", "init", "init_parser", "settings_text", "user_settings"]
-
-USAGE, CANNOT_WRITE, INTERRUPTED = 2, 73, 130
 
 VEHICLES = {
     "bluerov2": "BlueROV2 or another ArduSub vehicle, MAVLink from the autopilot",
@@ -199,11 +197,11 @@ def init(argv: Sequence[str]) -> int:
     if path is None:
         parser.error("there is no HOME to write settings to: name a FILE")
     if path.exists() and not args.force:
-        return _fail(f"{path}: exists; --force replaces it", CANNOT_WRITE)
+        return _fail(f"{path}: exists; --force replaces it", ExitCode.CANNOT_WRITE)
     try:
         setup = _asked(args) if sys.stdin.isatty() and not args.yes else _given(args)
     except (KeyboardInterrupt, EOFError):
-        return _fail("interrupted; nothing was written", INTERRUPTED)
+        return _fail("interrupted; nothing was written", ExitCode.INTERRUPTED)
     token = SERVICE_TOKEN if args.service else path.absolute().parent / "token"
     needs_token = bool(setup.stream) and not is_loopback(str(address_of(setup.stream)[0]))
     if needs_token and not args.service:
@@ -212,13 +210,13 @@ def init(argv: Sequence[str]) -> int:
     try:
         config = config_from_text(text)
     except ConfigError as error:
-        return _fail(_short(error), USAGE)
+        return _fail(_short(error), ExitCode.USAGE)
     try:
         if needs_token:
             _write_token(token)
         _write(path, text.encode(), 0o644)
     except (OSError, ExportError) as error:
-        return _fail(_why(error, path), CANNOT_WRITE)
+        return _fail(_why(error, path), ExitCode.CANNOT_WRITE)
     command = "" if args.file is None else f" --config {path}"
     for line in _next_steps(setup, config, path, token if needs_token else None, command):
         print(line)  # noqa: T201 a command speaks

@@ -6,7 +6,6 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from enum import IntEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
@@ -32,6 +31,7 @@ from mapperd.errors import (
     CheckpointError,
     ConfigError,
     ExportError,
+    ExportExtraError,
     LiveError,
     MapError,
     MapperdError,
@@ -47,32 +47,26 @@ from mapperd.odometry.formats import check_levelling, check_libraries
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.pipeline.watchdog import process_progress
 from mapperd.telemetry.broker import check_telemetry
-from oculus_driver.errors import OculusError, RecordingError, SettingsError
+from oculus_driver.command_line import ExitCode
+from oculus_driver.errors import (
+    OculusError,
+    RecordingError,
+    RecordingMissingError,
+    RecordingUnwritableError,
+    SettingsError,
+)
 
 if TYPE_CHECKING:
     from mapperd.cli.mapperctl.view import ReplayView
     from mapperd.mapping.sonar_map import SonarMap
 
-__all__ = ["DaemonExit", "main"]
+__all__ = ["main"]
 
 
 STDERR = 2
 
 MAX_PLACES = 3
 """Number of damaged parts that a message names; the summary names more."""
-
-
-class DaemonExit(IntEnum):
-    """DaemonExit codes; those above 64 are of sysexits.h."""
-
-    OK = 0
-    USAGE = 2
-    BAD_DATA = 65
-    NO_INPUT = 66
-    UNAVAILABLE = 69
-    CANNOT_WRITE = 73
-    BAD_CONFIG = 78
-    INTERRUPTED = 130
 
 
 REMEDIES = {
@@ -89,14 +83,17 @@ REMEDIES = {
 """By reason why pings were dropped."""
 
 _EXITS = {
-    ConfigError: DaemonExit.BAD_CONFIG,
-    LiveError: DaemonExit.UNAVAILABLE,
-    SettingsError: DaemonExit.BAD_CONFIG,
-    RecordingError: DaemonExit.BAD_DATA,
-    ExportError: DaemonExit.CANNOT_WRITE,
-    CheckpointError: DaemonExit.BAD_DATA,
-    MapError: DaemonExit.CANNOT_WRITE,
-    OculusError: DaemonExit.UNAVAILABLE,
+    ExportExtraError: ExitCode.BAD_CONFIG,
+    ConfigError: ExitCode.BAD_CONFIG,
+    LiveError: ExitCode.UNAVAILABLE,
+    SettingsError: ExitCode.BAD_CONFIG,
+    RecordingMissingError: ExitCode.NO_INPUT,
+    RecordingUnwritableError: ExitCode.CANNOT_WRITE,
+    RecordingError: ExitCode.BAD_DATA,
+    ExportError: ExitCode.CANNOT_WRITE,
+    CheckpointError: ExitCode.BAD_DATA,
+    MapError: ExitCode.CANNOT_WRITE,
+    OculusError: ExitCode.UNAVAILABLE,
 }
 """The first kind that an error is."""
 
@@ -115,21 +112,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _replay(arguments) if arguments.replay else _live(arguments)
     except ReplayError as error:
-        return _fail(DaemonExit.USAGE, f"{_source(arguments)}: {error}")
+        return _fail(ExitCode.USAGE, f"{_source(arguments)}: {error}")
     except StoreError as error:
         settings = error.reason in ("other_parameters", "newer_version", "not_a_store")
-        return _fail(DaemonExit.BAD_CONFIG if settings else DaemonExit.CANNOT_WRITE, error)
+        return _fail(ExitCode.BAD_CONFIG if settings else ExitCode.CANNOT_WRITE, error)
     except (MapperdError, OculusError) as error:
         return _fail(_exit_of(error), error)
     except KeyboardInterrupt:
         return _fail(
-            DaemonExit.INTERRUPTED, f"interrupted; results in {arguments.out} may be missing"
+            ExitCode.INTERRUPTED, f"interrupted; results in {arguments.out} may be missing"
         )
 
 
-def _exit_of(error: Exception) -> DaemonExit:
+def _exit_of(error: Exception) -> ExitCode:
     if isinstance(error, CtlError):  # of the page
-        return DaemonExit(error.code)
+        return ExitCode(error.code)
     return next(code for kind, code in _EXITS.items() if isinstance(error, kind))
 
 
@@ -146,10 +143,10 @@ to start:
   mapperd --replay FILE        maps a recording"""
 
 
-def _without_settings() -> DaemonExit:
+def _without_settings() -> ExitCode:
     """List what is on the network and how to start; no sonar is asked for pings."""
     code = _fail(
-        DaemonExit.BAD_CONFIG,
+        ExitCode.BAD_CONFIG,
         "no settings, so no sonar is started: run `mapperd init`, or pass --config",
     )
     heard = asyncio.run(listen())
@@ -158,7 +155,7 @@ def _without_settings() -> DaemonExit:
     return code
 
 
-def _live(arguments: Arguments) -> DaemonExit:
+def _live(arguments: Arguments) -> ExitCode:
     """Map until stopped, then write the results."""
     if not settings_files(_given_files(arguments), os.environ):
         return _without_settings()
@@ -184,13 +181,13 @@ def _live(arguments: Arguments) -> DaemonExit:
     return _verdict(arguments, summary)
 
 
-def _replay(arguments: Arguments) -> DaemonExit:
+def _replay(arguments: Arguments) -> ExitCode:
     """Check, map, write."""
     problem = unreadable(arguments.replay)
     if problem is None and arguments.odometry is not None:
         problem = unreadable_odometry(arguments.odometry.paths)
     if problem is not None:
-        return _fail(DaemonExit.NO_INPUT, problem)
+        return _fail(ExitCode.NO_INPUT, problem)
 
     def ready() -> None:
         make_folder(arguments.out)
@@ -219,7 +216,7 @@ def _replay(arguments: Arguments) -> DaemonExit:
         try:
             sonar_map, summary = map_recordings(arguments, settings, ready, trajectory, show)
         except KeyboardInterrupt:
-            return _fail(DaemonExit.INTERRUPTED, f"interrupted; {_left_by_interrupt(arguments)}")
+            return _fail(ExitCode.INTERRUPTED, f"interrupted; {_left_by_interrupt(arguments)}")
         stack.callback(sonar_map.close)
         write_results(arguments.out, sonar_map, summary, trajectory)
         code = _verdict(arguments, summary)
@@ -266,7 +263,7 @@ def _poses(arguments: Arguments, config: Config) -> FixedPose | OdometryPoses:
     return OdometryPoses(config)
 
 
-def _verdict(arguments: Arguments, summary: dict[str, Any]) -> DaemonExit:
+def _verdict(arguments: Arguments, summary: dict[str, Any]) -> ExitCode:
     """Print the result; a map without a ping or a part is a failure, unless a user stopped it."""
     dropped = ", ".join(f"{why} {count}" for why, count in summary["pings_dropped"].items())
     recording = summary.get("recording", {})
@@ -279,7 +276,7 @@ def _verdict(arguments: Arguments, summary: dict[str, Any]) -> DaemonExit:
     missed = summary["pings_mapped"] == 0 and arguments.store is None
     if missed and not (ended or nothing_asked):
         damaged = f" (damaged: {damage})" if damage else ""
-        return _fail(DaemonExit.BAD_DATA, f"{source}: {_why_empty(summary, dropped)}{damaged}")
+        return _fail(ExitCode.BAD_DATA, f"{source}: {_why_empty(summary, dropped)}{damaged}")
     if damage:
         _line(3 if recording["data_lost"] else 6, f"{source}: damaged: {damage}")
     lost = f" (dropped: {dropped})" if dropped else ""
@@ -290,22 +287,22 @@ def _verdict(arguments: Arguments, summary: dict[str, Any]) -> DaemonExit:
         f"{arguments.out}\n",
     )
     if problem is not None:
-        return _fail(DaemonExit.CANNOT_WRITE, f"standard output: cannot be written: {problem}")
-    code = DaemonExit.BAD_DATA if recording.get("data_lost") else DaemonExit.OK
+        return _fail(ExitCode.CANNOT_WRITE, f"standard output: cannot be written: {problem}")
+    code = ExitCode.BAD_DATA if recording.get("data_lost") else ExitCode.OK
     if (stored := summary.get("store", {})).get("data_lost"):
         named = list(stored["sessions_not_mapped"].items())
         listed = "; ".join(f"{session}: {why}" for session, why in named[:MAX_PLACES])
         more = "; …" if len(named) > MAX_PLACES else ""
         text = f"{stored['path']}: recorded data are not in the map: {listed}{more}"
-        code = _fail(DaemonExit.BAD_DATA, text)
+        code = _fail(ExitCode.BAD_DATA, text)
     if bricks := lost_bricks(summary):
         path = summary["store"]["path"]
         code = _fail(
-            DaemonExit.BAD_DATA,
+            ExitCode.BAD_DATA,
             f"{path}: {bricks} bricks are damaged, and their space is unknown: map.bt, map.ply and "
             "map.png are not written. `mapperctl convert --allow-damaged` writes the rest",
         )
-    return _fail(DaemonExit.CANNOT_WRITE, loss) if (loss := _loss(summary)) else code
+    return _fail(ExitCode.CANNOT_WRITE, loss) if (loss := _loss(summary)) else code
 
 
 def _loss(summary: dict[str, Any]) -> str:
@@ -376,7 +373,7 @@ def _print(message: object) -> None:
     _line(6, message)
 
 
-def _fail(code: DaemonExit, message: object) -> DaemonExit:
+def _fail(code: ExitCode, message: object) -> ExitCode:
     _line(3, message)
     return code
 

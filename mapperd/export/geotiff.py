@@ -8,7 +8,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.errors import ExportError, missing_extra
+from mapperd.errors import ExportError, ExportExtraError, missing_extra
 from mapperd.export.cells import NO_TOP, Tops
 from mapperd.geometry.geodesy import Origin, TransverseMercator, local_projection
 
@@ -166,7 +166,7 @@ def _library() -> Callable[..., object]:
     try:
         import tifffile  # noqa: PLC0415 an extra
     except ImportError:
-        raise ExportError(missing_extra("tifffile", "geo")) from None
+        raise ExportExtraError(missing_extra("tifffile", "geo")) from None
     write: Callable[..., object] = tifffile.imwrite
     return write
 

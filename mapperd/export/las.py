@@ -9,7 +9,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.errors import ExportError, missing_extra
+from mapperd.errors import ExportError, ExportExtraError, missing_extra
 from mapperd.geometry.geodesy import Origin, utm_zone
 from mapperd.mapping.queries import VoxelCloud
 from mapperd.mapping.sonar_map import Voxels
@@ -104,9 +104,9 @@ def _library(*, packed: bool) -> Any:  # noqa: ANN401 it has no types
     try:
         import laspy  # noqa: PLC0415 an extra
     except ImportError:
-        raise ExportError(missing_extra("laspy", "las")) from None
+        raise ExportExtraError(missing_extra("laspy", "las")) from None
     if packed and not laspy.LazBackend.Lazrs.is_available():
-        raise ExportError(missing_extra("lazrs", "las"))
+        raise ExportExtraError(missing_extra("lazrs", "las"))
     return laspy
 
 

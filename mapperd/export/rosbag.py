@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.config.tree import Config
-from mapperd.errors import ExportError, missing_extra
+from mapperd.errors import ExportError, ExportExtraError, missing_extra
 from mapperd.export.cells import FREE, OCCUPIED, UNKNOWN, GridLayer, Heights, known_cells
 from mapperd.export.clouds import POINT
 from mapperd.geometry.frames import Pose, quaternion_to_matrix
@@ -294,7 +294,7 @@ def open_bag(path: Path, config: Config, storage: Storage) -> Iterator[Bag]:
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer, WriterError  # noqa: PLC0415 an extra
     except ImportError:
-        raise ExportError(missing_extra("rosbags", "ros")) from None
+        raise ExportExtraError(missing_extra("rosbags", "ros")) from None
     if path.exists():
         raise ExportError(f"{path}: is there already")
     partial = path.with_name(f".{path.name}.partial")

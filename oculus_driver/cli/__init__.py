@@ -18,9 +18,16 @@ from oculus_driver.cli import (
     render,
     watch,
 )
-from oculus_driver.cli.output import Exit, Output, discard_stdout
-from oculus_driver.command_line import CommandParser
-from oculus_driver.errors import OculusError, RecordingError, SettingsError
+from oculus_driver.cli.output import Output, discard_stdout
+from oculus_driver.command_line import CommandParser, ExitCode
+from oculus_driver.errors import (
+    ExtraMissingError,
+    OculusError,
+    RecordingError,
+    RecordingMissingError,
+    RecordingUnwritableError,
+    SettingsError,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,7 +44,8 @@ examples:
   oculus render dive.mcap dive.mp4
 
 exit codes: 0 success; 1 the sonar or the link failed, see the message; 2 invalid arguments;
-65 the file is not a recording, or a part of it is damaged and left out; 130 interrupted"""
+65 not a recording, or a damaged part is left out; 66 no such file; 73 cannot write; 78 a missing
+extra; 130 interrupted"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -46,26 +54,33 @@ def main(argv: Sequence[str] | None = None) -> int:
     output = Output(as_json=args.json)
     try:
         return int(args.run(args, output))
-    except SettingsError as error:
-        return output.failure(error, Exit.USAGE)
-    except RecordingError as error:
-        return output.failure(error, Exit.BAD_DATA)
     except OculusError as error:
-        return output.failure(error, Exit.FAULT)
+        return output.failure(error, _exit_code_of(error))
     except OSError as error:
         return _end_of_output(error, output)
     except KeyboardInterrupt:
-        return Exit.INTERRUPTED
+        return ExitCode.INTERRUPTED
 
 
-def _end_of_output(error: OSError, output: Output) -> Exit:
+def _exit_code_of(error: OculusError) -> ExitCode:
+    codes = {
+        SettingsError: ExitCode.USAGE,
+        ExtraMissingError: ExitCode.BAD_CONFIG,
+        RecordingMissingError: ExitCode.NO_INPUT,
+        RecordingUnwritableError: ExitCode.CANNOT_WRITE,
+        RecordingError: ExitCode.BAD_DATA,
+    }
+    return next((code for kind, code in codes.items() if isinstance(error, kind)), ExitCode.FAULT)
+
+
+def _end_of_output(error: OSError, output: Output) -> ExitCode:
     """Handle a closed or full standard output."""
     if not isinstance(error, BrokenPipeError) and error.errno != errno.ENOSPC:
         raise error
     discard_stdout()
     if isinstance(error, BrokenPipeError):
-        return Exit.OK
-    return output.failure(f"standard output: {error}", Exit.FAULT)
+        return ExitCode.OK
+    return output.failure(f"standard output: {error}", ExitCode.CANNOT_WRITE)
 
 
 def _parser() -> argparse.ArgumentParser:

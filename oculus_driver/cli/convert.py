@@ -6,10 +6,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from oculus_driver.cli.output import Exit, Output
+from oculus_driver.command_line import ExitCode
 
 if TYPE_CHECKING:
     import argparse
+
+    from oculus_driver.cli.output import Output
 
 NAME = "convert"
 HELP = "convert a recording to another format"
@@ -43,14 +45,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--overwrite", action="store_true", help="replace an existing OUT")
 
 
-def run(args: argparse.Namespace, output: Output) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> ExitCode:
     """Convert, and report what the target format cannot represent."""
     from oculus_driver.recording.convert import convert  # noqa: PLC0415 - slow to import
 
     target_format = args.format or FORMATS.get(args.out.suffix.lower())
     if target_format is None:
         text = f"{args.out}: unknown format; use one of the suffixes {', '.join(FORMATS)}"
-        return output.failure(text, Exit.USAGE)
+        return output.failure(text, ExitCode.USAGE)
     done = convert(
         args.file,
         args.out,
@@ -67,4 +69,4 @@ def run(args: argparse.Namespace, output: Output) -> Exit:
     if done.damage is not None:
         lines.append(f"the source is damaged: {done.damage}")
     output.report({"file": args.file, "out": args.out, **asdict(done)}, "\n".join(lines))
-    return Exit.BAD_DATA if "checksum" in done.left_out else Exit.OK
+    return ExitCode.BAD_DATA if "checksum" in done.left_out else ExitCode.OK

@@ -7,7 +7,8 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from oculus_driver.cli.arguments import add_status_arguments, positive
-from oculus_driver.cli.output import Exit, Output, run_until_stopped
+from oculus_driver.cli.output import Output, run_until_stopped
+from oculus_driver.command_line import ExitCode
 from oculus_driver.discovery.diagnosis import discovery_findings, silence_finding
 from oculus_driver.discovery.listener import Discovery, addresses_towards
 
@@ -29,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_status_arguments(parser)
 
 
-def run(args: argparse.Namespace, output: Output) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> ExitCode:
     """Listen, then report every sonar; none at all is a failure."""
     found: list[DiscoveredSonar] = []
     run_until_stopped(_listen(args, found))
@@ -38,8 +39,8 @@ def run(args: argparse.Namespace, output: Output) -> Exit:
         fields = sonar.snapshot() | {"findings": [asdict(finding) for finding in findings]}
         output.report(fields, "\n".join([line_of(sonar), *(f"  {f.text}" for f in findings)]))
     if found:
-        return Exit.OK
-    return output.failure(silence_finding(args.status_port).text, Exit.FAULT)
+        return ExitCode.OK
+    return output.failure(silence_finding(args.status_port).text, ExitCode.FAULT)
 
 
 async def _listen(args: argparse.Namespace, found: list[DiscoveredSonar]) -> None:

@@ -7,12 +7,14 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
 from oculus_driver.cli.arguments import add_status_arguments, address, port, positive
-from oculus_driver.cli.output import Exit, Output
+from oculus_driver.command_line import ExitCode
 from oculus_driver.discovery.probe import Layer, ProbeOptions, evaluate, first_failure, probe
 from oculus_driver.wire import TCP_PORT
 
 if TYPE_CHECKING:
     import argparse
+
+    from oculus_driver.cli.output import Output
 
 
 NAME = "doctor"
@@ -44,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_status_arguments(parser)
 
 
-def run(args: argparse.Namespace, output: Output) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> ExitCode:
     """Probe, evaluate, report."""
     result = asyncio.run(probe(_options(args)))
     layers = evaluate(result)
@@ -57,7 +59,7 @@ def run(args: argparse.Namespace, output: Output) -> Exit:
     }
     notes = [f"note: {finding.text}" for finding in result.findings]
     output.report(fields, "\n".join([*map(_line, layers), *notes]))
-    return Exit.OK if failure is None else Exit.FAULT
+    return ExitCode.OK if failure is None else ExitCode.FAULT
 
 
 def _line(layer: Layer) -> str:

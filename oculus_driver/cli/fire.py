@@ -15,7 +15,7 @@ from oculus_driver.cli.arguments import (
     positive,
     settings_of,
 )
-from oculus_driver.cli.output import Exit, Output
+from oculus_driver.command_line import ExitCode
 from oculus_driver.errors import LinkError, OculusError
 from oculus_driver.link.confirmation import differences
 from oculus_driver.link.state import LinkState
@@ -24,6 +24,7 @@ from oculus_driver.ping import caption_lines
 if TYPE_CHECKING:
     import argparse
 
+    from oculus_driver.cli.output import Output
     from oculus_driver.link.confirmation import Confirmation, Difference
     from oculus_driver.ping import Ping
     from oculus_driver.settings import FireSettings
@@ -47,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_settings_arguments(parser, rate="lowest")
 
 
-def run(args: argparse.Namespace, output: Output) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> ExitCode:
     """Take a ping, report, and leave the sonar in standby."""
     settings = settings_of(args, triggered=args.trigger)
     ping, confirmation = asyncio.run(_take_ping(args, settings))
@@ -73,7 +74,7 @@ def run(args: argparse.Namespace, output: Output) -> Exit:
     verdict = "confirmed" if confirmation.confirmed else f"not confirmed: {confirmation.reason}"
     lines = [*caption_lines(ping)[:2], f"settings {verdict}", *map(str, confirmation.changed)]
     output.report(fields, "\n".join(lines))
-    return Exit.OK if confirmation.confirmed else Exit.FAULT
+    return ExitCode.OK if confirmation.confirmed else ExitCode.FAULT
 
 
 async def _take_ping(args: argparse.Namespace, settings: FireSettings) -> tuple[Ping, Confirmation]:

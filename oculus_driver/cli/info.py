@@ -7,13 +7,14 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from oculus_driver.cli.output import Exit, Output
+from oculus_driver.command_line import ExitCode
 from oculus_driver.ping import format_time
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator, Mapping
 
+    from oculus_driver.cli.output import Output
     from oculus_driver.recording import PingInfo, RecordingInfo
 
 NAME = "info"
@@ -30,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pings", action="store_true", help="list every ping (always with --json)")
 
 
-def run(args: argparse.Namespace, output: Output) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> ExitCode:
     """Read the recording from front to back and report."""
     from oculus_driver.recording import describe, open_recording  # noqa: PLC0415 - slow to import
 
@@ -38,7 +39,7 @@ def run(args: argparse.Namespace, output: Output) -> Exit:
         info = describe(recording)
     text = "\n".join(_lines(str(args.file), info, listed=args.pings))
     output.report({"file": args.file, **info.as_json()}, text)
-    return Exit.OK
+    return ExitCode.OK
 
 
 def _lines(name: str, info: RecordingInfo, *, listed: bool) -> Iterator[str]:

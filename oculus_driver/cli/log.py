@@ -17,7 +17,8 @@ from oculus_driver.cli.arguments import (
     positive,
     settings_of,
 )
-from oculus_driver.cli.output import Exit, Output, run_until_stopped
+from oculus_driver.cli.output import Output, run_until_stopped
+from oculus_driver.command_line import ExitCode
 from oculus_driver.link.state import LinkState
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_settings_arguments(parser)
 
 
-def run(args: argparse.Namespace, output: Output) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> ExitCode:
     """Record until stopped; an empty recording is a failure."""
     output.keep_running = True
     settings = settings_of(args)
@@ -104,7 +105,7 @@ def run(args: argparse.Namespace, output: Output) -> Exit:
     watch.check_space()
     run_until_stopped(_log(args, output, settings, watch))
     problem = watch.problem()
-    return Exit.OK if problem is None else output.failure(problem, Exit.FAULT)
+    return ExitCode.OK if problem is None else output.failure(problem, ExitCode.FAULT)
 
 
 async def _log(

@@ -9,21 +9,12 @@ import math
 import os
 import signal
 import sys
-from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine, Mapping
 
-
-class Exit(IntEnum):
-    """Exit codes; 64 and above are from sysexits.h."""
-
-    OK = 0
-    FAULT = 1
-    USAGE = 2
-    BAD_DATA = 65
-    INTERRUPTED = 130
+    from oculus_driver.command_line import ExitCode
 
 
 def discard_stdout() -> None:
@@ -62,7 +53,7 @@ class Output:
             sys.stderr.write(text + "\n")
             sys.stderr.flush()
 
-    def failure(self, error: object, code: Exit) -> Exit:
+    def failure(self, error: object, code: ExitCode) -> ExitCode:
         """Report why the command ends, and return its exit code."""
         if self.as_json:
             self.report({"error": str(error)}, "")

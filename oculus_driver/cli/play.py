@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from oculus_driver.cli.arguments import address, count, port, positive, share
-from oculus_driver.cli.output import Exit, Output, run_until_stopped
+from oculus_driver.cli.output import Output, run_until_stopped
+from oculus_driver.command_line import ExitCode
 from oculus_driver.virtual_sonar.device import Identity
 from oculus_driver.virtual_sonar.faults import SHARES, Faults
 from oculus_driver.virtual_sonar.playback import PlaybackSonar
@@ -98,10 +99,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace, output: Output) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> ExitCode:
     """Play to the end or until stopped."""
     run_until_stopped(_play(args, output), args.duration)
-    return Exit.OK
+    return ExitCode.OK
 
 
 async def _play(args: argparse.Namespace, output: Output) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from oculus_driver.cli.arguments import count, non_negative_int, positive
-from oculus_driver.cli.output import Exit, Output
-from oculus_driver.errors import OculusError
+from oculus_driver.command_line import ExitCode
+from oculus_driver.errors import ExtraMissingError, OculusError
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.wire import MessageId
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterable, Iterator
 
+    from oculus_driver.cli.output import Output
     from oculus_driver.recording import Recording
     from oculus_driver.render import Painter
     from oculus_driver.render.files import FrameSink
@@ -64,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace, output: Output) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> ExitCode:
     """Draw, and report the written files."""
     from oculus_driver.recording import open_recording  # noqa: PLC0415 - slow to import
 
@@ -79,7 +80,7 @@ def run(args: argparse.Namespace, output: Output) -> Exit:
     fields = {"files": files, "pings": drawn, "rejects": dict(choice.rejects)}
     where = files[0] if len(files) == 1 else args.out
     output.report(fields, f"{drawn} pings drawn: {where}")
-    return Exit.OK
+    return ExitCode.OK
 
 
 def _painter(args: argparse.Namespace) -> Painter:
@@ -87,7 +88,7 @@ def _painter(args: argparse.Namespace) -> Painter:
         from oculus_driver.render import Painter, Style  # noqa: PLC0415 - an extra
     except ImportError as error:
         text = "images need OpenCV: pip install opencv-contrib-python-headless"
-        raise OculusError(text) from error
+        raise ExtraMissingError(text) from error
     return Painter(
         Style(args.height, args.colours, args.gamma, not args.keep_gains, labels=not args.bare)
     )

@@ -16,7 +16,8 @@ from oculus_driver.cli.arguments import (
 )
 from oculus_driver.cli.discover import line_of as sighting_line
 from oculus_driver.cli.discover import sonar_findings
-from oculus_driver.cli.output import Exit, Output, run_until_stopped
+from oculus_driver.cli.output import Output, run_until_stopped
+from oculus_driver.command_line import ExitCode
 from oculus_driver.discovery.listener import Discovery
 
 if TYPE_CHECKING:
@@ -47,15 +48,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_settings_arguments(parser)
 
 
-def run(args: argparse.Namespace, output: Output) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> ExitCode:
     """Watch until stopped."""
     if args.ping:
         watch = _PingWatch(args.every, output)
         run_until_stopped(_watch_pings(args, output, watch), args.duration)
-        return Exit.OK if watch.last is not None else output.failure("no ping arrived", Exit.FAULT)
+        return (
+            ExitCode.OK
+            if watch.last is not None
+            else output.failure("no ping arrived", ExitCode.FAULT)
+        )
     reported: dict[tuple[int, int], frozenset[str]] = {}
     run_until_stopped(_watch_statuses(args, output, reported), args.duration)
-    return Exit.OK if reported else output.failure("no sonar was discovered", Exit.FAULT)
+    return ExitCode.OK if reported else output.failure("no sonar was discovered", ExitCode.FAULT)
 
 
 async def _watch_statuses(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final, Protocol
 
-from oculus_driver.errors import RecordingError
+from oculus_driver.errors import RecordingError, RecordingUnwritableError
 from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, Chunk
 from oculus_driver.recording.network_capture import SYN, TCP, UDP
 from oculus_driver.recording.oculus_log import (
@@ -119,11 +119,12 @@ def convert(
 
 def _check(source: Path, target: Path, *, overwrite: bool) -> None:
     if target.exists() and source.samefile(target):
-        raise RecordingError(f"{target}: source and target are the same file; choose another name")
+        text = f"{target}: source and target are the same file; choose another name"
+        raise RecordingUnwritableError(text)
     if target.is_dir():
-        raise RecordingError(f"{target}: path is a directory; name a file in it")
+        raise RecordingUnwritableError(f"{target}: path is a directory; name a file in it")
     if target.exists() and not overwrite:
-        raise RecordingError(f"{target}: file exists; choose another name")
+        raise RecordingUnwritableError(f"{target}: file exists; choose another name")
 
 
 @contextmanager
@@ -132,7 +133,8 @@ def _writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         reason = error.strerror or str(error)
-        raise RecordingError(f"{path}: cannot be written: {reason}; check the disk") from error
+        text = f"{path}: cannot be written: {reason}; check the disk"
+        raise RecordingUnwritableError(text) from error
 
 
 def _without_damaged(recording: Recording, left_out: Counter[str]) -> Iterator[Chunk]:

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from oculus_driver.errors import RecordingError
+from oculus_driver.errors import RecordingError, RecordingUnwritableError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -158,7 +158,8 @@ class LogFolder:
                     self.closed.append(LogFile(int(match[1]), entry.name, size))
         except OSError as error:
             reason = error.strerror or str(error)
-            raise RecordingError(f"{path}: cannot use the folder for a log: {reason}") from error
+            text = f"{path}: cannot use the folder for a log: {reason}"
+            raise RecordingUnwritableError(text) from error
         self._number = max((file.number for file in self.closed), default=0)
 
     @property

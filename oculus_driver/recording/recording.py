@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final, Self
 
-from oculus_driver.errors import RecordingError
+from oculus_driver.errors import RecordingError, RecordingMissingError
 from oculus_driver.framing import header_fault, read_header
 from oculus_driver.recording.chunk import OCULUS, Chunk, DamagedPart, Progress
 from oculus_driver.recording.mcap_reader import read_mcap
@@ -269,12 +269,13 @@ def _open(path: Path) -> BinaryIO:
                 raise RecordingError(f"{path}: path is a directory; name a file in it")
             if path.exists():
                 raise RecordingError(f"{path}: not a regular file; copy the bytes into one")
-            raise RecordingError(f"{path}: no such file; check the name")
+            raise RecordingMissingError(f"{path}: no such file; check the name")
         return path.open("rb")
     except PermissionError as error:
-        raise RecordingError(f"{path}: permission denied; check the file permissions") from error
+        text = f"{path}: permission denied; check the file permissions"
+        raise RecordingMissingError(text) from error
     except (OSError, ValueError) as error:
-        raise RecordingError(f"{path}: cannot be opened: {error}") from error
+        raise RecordingMissingError(f"{path}: cannot be opened: {error}") from error
 
 
 RAW_LINK: Final = "sonar"

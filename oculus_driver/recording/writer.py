@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
 
-from oculus_driver.errors import RecordingError
+from oculus_driver.errors import RecordingError, RecordingUnwritableError
 from oculus_driver.recording import mcap_records as mcap
 from oculus_driver.recording.chunk import OCULUS
 
@@ -296,9 +296,9 @@ class RecordingWriter:
         except OSError as error:
             raise self._failure(error) from error
 
-    def _failure(self, error: OSError) -> RecordingError:
+    def _failure(self, error: OSError) -> RecordingUnwritableError:
         reason = error.strerror or str(error)
-        return RecordingError(f"{self.path}: cannot write: {reason}; check the disk")
+        return RecordingUnwritableError(f"{self.path}: cannot write: {reason}; check the disk")
 
     def _truncate(self, size: int) -> None:
         os.ftruncate(self._file, size)
@@ -310,9 +310,9 @@ def _create(path: Path, *, overwrite: bool) -> int:
     try:
         return os.open(path, flags, 0o644)
     except FileExistsError as error:
-        raise RecordingError(f"{path}: file exists; choose another name") from error
+        raise RecordingUnwritableError(f"{path}: file exists; choose another name") from error
     except OSError as error:
         reason = error.strerror or str(error)
-        raise RecordingError(
+        raise RecordingUnwritableError(
             f"{path}: cannot be created: {reason}; check folder and permissions"
         ) from error

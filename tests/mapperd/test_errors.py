@@ -5,7 +5,7 @@ import pickle
 import pytest
 
 from mapperd.api import OperationError
-from mapperd.cli.mapperctl.connection import CtlError, CtlExit
+from mapperd.cli.mapperctl.connection import CtlError
 from mapperd.client.errors import AskError, EndedError
 from mapperd.errors import (
     CheckpointError,
@@ -18,6 +18,7 @@ from mapperd.errors import (
     StoreError,
 )
 from mapperd.wire.framing import StreamError
+from oculus_driver.command_line import ExitCode
 
 
 @pytest.mark.parametrize(
@@ -31,7 +32,7 @@ from mapperd.wire.framing import StreamError
         StreamError("bad", "too_long"),
         EndedError("bad", "wrong_token"),
         AskError("not_connected", "bad", {"a": 1}),
-        CtlError("bad", CtlExit.TRY_AGAIN),
+        CtlError("bad", ExitCode.TRY_AGAIN),
         OperationError("bad", "busy"),
     ],
     ids=lambda error: type(error).__name__,

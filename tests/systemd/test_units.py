@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.cli.mapperd import DaemonExit
+from oculus_driver.command_line import ExitCode
 
 FOLDER = Path(__file__).resolve().parents[2] / "systemd"
 UNITS = sorted(path for path in FOLDER.iterdir() if path.suffix in (".service", ".socket"))
@@ -66,7 +66,7 @@ def test_the_daemon_is_supervised_by_its_messages() -> None:
     assert unit["NotifyAccess"] == ["main"]
     assert float(unit["WatchdogSec"][0]) > 0
     assert unit["Restart"] == ["on-failure"]
-    assert unit["RestartPreventExitStatus"] == [str(int(DaemonExit.BAD_CONFIG))]
+    assert unit["RestartPreventExitStatus"] == [str(int(ExitCode.BAD_CONFIG))]
     for name in ("StateDirectory", "LogsDirectory", "RuntimeDirectory", "ConfigurationDirectory"):
         assert unit[name] == ["mapperd"]
     wanted = {"mqtt-password", "server-token", "control-token", "stream-token"}

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 
-from mapper_survey.errors import SurveyError
+from mapper_survey.errors import SurveyError, SurveyMissingError
 from mapper_survey.export import Progress
 from mapper_survey.folder import Folder
 from mapper_survey.request import SurveyOrigin
@@ -120,7 +120,7 @@ def resolve_arguments(args: argparse.Namespace, part: str) -> SurveyArguments:
     """
     folder = Folder(args.survey)
     if not folder.has(MAP):
-        raise SurveyError(f"{folder.url}: no {MAP} in it: run the survey first")
+        raise SurveyMissingError(f"{folder.url}: no {MAP} in it: run the survey first")
     record = read_record(folder)
     out = args.out or (folder.local and folder.local / part)
     if out is None:

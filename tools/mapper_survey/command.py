@@ -13,7 +13,7 @@ import msgspec
 from mapper_survey.arguments import add_survey_arguments, progress_lines, resolve_arguments
 from mapper_survey.cluster_simulation import ComputeCluster
 from mapper_survey.engine import Engine, InProcess
-from mapper_survey.errors import SurveyError
+from mapper_survey.errors import SurveyError, SurveyMissingError, SurveySettingsError
 from mapper_survey.export import PRODUCTS, ExportOptions, export_survey
 from mapper_survey.folder import Folder
 from mapper_survey.memory import bytes_of
@@ -31,16 +31,11 @@ from mapper_survey.scaling import (
 )
 from mapper_survey.surface import CELL_VOXELS, RULES
 from mapperd import __version__
-from mapperd.errors import MapperdError
+from mapperd.errors import ConfigError, ExportError, ExportExtraError, MapperdError
 from mapperd.export.cells import Heights
-from oculus_driver.command_line import CommandParser
+from oculus_driver.command_line import CommandParser, ExitCode
 
 __all__ = ["main"]
-
-
-FAULT, NOT_ALL, INTERRUPTED = 2, 3, 130
-"""Exit codes: an error to correct; a dive without a ping in the map, which is made of the others;
-Ctrl-C."""
 
 
 EPILOG = """\
@@ -48,20 +43,36 @@ examples:
   mapper-survey run survey.yaml --out survey --workers 8 --dives
   mapper-survey report survey --tolerance 0.2
 
-exit codes: 0 success; 2 an error that you can fix; 3 a dive contributed no ping; 130 interrupted"""
+exit codes: 0 success; 2 usage error; 3 a dive contributed no ping; 65 not a recording or map; 66 no
+such file; 73 cannot write; 78 invalid survey or settings, or a missing extra; 130 interrupted"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; errors that the user can correct are one line and exit code 2."""
+    """Run the command; errors that the user can correct are one line and an exit code."""
     args = _parser().parse_args(argv)
     try:
         return int(args.does(args))
     except (SurveyError, MapperdError, OSError) as error:
         sys.stderr.write(f"mapper-survey: {error}\n")
-        return FAULT
+        return _exit_code_of(error)
     except KeyboardInterrupt:
         sys.stderr.write("mapper-survey: interrupted; run the same command to continue\n")
-        return INTERRUPTED
+        return ExitCode.INTERRUPTED
+
+
+def _exit_code_of(error: Exception) -> ExitCode:
+    codes = {
+        SurveyMissingError: ExitCode.NO_INPUT,
+        SurveySettingsError: ExitCode.BAD_CONFIG,
+        SurveyError: ExitCode.USAGE,
+        ConfigError: ExitCode.BAD_CONFIG,
+        ExportExtraError: ExitCode.BAD_CONFIG,
+        ExportError: ExitCode.CANNOT_WRITE,
+        MapperdError: ExitCode.BAD_DATA,
+        FileNotFoundError: ExitCode.NO_INPUT,
+    }
+    found = (code for kind, code in codes.items() if isinstance(error, kind))
+    return next(found, ExitCode.CANNOT_WRITE)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -166,7 +177,7 @@ def _report_losses(record: dict[str, Any], request: Request) -> int:
             sys.stderr.write(f"mapper-survey: dive {dive.name}: {count} pings dropped, ")
             sys.stderr.write(f"{reason}: {detail}\n")
         if record_of_dive["pings"] == 0:
-            code = NOT_ALL
+            code = ExitCode.NOT_ALL
             sys.stderr.write(f"mapper-survey: dive {dive.name}: not a ping of it is in the map\n")
     return code
 
@@ -366,7 +377,7 @@ def _scaling(args: argparse.Namespace) -> int:
         return _write_scaling(runs, cluster, sorted(set(args.workers)), args.out)
     except (OSError, ValueError) as error:
         sys.stderr.write(f"mapper-survey scaling: {error}\n")
-        return FAULT
+        return ExitCode.USAGE
 
 
 def _write_scaling(

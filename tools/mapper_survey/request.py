@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from mapper_survey.errors import SurveyError
+from mapper_survey.errors import SurveyError, SurveyMissingError, SurveySettingsError
 from mapper_survey.export import check_products
 from mapperd.config.catalog import parameters
 from mapperd.config.layers import load_files
@@ -140,32 +140,34 @@ def read_survey(path: Path) -> Request:
     folder = path.resolve().parent
     names = [dive.name for dive in survey.dives]
     if twice := next((name for name in names if names.count(name) > 1), None):
-        raise SurveyError(f"{path}: $.dives: two dives are called {twice}")
+        raise SurveySettingsError(f"{path}: $.dives: two dives are called {twice}")
     try:
         if survey.outputs:
             check_products(survey.outputs, known=survey.origin is not None)
     except SurveyError as error:
-        raise SurveyError(f"{path}: $.outputs: {error}") from error
+        raise SurveySettingsError(f"{path}: $.outputs: {error}") from error
     for number, dive in enumerate(survey.dives):
         here = f"{path}: $.dives[{number}]"
         if not (folder / dive.recording).exists():
-            raise SurveyError(
+            raise SurveyMissingError(
                 f"{here}.recording: {dive.recording}: there is no such recording; allowed: a file "
                 "or a folder, from the folder of this file"
             )
         for name in dive.odometry:
             if not (folder / name).exists():
-                raise SurveyError(
+                raise SurveyMissingError(
                     f"{here}.odometry: {name}: there is no such file; allowed: a list of files, "
                     "from the folder of this file"
                 )
         if dive.transform is not None and dive.localization is not None:
-            raise SurveyError(
+            raise SurveySettingsError(
                 f"{here}: has a transform and localization; allowed: one of them, for either "
                 "determines where the dive lies in the survey"
             )
         if dive.localization is not None and not (folder / dive.localization).is_file():
-            raise SurveyError(f"{here}.localization: {dive.localization}: there is no such map")
+            raise SurveyMissingError(
+                f"{here}.localization: {dive.localization}: there is no such map"
+            )
     return Request(survey, _settings_of(survey, folder, path), folder)
 
 
@@ -174,14 +176,16 @@ def _tree_of(path: Path) -> object:
         with path.open("rb") as file:
             data = file.read(MAX_FILE_BYTES + 1)
         if len(data) > MAX_FILE_BYTES:
-            raise SurveyError(f"{path}: larger than {MAX_FILE_BYTES // 1024} KiB, not a survey")
+            raise SurveySettingsError(
+                f"{path}: larger than {MAX_FILE_BYTES // 1024} KiB, not a survey"
+            )
         return parse_yaml(data.decode("utf-8-sig"))
     except OSError as error:
-        raise SurveyError(f"{path}: cannot be read: {error.strerror}") from error
+        raise SurveyMissingError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise SurveyError(f"{path}: not UTF-8 text (byte {error.start})") from error
+        raise SurveySettingsError(f"{path}: not UTF-8 text (byte {error.start})") from error
     except YamlProblem as problem:
-        raise SurveyError(f"{path}: {problem}") from problem
+        raise SurveySettingsError(f"{path}: {problem}") from problem
 
 
 def _survey_of(tree: object, path: Path) -> Survey:
@@ -193,7 +197,7 @@ def _survey_of(tree: object, path: Path) -> Survey:
         place = place.strip("`") or "$"
         if unknown := re.search(r"unknown field `(.*)`", what):
             what = _unknown(unknown[1], place)
-        raise SurveyError(f"{path}: {place}: {what}") from error
+        raise SurveySettingsError(f"{path}: {place}: {what}") from error
 
 
 def _unknown(field: str, place: str) -> str:
@@ -210,13 +214,13 @@ def _settings_of(survey: Survey, folder: Path, path: Path) -> Config:
         files = [folder / survey.configuration] if survey.configuration else []
         config = with_values(load_files(files).config, _values_of(survey, path))
     except ConfigError as error:
-        raise SurveyError(f"{path}: {str(error).removeprefix(': ')}") from error
+        raise SurveySettingsError(f"{path}: {str(error).removeprefix(': ')}") from error
     if survey.origin is None:
         return config
     zero = {"latitude": survey.origin.latitude, "longitude": survey.origin.longitude}
     configured = config.odometry.origin
     if configured is not None and msgspec.to_builtins(configured) != zero:
-        raise SurveyError(
+        raise SurveySettingsError(
             f"{path}: $.origin: the settings have another odometry.origin; allowed: the same, or "
             "only one of them"
         )
@@ -241,7 +245,9 @@ def _values_of(survey: Survey, path: Path) -> dict[str, object]:
                     if near
                     else "docs/reference/configuration.md has them all"
                 )
-                raise SurveyError(f"{path}: $.settings.{name}: there is no such setting; {hint}")
+                raise SurveySettingsError(
+                    f"{path}: $.settings.{name}: there is no such setting; {hint}"
+                )
 
     walk(survey.settings, "")
     return values

@@ -21,6 +21,7 @@ from mapper_survey.run_record import dive_record, map_times, plan_times, recorde
 from mapper_survey.tiles import Scope, TileResult, TileStage, shard_mark
 from mapperd import __version__
 from mapperd.cli.progress import ProgressBar
+from mapperd.errors import ExportError
 from mapperd.io import lock_file
 
 __all__ = [
@@ -258,7 +259,7 @@ def _alone(folder: Folder) -> Iterator[None]:
         folder.local.mkdir(parents=True, exist_ok=True)
         handle = lock_file(folder.local / ".lock", mode=0o666)
     except PermissionError as error:
-        raise SurveyError(f"{folder.url}: cannot be written into: {error.strerror}") from error
+        raise ExportError(f"{folder.url}: cannot be written into: {error.strerror}") from error
     except BlockingIOError as error:
         raise SurveyError(f"{folder.url}: another mapper-survey is at work") from error
     try:

@@ -1,7 +1,5 @@
 """Errors of the simulator's input."""
 
-from typing import Final
-
 
 class SonarSimError(Exception):
     """Base class; the message states what is wrong, where, and what to do."""
@@ -11,11 +9,9 @@ class SceneError(SonarSimError):
     """A scene that cannot be built."""
 
 
+class SceneMissingError(SceneError):
+    """A scene file that does not exist or cannot be read."""
+
+
 class EffectError(SonarSimError):
     """An effect that does not exist, or an invalid parameter of one."""
-
-
-OK: Final = 0
-FAULT: Final = 1
-USAGE: Final = 2
-INTERRUPTED: Final = 130

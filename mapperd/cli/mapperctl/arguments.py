@@ -9,13 +9,13 @@ from typing import Any, Literal
 
 from mapperd import __version__
 from mapperd.api import STD_XY_M, STD_YAW_RAD
-from mapperd.cli.mapperctl.connection import CtlError, CtlExit
+from mapperd.cli.mapperctl.connection import CtlError
 from mapperd.cli.mapperctl.sonar import add_sonar
 from mapperd.config.catalog import parameters
 from mapperd.config.loader import YamlProblem, parse_yaml
 from mapperd.errors import ConfigError
 from mapperd.wire.messages import MAX_LEVEL, WANTS
-from oculus_driver.command_line import CommandParser, GroupedHelp, did_you_mean
+from oculus_driver.command_line import CommandParser, ExitCode, GroupedHelp, did_you_mean
 
 __all__ = [
     "add_bag",
@@ -375,7 +375,7 @@ def pose_from_args(args: argparse.Namespace) -> dict[str, Any] | None:
     """
     if args.yaw_deg is None:
         if any(part is not None for part in (args.x, args.std_xy, args.std_yaw_deg)):
-            raise CtlError("a pose is X Y YAW_DEG", CtlExit.USAGE)
+            raise CtlError("a pose is X Y YAW_DEG", ExitCode.USAGE)
         return None
     pose = {"x_m": args.x, "y_m": args.y, "yaw_rad": math.radians(args.yaw_deg)}
     if args.frame:

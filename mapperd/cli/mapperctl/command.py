@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from mapperd.cli.mapperctl.arguments import parser
-from mapperd.cli.mapperctl.connection import CtlError, CtlExit, DaemonTarget
+from mapperd.cli.mapperctl.connection import CtlError, DaemonTarget
 from mapperd.cli.mapperctl.remote import run
 from mapperd.cli.mapperctl.views import params_lines
 from mapperd.config.layers import Layered, load_settings, user_folder
@@ -20,6 +20,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 from mapperd.server.listeners import address_of
 from mapperd.wire.auth import read_token
+from oculus_driver.command_line import ExitCode
 
 __all__ = ["main"]
 
@@ -36,15 +37,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except CtlError as error:
         return _fail(error, error.code)
     except ConfigError as error:
-        return _fail(error, CtlExit.BAD_CONFIG)
+        return _fail(error, ExitCode.BAD_CONFIG)
     except BrokenPipeError:  # `mapperctl params | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
         endless = args.command in ("status", "foxglove", "view") or any(
             getattr(args, name, False) for name in ("follow", "watch")
         )
-        return CtlExit.OK if endless else CtlExit.INTERRUPTED
-    return CtlExit.OK
+        return ExitCode.OK if endless else ExitCode.INTERRUPTED
+    return ExitCode.OK
 
 
 def _lines(args: argparse.Namespace) -> Iterator[str]:
@@ -91,7 +92,7 @@ def _lines(args: argparse.Namespace) -> Iterator[str]:
 def _stream(args: argparse.Namespace) -> tuple[str, bytes | None, ssl.SSLContext | None]:
     """Where the map stream is, as `mapperd.client` takes it, with its token and TLS."""
     if args.address and args.socket:
-        raise CtlError("--socket or --address, not both", CtlExit.USAGE)
+        raise CtlError("--socket or --address, not both", ExitCode.USAGE)
     if args.address:
         from mapperd.client.connect import daemon_address  # noqa: PLC0415 needs numpy
 
@@ -100,7 +101,7 @@ def _stream(args: argparse.Namespace) -> tuple[str, bytes | None, ssl.SSLContext
             path = _token_path(args, _settings(args).config)
             token = None if path is None else read_token(path)
         except (ConfigError, ValueError) as error:
-            raise CtlError(str(error), CtlExit.USAGE) from error
+            raise CtlError(str(error), ExitCode.USAGE) from error
         return args.address, token, _tls(args.tls_ca)
     if args.socket:
         return str(args.socket.absolute()), None, None
@@ -110,7 +111,7 @@ def _stream(args: argparse.Namespace) -> tuple[str, bytes | None, ssl.SSLContext
 def _target(args: argparse.Namespace) -> DaemonTarget:
     """Address of the daemon: from the arguments, the settings, or the usual places."""
     if args.address and args.socket:
-        raise CtlError("--socket or --address, not both", CtlExit.USAGE)
+        raise CtlError("--socket or --address, not both", ExitCode.USAGE)
     if args.socket:
         return DaemonTarget(args.socket)
     config = _settings(args).config
@@ -123,7 +124,7 @@ def _target(args: argparse.Namespace) -> DaemonTarget:
     looked = ", ".join(map(str, places))
     raise CtlError(
         f"no daemon is running: no socket at {looked}; start mapperd, or give --address",
-        CtlExit.UNAVAILABLE,
+        ExitCode.UNAVAILABLE,
     )
 
 
@@ -143,7 +144,7 @@ def _over_tcp(args: argparse.Namespace, config: Config) -> DaemonTarget:
         path = _token_path(args, config)
         token = b"" if path is None else read_token(path)
     except ConfigError as error:
-        raise CtlError(str(error), CtlExit.USAGE) from error
+        raise CtlError(str(error), ExitCode.USAGE) from error
     return DaemonTarget(None, str(host), port, token, _tls(args.tls_ca))
 
 
@@ -163,7 +164,7 @@ def _tls(authorities: Path | None) -> ssl.SSLContext | None:
     try:
         return ssl.create_default_context(cafile=str(authorities))
     except OSError as error:
-        raise CtlError(f"{authorities}: no certificates: {error}", CtlExit.USAGE) from error
+        raise CtlError(f"{authorities}: no certificates: {error}", ExitCode.USAGE) from error
 
 
 def _is_socket(path: Path) -> bool:
@@ -173,6 +174,6 @@ def _is_socket(path: Path) -> bool:
         return False
 
 
-def _fail(error: Exception, code: CtlExit) -> CtlExit:
+def _fail(error: Exception, code: ExitCode) -> ExitCode:
     print(f"mapperctl: {error}", file=sys.stderr)  # noqa: T201
     return code

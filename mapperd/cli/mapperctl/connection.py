@@ -8,14 +8,13 @@ import time
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from enum import IntEnum
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Self
 
 import msgspec
 
-from mapperd.errors import MapperdError
+from mapperd.errors import ExportError, ExportExtraError, MapError, MapperdError, StoreError
 from mapperd.wire.auth import proof_of
 from mapperd.wire.framing import StreamError, client_inbox, framed
 from mapperd.wire.messages import (
@@ -33,23 +32,14 @@ from mapperd.wire.messages import (
     HelloMessage,
     WelcomeMessage,
 )
+from oculus_driver.command_line import ExitCode
+from oculus_driver.errors import (
+    RecordingError,
+    RecordingMissingError,
+    RecordingUnwritableError,
+)
 
-__all__ = ["ControlConnection", "CtlError", "CtlExit", "DaemonTarget", "plain", "refused"]
-
-
-class CtlExit(IntEnum):
-    """Exit codes of `mapperctl`; those above 64 follow sysexits.h."""
-
-    OK = 0
-    REFUSED = 1
-    USAGE = 2
-    UNAVAILABLE = 69
-    CANNOT_WRITE = 73
-    TRY_AGAIN = 75
-    PROTOCOL = 76
-    NO_PERMISSION = 77
-    BAD_CONFIG = 78
-    INTERRUPTED = 130
+__all__ = ["ControlConnection", "CtlError", "DaemonTarget", "file_error_code", "plain", "refused"]
 
 
 class CtlError(MapperdError):
@@ -59,7 +49,7 @@ class CtlError(MapperdError):
         code: exit code.
     """
 
-    def __init__(self, message: str, code: CtlExit) -> None:
+    def __init__(self, message: str, code: ExitCode) -> None:
         super().__init__(plain(message))
         self.code = code
 
@@ -74,31 +64,59 @@ NO_PERMISSION = frozenset({"wrong_token", "needs_token", "no_permission", "not_t
 
 def refused(error: StreamError) -> CtlError:
     """Convert an error of the stream to an error with an exit code."""
-    code = CtlExit.NO_PERMISSION if error.reason in NO_PERMISSION else CtlExit.PROTOCOL
+    code = ExitCode.NO_PERMISSION if error.reason in NO_PERMISSION else ExitCode.PROTOCOL
     return CtlError(str(error), code)
 
+
+def file_error_code(error: Exception) -> ExitCode:
+    """Return the exit code of a file that cannot be read or written."""
+    if isinstance(error, StoreError):
+        return _STORE.get(error.reason, ExitCode.BAD_DATA)
+    if isinstance(error, MapError):
+        return ExitCode.NO_INPUT if error.reason == "unreadable" else ExitCode.BAD_DATA
+    found = (code for kind, code in _FILES.items() if isinstance(error, kind))
+    return next(found, ExitCode.USAGE)
+
+
+_STORE = {
+    "cannot_open": ExitCode.NO_INPUT,
+    "read_only": ExitCode.CANNOT_WRITE,
+    "disk_full": ExitCode.CANNOT_WRITE,
+    "busy": ExitCode.TRY_AGAIN,
+    "in_use": ExitCode.TRY_AGAIN,
+    "other_parameters": ExitCode.BAD_CONFIG,
+}
+"""By reason of a `StoreError`; all others are of files that are no maps, or damaged ones."""
+
+_FILES = {
+    ExportExtraError: ExitCode.BAD_CONFIG,
+    ExportError: ExitCode.CANNOT_WRITE,
+    RecordingMissingError: ExitCode.NO_INPUT,
+    RecordingUnwritableError: ExitCode.CANNOT_WRITE,
+    RecordingError: ExitCode.BAD_DATA,
+}
 
 CONNECT_S = 5.0
 NO_DAEMON = "check that mapperd runs there and that its server.address is this one"
 READ_BYTES = 65536
 
-REASONS: Mapping[str, CtlExit] = MappingProxyType(
+REASONS: Mapping[str, ExitCode] = MappingProxyType(
     {
-        "bad_name": CtlExit.USAGE,
-        "bad_format": CtlExit.USAGE,
-        "bad_pose": CtlExit.USAGE,
-        "no_such_map": CtlExit.USAGE,
-        "unknown_setting": CtlExit.USAGE,
-        "cannot_write": CtlExit.CANNOT_WRITE,
-        "busy": CtlExit.TRY_AGAIN,
-        "too_many_clients": CtlExit.TRY_AGAIN,
-        "locked_out": CtlExit.TRY_AGAIN,
-        "wrong_token": CtlExit.NO_PERMISSION,
-        "needs_token": CtlExit.NO_PERMISSION,
-        "bad_version": CtlExit.PROTOCOL,
-        "bad_request": CtlExit.PROTOCOL,
-        "bad_message": CtlExit.PROTOCOL,
-        "closing": CtlExit.UNAVAILABLE,
+        "bad_name": ExitCode.USAGE,
+        "bad_format": ExitCode.USAGE,
+        "bad_pose": ExitCode.USAGE,
+        "no_such_map": ExitCode.USAGE,
+        "unknown_setting": ExitCode.USAGE,
+        "cannot_write": ExitCode.CANNOT_WRITE,
+        "busy": ExitCode.TRY_AGAIN,
+        "too_many_clients": ExitCode.TRY_AGAIN,
+        "locked_out": ExitCode.TRY_AGAIN,
+        "wrong_token": ExitCode.NO_PERMISSION,
+        "needs_token": ExitCode.NO_PERMISSION,
+        "bad_version": ExitCode.PROTOCOL,
+        "bad_request": ExitCode.PROTOCOL,
+        "bad_message": ExitCode.PROTOCOL,
+        "closing": ExitCode.UNAVAILABLE,
     }
 )
 """Exit codes of the daemon's reasons; all others are `REFUSED`."""
@@ -177,7 +195,7 @@ class ControlConnection:
         try:
             request = msgspec.msgpack.encode({"id": self._number, "do": do} | more)
         except OverflowError as error:
-            raise CtlError("integers have 64 bits", CtlExit.USAGE) from error
+            raise CtlError("integers have 64 bits", ExitCode.USAGE) from error
         self._send(AskMessage(ask=msgspec.Raw(request)))
         until_s = time.monotonic() + self._timeout_s
         while True:
@@ -215,22 +233,22 @@ class ControlConnection:
         until_s = time.monotonic() + CONNECT_S
         greeting = self._receive(until_s)
         if not isinstance(greeting, GreetingMessage) or greeting.mapperd != PROTOCOL:
-            raise CtlError(f"{self._target}: is not the socket of mapperd", CtlExit.PROTOCOL)
+            raise CtlError(f"{self._target}: is not the socket of mapperd", ExitCode.PROTOCOL)
         if VERSION not in greeting.versions:
             what = f"speaks versions {list(greeting.versions)}, not {VERSION}"
-            raise CtlError(f"{self._target}: {what}", CtlExit.PROTOCOL)
+            raise CtlError(f"{self._target}: {what}", ExitCode.PROTOCOL)
         proof = ""
         if greeting.challenge:
             if not self._target.token:
                 raise CtlError(
                     f"{self._target}: needs a token: give --token-file a copy of the file that "
                     "server.token_file of the daemon names",
-                    CtlExit.NO_PERMISSION,
+                    ExitCode.NO_PERMISSION,
                 )
             proof = proof_of(self._target.token, greeting.challenge)
         self._send(HelloMessage(version=VERSION, proof=proof, name="mapperctl"))
         if not isinstance(self._receive(until_s), WelcomeMessage):
-            raise CtlError(f"{self._target}: no welcome", CtlExit.PROTOCOL)
+            raise CtlError(f"{self._target}: no welcome", ExitCode.PROTOCOL)
         self._is_welcome = True
 
     def _send(self, message: FromClient) -> None:
@@ -244,7 +262,7 @@ class ControlConnection:
             self._read(until_s)
         message = self._received.popleft()
         if isinstance(message, ByeMessage):
-            code = REASONS.get(message.reason, CtlExit.REFUSED)
+            code = REASONS.get(message.reason, ExitCode.FAULT)
             raise CtlError(f"{self._target}: {message.message or message.reason}", code)
         return message
 
@@ -256,12 +274,12 @@ class ControlConnection:
             self._socket.settimeout(left_s)
             data = self._socket.recv(READ_BYTES)
         if not data:
-            raise CtlError(f"{self._target}: the daemon hung up", CtlExit.UNAVAILABLE)
+            raise CtlError(f"{self._target}: the daemon hung up", ExitCode.UNAVAILABLE)
         try:
             self._received.extend(self._inbox.feed(data))
         except StreamError as error:
             text = f"{self._target}: is not the socket of mapperd: {error}"
-            raise CtlError(text, CtlExit.PROTOCOL) from error
+            raise CtlError(text, ExitCode.PROTOCOL) from error
         if self._is_welcome and self._inbox.received > self._acknowledged:
             self._acknowledged = self._inbox.received
             self._send(AckMessage(bytes=self._acknowledged))
@@ -270,10 +288,10 @@ class ControlConnection:
         error, result = answer.error, answer.result
         if error is not None:
             reason = str(error.get("reason"))
-            code = REASONS.get(reason, CtlExit.REFUSED)
+            code = REASONS.get(reason, ExitCode.FAULT)
             raise CtlError(str(error.get("message", reason)), code)
         if result is None:
-            raise CtlError(f"{self._target}: an answer without a result", CtlExit.PROTOCOL)
+            raise CtlError(f"{self._target}: an answer without a result", ExitCode.PROTOCOL)
         return result
 
     @contextlib.contextmanager
@@ -282,19 +300,19 @@ class ControlConnection:
             yield
         except TimeoutError as error:
             raise CtlError(
-                f"{self._target}: no answer; {NO_DAEMON}", CtlExit.UNAVAILABLE
+                f"{self._target}: no answer; {NO_DAEMON}", ExitCode.UNAVAILABLE
             ) from error
         except PermissionError as error:
             text = (
                 f"{self._target}: {error.strerror}; join the group that owns it, and log in again"
             )
-            raise CtlError(text, CtlExit.NO_PERMISSION) from error
+            raise CtlError(text, ExitCode.NO_PERMISSION) from error
         except ssl.SSLCertVerificationError as error:
             text = f"{self._target}: not trusted: {error.verify_message}"
-            raise CtlError(text, CtlExit.NO_PERMISSION) from error
+            raise CtlError(text, ExitCode.NO_PERMISSION) from error
         except OSError as error:
             text = f"{self._target}: no daemon answers: {error.strerror or error}; {NO_DAEMON}"
-            raise CtlError(text, CtlExit.UNAVAILABLE) from error
+            raise CtlError(text, ExitCode.UNAVAILABLE) from error
 
 
 def _connected(target: DaemonTarget) -> socket.socket:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-from mapperd.cli.mapperctl.connection import CtlError, CtlExit, plain, refused
+from mapperd.cli.mapperctl.connection import CtlError, file_error_code, plain, refused
 from mapperd.cli.mapperctl.map_output import (
     MapOutput,
     check_suffix,
@@ -36,6 +36,7 @@ from mapperd.export.formats import check_calibration
 from mapperd.foxglove.recording import FoxgloveRecording
 from mapperd.geometry.geodesy import Origin
 from mapperd.mapping.sonar_map import SonarMap
+from oculus_driver.command_line import ExitCode
 
 __all__ = ["run_export"]
 
@@ -88,11 +89,11 @@ def run_export(
             asyncio.run(_followed(client, args))
             made = _made(client, args, config, calibration)
     except ExportError as error:
-        raise CtlError(str(error), CtlExit.CANNOT_WRITE) from error
+        raise CtlError(str(error), file_error_code(error)) from error
     except StreamError as error:
         raise refused(error) from error
     except (MapError, ValueError) as error:  # ValueError: no address
-        raise CtlError(str(error), CtlExit.USAGE) from error
+        raise CtlError(str(error), ExitCode.USAGE) from error
     yield from [json.dumps(made.plain())] if args.json else map(plain, made.lines())
 
 
@@ -121,7 +122,7 @@ def _made(
 ) -> MapOutput:
     mirror = client.mirror
     if mirror is None:
-        raise CtlError("the daemon sent no map", CtlExit.PROTOCOL)
+        raise CtlError("the daemon sent no map", ExitCode.PROTOCOL)
     sonar_map = mirror.to_map(config)
     _choose(sonar_map, args.min_probability)
     origin_deg = mirror.facts.origin_deg
@@ -187,7 +188,7 @@ async def _complete(client: MapClient, args: argparse.Namespace) -> None:
             part.result()
     except TimeoutError:
         raise CtlError(
-            f"the map is not complete after {timeout_s:g} s: {progress.text()}", CtlExit.TRY_AGAIN
+            f"the map is not complete after {timeout_s:g} s: {progress.text()}", ExitCode.TRY_AGAIN
         ) from None
     finally:
         for part in parts:
@@ -196,7 +197,7 @@ async def _complete(client: MapClient, args: argparse.Namespace) -> None:
         progress.end()
     if (lost := _lost(client)) and not args.allow_damaged:
         text = f"{missing(lost)}; nothing was written. --allow-damaged writes the rest"
-        raise CtlError(text, CtlExit.REFUSED)
+        raise CtlError(text, ExitCode.FAULT)
 
 
 async def _watch(client: MapClient, progress: "_Progress") -> None:
@@ -205,7 +206,7 @@ async def _watch(client: MapClient, progress: "_Progress") -> None:
         if isinstance(change, LinkChanged):
             link = change.link
             if link.state == "waiting" and not link.connects:
-                raise CtlError(f"{link.address}: {link.reason}", CtlExit.UNAVAILABLE)
+                raise CtlError(f"{link.address}: {link.reason}", ExitCode.UNAVAILABLE)
             progress.link = "" if link.state == "connected" else f"  {link.state}: {link.reason}"
         elif isinstance(change, MapChanged):
             progress.received += len(change.keys)

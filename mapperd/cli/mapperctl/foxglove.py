@@ -6,7 +6,7 @@ import json
 import ssl
 import sys
 
-from mapperd.cli.mapperctl.connection import CtlError, CtlExit, refused
+from mapperd.cli.mapperctl.connection import CtlError, refused
 from mapperd.cli.mapperctl.record import stop_requested
 from mapperd.client import Interest, MapClient
 from mapperd.errors import ConfigError, LiveError
@@ -14,6 +14,7 @@ from mapperd.foxglove.proxy import ORIGINS, ViewerAccess
 from mapperd.foxglove.recording import foxglove_missing
 from mapperd.wire.auth import is_loopback, read_token
 from mapperd.wire.framing import StreamError
+from oculus_driver.command_line import ExitCode
 
 __all__ = ["run_foxglove"]
 
@@ -38,13 +39,13 @@ def run_foxglove(
     try:
         asyncio.run(_serve(args, address, token, tls))
     except ModuleNotFoundError as error:
-        raise CtlError(foxglove_missing(error), CtlExit.USAGE) from error
+        raise CtlError(foxglove_missing(error), ExitCode.BAD_CONFIG) from error
     except (LiveError, ConfigError) as error:
-        raise CtlError(str(error), CtlExit.USAGE) from error
+        raise CtlError(str(error), ExitCode.USAGE) from error
     except StreamError as error:
         raise refused(error) from error
     except ValueError as error:
-        raise CtlError(str(error), CtlExit.USAGE) from error
+        raise CtlError(str(error), ExitCode.USAGE) from error
 
 
 def _access(args: argparse.Namespace) -> ViewerAccess:
@@ -52,7 +53,7 @@ def _access(args: argparse.Namespace) -> ViewerAccess:
     if args.viewer_token_file is None and not is_loopback(args.host):
         raise CtlError(
             f"--host {args.host}: other computers need a token: --viewer-token-file FILE",
-            CtlExit.USAGE,
+            ExitCode.USAGE,
         )
     token = None if args.viewer_token_file is None else read_token(args.viewer_token_file, "")
     reported: set[str] = set()

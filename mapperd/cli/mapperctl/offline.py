@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mapperd.cli.mapperctl.bag import bag_of_map, bag_of_recordings
-from mapperd.cli.mapperctl.connection import CtlError, CtlExit, plain
+from mapperd.cli.mapperctl.connection import CtlError, file_error_code, plain
 from mapperd.cli.mapperctl.map_output import (
     check_suffix,
     make_files,
@@ -29,6 +29,7 @@ from mapperd.geometry.geodesy import Origin
 from mapperd.io import atomic_file
 from mapperd.mapping.difference import MapDifference, OneWayDifference, compare_maps
 from mapperd.store.map_files import holds_map, map_in
+from oculus_driver.command_line import ExitCode
 from oculus_driver.errors import OculusError
 
 __all__ = ["convert", "diff_maps", "run"]
@@ -85,12 +86,10 @@ def run(args: argparse.Namespace, config: Config) -> Iterator[str]:
     try:
         for line in _COMMANDS[args.command](args, config):
             yield plain(line)
-    except ExportError as error:
-        raise CtlError(str(error), CtlExit.CANNOT_WRITE) from error
     except (ConfigError, CtlError):
         raise
     except (MapperdError, OculusError) as error:
-        raise CtlError(str(error), CtlExit.USAGE) from error
+        raise CtlError(str(error), file_error_code(error)) from error
 
 
 def _convert(args: argparse.Namespace, config: Config) -> Iterator[str]:
@@ -110,7 +109,7 @@ def _convert(args: argparse.Namespace, config: Config) -> Iterator[str]:
 def _bag(args: argparse.Namespace, config: Config) -> Iterator[str]:
     if args.as_recorded and (args.pose or args.config or args.min_probability):
         raise CtlError(
-            "--as-recorded excludes --config, --pose and --min-probability", CtlExit.USAGE
+            "--as-recorded excludes --config, --pose and --min-probability", ExitCode.USAGE
         )
     values = _values(args, config)
     if holds_map(args.source):

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Coroutine, Iterator
 from typing import Any, TextIO
 
-from mapperd.cli.mapperctl.connection import CtlError, CtlExit, plain, refused
+from mapperd.cli.mapperctl.connection import CtlError, file_error_code, plain, refused
 from mapperd.cli.mapperctl.map_output import check_suffix, make_files, origin_among
 from mapperd.client import Interest, MapClient, Want
 from mapperd.config.tree import Config
@@ -19,6 +19,7 @@ from mapperd.errors import ExportError, MapError
 from mapperd.foxglove.recording import FoxgloveRecording
 from mapperd.geometry.geodesy import Origin
 from mapperd.wire.framing import StreamError
+from oculus_driver.command_line import ExitCode
 
 __all__ = ["run_record", "stop_requested"]
 
@@ -82,11 +83,11 @@ def run_record(
         record = _all if args.file.suffix == MCAP else _map
         yield from record(args, config, client)
     except ExportError as error:
-        raise CtlError(str(error), CtlExit.CANNOT_WRITE) from error
+        raise CtlError(str(error), file_error_code(error)) from error
     except StreamError as error:
         raise refused(error) from error
     except (MapError, ValueError) as error:  # ValueError: no address
-        raise CtlError(str(error), CtlExit.USAGE) from error
+        raise CtlError(str(error), ExitCode.USAGE) from error
 
 
 def _all(args: argparse.Namespace, _: Config, client: MapClient) -> Iterator[str]:
@@ -120,7 +121,7 @@ def _map(args: argparse.Namespace, config: Config, client: MapClient) -> Iterato
 
 
 def _nobody(client: MapClient) -> CtlError:
-    return CtlError(f"{client.link.address}: no daemon answered", CtlExit.UNAVAILABLE)
+    return CtlError(f"{client.link.address}: no daemon answered", ExitCode.UNAVAILABLE)
 
 
 async def _record(

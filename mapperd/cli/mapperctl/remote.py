@@ -15,7 +15,6 @@ from mapperd.cli.mapperctl.arguments import pose_from_args
 from mapperd.cli.mapperctl.connection import (
     ControlConnection,
     CtlError,
-    CtlExit,
     DaemonTarget,
     plain,
 )
@@ -25,10 +24,11 @@ from mapperd.config.layers import load_files, settings_files, text_with, user_fo
 from mapperd.config.loader import config_from_text
 from mapperd.errors import ExportError
 from mapperd.io import atomic_file
+from oculus_driver.command_line import ExitCode
 
 __all__ = ["run"]
 
-USAGE = CtlExit.USAGE
+USAGE = ExitCode.USAGE
 
 ANSWER_TIMEOUT_S = 30.0
 DISK_TIMEOUT_S = 900.0
@@ -110,7 +110,7 @@ def _write(path: Path, text: str) -> None:
             path.chmod(mode)
     except (OSError, ExportError) as error:
         text = f"the daemon uses the new values; {error}"
-        raise CtlError(text, CtlExit.CANNOT_WRITE) from error
+        raise CtlError(text, ExitCode.CANNOT_WRITE) from error
 
 
 def _persisted(args: argparse.Namespace, files: Mapping[str, Path]) -> dict[Path, str]:
@@ -176,7 +176,7 @@ def _reloaded(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
         yield plain(f"{name}: waits for a restart")
     refused = [f"{name}: {why}" for name, why in result.get("refused", {}).items()]
     if refused:
-        raise CtlError(f"settings stay as they are: {'; '.join(refused)}", CtlExit.REFUSED)
+        raise CtlError(f"settings stay as they are: {'; '.join(refused)}", ExitCode.FAULT)
     if not result.get("changed") and not result.get("waiting"):
         yield "nothing is new"
 
@@ -267,7 +267,7 @@ def _watch(args: argparse.Namespace, target: DaemonTarget) -> Lines:
                     before = status
                     daemon.wait(args.every or PERIOD_S)
         except CtlError as error:
-            if args.json or before is None or error.code != CtlExit.UNAVAILABLE:
+            if args.json or before is None or error.code != ExitCode.UNAVAILABLE:
                 raise
             yield f"{HOME_AND_CLEAR}{error}; looking for it"
         time.sleep(args.every or PERIOD_S)
@@ -284,8 +284,8 @@ def _screen(args: argparse.Namespace, status: dict[str, Any], before: dict[str, 
 
 def _ask_first(target: DaemonTarget) -> None:
     if not sys.stdin.isatty():
-        raise CtlError("reset empties the map; confirm with --yes", CtlExit.USAGE)
+        raise CtlError("reset empties the map; confirm with --yes", ExitCode.USAGE)
     sys.stderr.write(f"Empty the map of {target}? [y/N] ")
     sys.stderr.flush()
     if os.read(sys.stdin.fileno(), 100).strip().lower() not in (b"y", b"yes"):
-        raise CtlError("not done", CtlExit.REFUSED)
+        raise CtlError("not done", ExitCode.FAULT)

@@ -10,13 +10,13 @@ from typing import Any
 from mapperd.cli.mapperctl.connection import (
     ControlConnection,
     CtlError,
-    CtlExit,
     DaemonTarget,
     plain,
 )
 from mapperd.config.catalog import parameters
 from mapperd.config.loader import YamlProblem, parse_yaml
 from mapperd.errors import ConfigError
+from oculus_driver.command_line import ExitCode
 
 __all__ = ["add_sonar", "run_sonar"]
 
@@ -101,9 +101,9 @@ def _changes(args: argparse.Namespace) -> dict[str, Any]:
     changes = {name: value for name, value in given.items() if value is not None}
     if args.action == "set" and not changes:
         options = ", ".join(f"--{option}" for option in OPTIONS)
-        raise CtlError(f"sonar set needs an option: {options}", CtlExit.USAGE)
+        raise CtlError(f"sonar set needs an option: {options}", ExitCode.USAGE)
     if changes and args.action != "set":
-        raise CtlError("options change settings: mapperctl sonar set ...", CtlExit.USAGE)
+        raise CtlError("options change settings: mapperctl sonar set ...", ExitCode.USAGE)
     if args.action in ("standby", "live"):
         return {"device.standby": args.action == "standby"}
     return changes
@@ -177,11 +177,11 @@ def _confirmed(args: argparse.Namespace, daemon: ControlConnection, since: int) 
             if event["code"] != "sonar_settings":
                 continue
             if not event["facts"]["confirmed"]:
-                raise CtlError(str(event["text"]), CtlExit.TRY_AGAIN)
+                raise CtlError(str(event["text"]), ExitCode.TRY_AGAIN)
             yield json.dumps(event) if args.json else plain(str(event["text"]))
             return
         daemon.wait(POLL_INTERVAL_S)
-    raise CtlError("the sonar has not confirmed the settings", CtlExit.TRY_AGAIN)
+    raise CtlError("the sonar has not confirmed the settings", ExitCode.TRY_AGAIN)
 
 
 def _value(text: str) -> object:

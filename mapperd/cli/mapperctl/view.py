@@ -17,7 +17,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import urlsplit
 
-from mapperd.cli.mapperctl.connection import CtlError, CtlExit
+from mapperd.cli.mapperctl.connection import CtlError, file_error_code
 from mapperd.client import Interest, LinkChanged, MapClient, StreamError
 from mapperd.config.tree import Config
 from mapperd.daemon.map_server import MapServer, saved_map
@@ -29,6 +29,7 @@ from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.worker import StatusSnapshot
 from mapperd.viewer.app import VIEW_WANTS, ViewerPage
 from mapperd.wire.auth import is_loopback
+from oculus_driver.command_line import ExitCode
 
 if TYPE_CHECKING:
     import ssl
@@ -48,7 +49,8 @@ def open_page(host: str, port: int) -> "ViserServer":
         import rich  # noqa: PLC0415 of the extra `topside`
         import viser  # noqa: PLC0415
     except ImportError as error:
-        raise CtlError(missing_extra(error.name or "viser", "topside"), CtlExit.USAGE) from error
+        text = missing_extra(error.name or "viser", "topside")
+        raise CtlError(text, ExitCode.BAD_CONFIG) from error
     rich.reconfigure(quiet=True)  # it prints boxes
     _push_from_any_thread()
     with _only_from_here():
@@ -56,7 +58,7 @@ def open_page(host: str, port: int) -> "ViserServer":
     if port not in (0, server.get_port()):  # it takes the next one that is free
         server.stop()
         text = f"{host}:{port}: another program listens there: choose another --port"
-        raise CtlError(text, CtlExit.UNAVAILABLE)
+        raise CtlError(text, ExitCode.UNAVAILABLE)
     server.request_share_url = _never_shared  # type: ignore[method-assign]
     server.gui.configure_theme(
         dark_mode=True, show_logo=False, show_share_button=False, brand_color=(14, 116, 144)
@@ -178,14 +180,14 @@ def run_file_view(args: argparse.Namespace, config: Config) -> Iterator[str]:
         CtlError: the page cannot be served, or the file is no map.
     """
     if args.socket or args.address:
-        raise CtlError("a file needs neither --socket nor --address", CtlExit.USAGE)
+        raise CtlError("a file needs neither --socket nor --address", ExitCode.USAGE)
     try:
         sonar_map, store = saved_map(args.file, config)
         shown = MapServer(sonar_map, store, str(args.file), "file")
     except MapperdError as error:
         hint = f"mapperd --replay {shlex.quote(str(args.file))} --view"
         rest = f"; if it is a recording: {hint}" if args.file.exists() else ""
-        raise CtlError(f"{error}{rest}", CtlExit.USAGE) from error
+        raise CtlError(f"{error}{rest}", file_error_code(error)) from error
     with _page(args) as (server, line):
         yield line
         asyncio.run(_show(server, shown, args))
@@ -273,7 +275,7 @@ def _page(args: argparse.Namespace) -> Iterator[tuple["ViserServer", str]]:
             webbrowser.open(url)
         yield server, json.dumps({"url": url}) if args.json else f"the map is shown at {url}"
     except StreamError as error:
-        code = CtlExit.NO_PERMISSION if error.reason in REFUSED else CtlExit.PROTOCOL
+        code = ExitCode.NO_PERMISSION if error.reason in REFUSED else ExitCode.PROTOCOL
         raise CtlError(str(error), code) from error
     finally:
         server.stop()

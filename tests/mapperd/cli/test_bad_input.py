@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.cli.mapperd import DaemonExit, main
+from mapperd.cli.mapperd import main
 from mapperd.export.clouds import VERTEX
+from oculus_driver.command_line import ExitCode
 
 Write = Callable[..., list[int]]
 Survey = Callable[..., list[Any]]
@@ -51,7 +52,7 @@ def test_file_that_is_no_recording(
     path = tmp_path / "file"
     path.write_bytes(content)
     ran = run(path, *pose)
-    assert ran.code == DaemonExit.BAD_DATA
+    assert ran.code == ExitCode.BAD_DATA
     assert words in ran.output
     assert ran.output.startswith("mapperd: ")
     assert str(path) in ran.output
@@ -71,7 +72,7 @@ def test_path_that_is_no_file(tmp_path: Path, run: Run, pose: list[str]) -> None
         (Path("/dev/null"), "not a file"),
     ):
         ran = run(path, *pose)
-        assert ran.code == DaemonExit.NO_INPUT
+        assert ran.code == ExitCode.NO_INPUT
         assert words in ran.output
         assert ran.output.count("\n") == 1
 
@@ -93,13 +94,13 @@ def test_recording_cut_anywhere_maps_every_ping_before_the_cut(
         assert "Traceback" not in ran.output
         expected = sum(end <= size for end in ends)
         if expected:
-            assert ran.code == DaemonExit.OK, (size, ran.output)
+            assert ran.code == ExitCode.OK, (size, ran.output)
             assert ran.summary["pings_mapped"] == expected, size
             assert_finite(ran.out)
         elif size >= first_odometry_end:
-            assert ran.code == DaemonExit.BAD_DATA, (size, ran.output)
+            assert ran.code == ExitCode.BAD_DATA, (size, ran.output)
         else:
-            assert ran.code in (DaemonExit.BAD_DATA, DaemonExit.USAGE), (size, ran.output)
+            assert ran.code in (ExitCode.BAD_DATA, ExitCode.USAGE), (size, ran.output)
             assert ran.output.count("\n") == 1
 
 
@@ -117,9 +118,9 @@ def test_recording_damaged_anywhere_never_ends_in_a_traceback(
         changed[int(place)] ^= int(rng.integers(1, 256))
         damaged.write_bytes(changed)
         ran = run(damaged)
-        assert ran.code in (DaemonExit.OK, DaemonExit.BAD_DATA, DaemonExit.USAGE), ran.output
+        assert ran.code in (ExitCode.OK, ExitCode.BAD_DATA, ExitCode.USAGE), ran.output
         assert "Traceback" not in ran.output
-        if ran.code == DaemonExit.OK:
+        if ran.code == ExitCode.OK:
             assert_finite(ran.out)
 
 
@@ -131,7 +132,7 @@ def test_ping_that_claims_4_gb_costs_only_its_bytes(
     path = tmp_path / "raw"
     path.write_bytes(ping_bytes(1) + bytes(liar) + ping_bytes(3))
     ran = run(path, STILL)
-    assert ran.code == DaemonExit.OK
+    assert ran.code == ExitCode.OK
     assert ran.summary["pings_mapped"] == 2
     assert ran.summary["bytes_rejected"] == len(liar)
 
@@ -145,7 +146,7 @@ def test_image_that_claims_4_gb_is_a_counted_drop(
     path = tmp_path / "raw"
     path.write_bytes(ping_bytes(1) + liar + ping_bytes(3))
     ran = run(path, STILL)
-    assert ran.code == DaemonExit.OK
+    assert ran.code == ExitCode.OK
     assert ran.summary["pings_mapped"] == 2
     lost = ran.summary["pings_total"] - 2 + ran.summary["bytes_rejected"]
     assert lost > 0
@@ -157,7 +158,7 @@ def test_image_as_deep_as_no_sonar_sees_is_a_counted_drop(
     path = tmp_path / "raw"
     path.write_bytes(ping_bytes(1) + ping_bytes(2, range_resolution_m=19.9))
     ran = run(path, STILL)
-    assert ran.code == DaemonExit.OK
+    assert ran.code == ExitCode.OK
     assert ran.summary["pings_dropped"] == {"fan_too_large": 1}
 
 
@@ -185,7 +186,7 @@ def test_bad_odometry_is_counted_and_never_reaches_the_map(
     path = tmp_path / "a"
     write_recording(path, events)
     ran = run(path)
-    assert ran.code == DaemonExit.OK
+    assert ran.code == ExitCode.OK
     summary = ran.summary
     assert summary["pings_mapped"] == summary["pings_total"] == len(bad)
     assert summary["poses"]["odometry_rejected"] == dict.fromkeys([*bad, "back_in_time"], 1)
@@ -205,7 +206,7 @@ def test_recording_whose_odometry_is_all_bad_reports_the_reason(
     zero = odometry_bytes(q=(0.0, 0.0, 0.0, 0.0))
     write_recording(path, [("odometry", zero, 0.0), ("ping", ping_bytes(1), 0.05)])
     ran = run(path)
-    assert ran.code == DaemonExit.BAD_DATA
+    assert ran.code == ExitCode.BAD_DATA
     assert "no_odometry 1" in ran.output
     assert ran.summary["poses"]["odometry_rejected"] == {"zero_quaternion": 1}
 
@@ -216,7 +217,7 @@ def test_recording_without_a_ping_names_the_bytes(
     path = tmp_path / "a"
     write_recording(path, [("odometry", odometry_bytes(), 0.0), ("ping", b"x" * 1234, 0.1)])
     ran = run(path)
-    assert ran.code == DaemonExit.BAD_DATA
+    assert ran.code == ExitCode.BAD_DATA
     assert "1234 of 1234 bytes" in ran.output
     assert ran.summary["pings_total"] == 0
     assert ran.summary["bytes_rejected"] == 1234
@@ -228,10 +229,10 @@ def test_recording_without_odometry_is_refused_without_a_pose(
     path = tmp_path / "a"
     write_recording(path, [("ping", ping_bytes(1), 0.0)])
     ran = run(path)
-    assert ran.code == DaemonExit.USAGE
+    assert ran.code == ExitCode.USAGE
     assert "no odometry" in ran.output
     assert not ran.out.exists()
-    assert run(path, STILL).code == DaemonExit.OK
+    assert run(path, STILL).code == ExitCode.OK
 
 
 @pytest.mark.parametrize("more", [["--start", "1"], ["--duration", "1"]])
@@ -241,7 +242,7 @@ def test_part_of_a_recording_without_stamps_is_refused(
     path = tmp_path / "raw"
     path.write_bytes(ping_bytes(1))
     ran = run(path, STILL, *more)
-    assert ran.code == DaemonExit.USAGE
+    assert ran.code == ExitCode.USAGE
     assert "no time stamps" in ran.output
     assert ran.output.count("\n") == 1
 
@@ -275,7 +276,7 @@ def test_bad_settings_are_one_line_and_exit_78(
 def test_missing_settings_file_is_exit_78(tmp_path: Path, run: Run, ping_bytes: PingBytes) -> None:
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     ran = run(tmp_path / "raw", STILL, config=tmp_path / "none.yaml")
-    assert ran.code == DaemonExit.BAD_CONFIG
+    assert ran.code == ExitCode.BAD_CONFIG
     assert ran.output.count("\n") == 1
 
 
@@ -285,7 +286,7 @@ def test_results_that_cannot_be_written_are_exit_73(
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     (tmp_path / "file").touch()
     words = ["--replay", str(tmp_path / "raw"), STILL, "--out", str(tmp_path / "file")]
-    assert main(words) == DaemonExit.CANNOT_WRITE
+    assert main(words) == ExitCode.CANNOT_WRITE
     assert capsys.readouterr().err.count("\n") == 1
 
 
@@ -300,7 +301,7 @@ def test_map_beyond_octomap_keeps_its_other_files(
     track = [("odometry", far, 0.0), ("ping", ping_bytes(1), 0.05), ("odometry", far, 0.1)]
     write_recording(tmp_path / "a", track)
     ran = run(tmp_path / "a")
-    assert ran.code == DaemonExit.CANNOT_WRITE
+    assert ran.code == ExitCode.CANNOT_WRITE
     assert "map.bt" in ran.output
     assert ran.summary["pings_mapped"] == 1
     assert_finite(ran.out)
@@ -310,9 +311,9 @@ def test_map_beyond_octomap_keeps_its_other_files(
 @pytest.mark.parametrize(
     ("pose", "code"),
     [
-        ("1000000,0,0,0,0,0", DaemonExit.USAGE),
-        ("0,0,-6550,0,0,0", DaemonExit.USAGE),  # the reach is 6553.6 m, the range 5 m
-        ("0,0,-6540,0,0,0", DaemonExit.OK),
+        ("1000000,0,0,0,0,0", ExitCode.USAGE),
+        ("0,0,-6550,0,0,0", ExitCode.USAGE),  # the reach is 6553.6 m, the range 5 m
+        ("0,0,-6540,0,0,0", ExitCode.OK),
     ],
 )
 def test_pose_beyond_octomap_is_refused_at_once(
@@ -321,8 +322,8 @@ def test_pose_beyond_octomap_is_refused_at_once(
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     ran = run(tmp_path / "raw", f"--pose={pose}")
     assert ran.code == code, ran.output
-    assert ran.out.exists() == (code == DaemonExit.OK)
-    assert ("reach of map.bt" in ran.output) == (code == DaemonExit.USAGE)
+    assert ran.out.exists() == (code == ExitCode.OK)
+    assert ("reach of map.bt" in ran.output) == (code == ExitCode.USAGE)
 
 
 def test_part_without_a_ping_is_reported(
@@ -330,7 +331,7 @@ def test_part_without_a_ping_is_reported(
 ) -> None:
     write_recording(tmp_path / "a", survey(3))
     ran = run(tmp_path / "a", "--start", "100")
-    assert ran.code == DaemonExit.BAD_DATA
+    assert ran.code == ExitCode.BAD_DATA
     assert ran.summary["pings_outside"] == 3
 
 
@@ -344,12 +345,12 @@ def test_recording_without_a_sonar_is_refused_at_once(
 ) -> None:
     write_recording(tmp_path / "a", [("odometry", odometry_bytes(), 0.1 * k) for k in range(5)])
     ran = run(tmp_path / "a", *pose)
-    assert ran.code == DaemonExit.BAD_DATA
+    assert ran.code == ExitCode.BAD_DATA
     assert "no sonar data in it" in ran.output
     assert not ran.out.exists()
 
 
 def test_name_that_is_too_long_is_one_line(tmp_path: Path, run: Run) -> None:
     ran = run(tmp_path / ("a" * 300), STILL)
-    assert ran.code == DaemonExit.NO_INPUT
+    assert ran.code == ExitCode.NO_INPUT
     assert ran.output.count("\n") == 1

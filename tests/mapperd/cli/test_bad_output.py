@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from mapperd.cli.mapperd import DaemonExit
+from oculus_driver.command_line import ExitCode
 
 Write = Callable[..., list[int]]
 Survey = Callable[..., list[Any]]
@@ -29,7 +29,7 @@ def test_result_that_cannot_be_written_costs_only_itself(
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     (tmp_path / "out" / name / "inside").mkdir(parents=True)
     ran = run(tmp_path / "raw", STILL)
-    assert ran.code == DaemonExit.CANNOT_WRITE
+    assert ran.code == ExitCode.CANNOT_WRITE
     assert ran.output.count("\n") == 1
     lost = name.removeprefix(".").removesuffix(".partial")
     assert lost in ran.output
@@ -47,7 +47,7 @@ def test_picture_in_the_way_that_cannot_be_removed_is_named(
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     (tmp_path / "out" / "map.png").mkdir(parents=True)
     ran = run(tmp_path / "raw", STILL)
-    assert ran.code == DaemonExit.CANNOT_WRITE
+    assert ran.code == ExitCode.CANNOT_WRITE
     assert "map.png: cannot be removed" in ran.output
     assert (ran.out / "map.bt").exists()
 
@@ -56,13 +56,13 @@ def test_picture_in_the_way_that_cannot_be_removed_is_named(
 @pytest.mark.parametrize(
     ("redirection", "code", "output"),
     [
-        (">&-", DaemonExit.OK, ""),
-        ("2>&-", DaemonExit.OK, ""),
-        (">&- 2>&-", DaemonExit.OK, ""),
-        ("2>/dev/full", DaemonExit.OK, ""),
+        (">&-", ExitCode.OK, ""),
+        ("2>&-", ExitCode.OK, ""),
+        (">&- 2>&-", ExitCode.OK, ""),
+        ("2>/dev/full", ExitCode.OK, ""),
         (
             ">/dev/full",
-            DaemonExit.CANNOT_WRITE,
+            ExitCode.CANNOT_WRITE,
             "mapperd: standard output: cannot be written: No space left on device\n",
         ),
     ],

@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 
-from mapperd.cli.mapperd import DaemonExit, main
+from mapperd.cli.mapperd import main
 from mapperd.store.tile_store import TileStore
+from oculus_driver.command_line import ExitCode
 
 Write = Callable[..., list[int]]
 Survey = Callable[..., list[Any]]
@@ -57,7 +58,7 @@ def test_recording_becomes_a_folder_of_results(
 ) -> None:
     out = tmp_path / "deep" / "out"
     words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(out)]
-    assert main(words) == DaemonExit.OK
+    assert main(words) == ExitCode.OK
     assert {path.name for path in out.iterdir()} == {
         "map.bt",
         "map.ply",
@@ -88,7 +89,7 @@ def test_two_runs_give_one_fingerprint_and_integrators_two(
     prints = []
     for name, more in (("a", []), ("b", []), ("c", ["--integrator", "rays"])):
         words = ["--replay", str(recording), "--config", str(quick_config)]
-        assert main([*words, "--out", str(tmp_path / name), *more]) == DaemonExit.OK
+        assert main([*words, "--out", str(tmp_path / name), *more]) == ExitCode.OK
         summary = summary_in(tmp_path / name)
         prints.append((summary["map_sha256"], summary["integrator"]))
     assert prints[0] == prints[1]
@@ -113,7 +114,7 @@ def test_replay_with_the_map_on_disk_gives_the_same_results(
     config.write_text(f"{text}outofcore: {{use: true, cache_size: 1}}\n", encoding="utf-8")
     for name, settings in (("memory", quick_config), ("disk", config)):
         words = ["--replay", str(recording), "--config", str(settings)]
-        assert main([*words, "--out", str(tmp_path / name)]) == DaemonExit.OK
+        assert main([*words, "--out", str(tmp_path / name)]) == ExitCode.OK
     assert [path.parent.parent for path in opened] == [tmp_path / "disk"]
     memory, disk = summary_in(tmp_path / "memory"), summary_in(tmp_path / "disk")
     assert memory.keys() == disk.keys()
@@ -136,7 +137,7 @@ def test_settings_of_an_earlier_version_are_reported_once(
         encoding="utf-8",
     )
     words = ["--replay", str(recording), "--config", str(config), "--out", str(tmp_path / "out")]
-    assert main(words) == DaemonExit.OK
+    assert main(words) == ExitCode.OK
     reported = [line for line in capsys.readouterr().err.splitlines() if str(config) in line]
     assert len(reported) == 1
     for name in ("mapping.error_bound", "mapping.integrator", "behind.policy"):
@@ -147,7 +148,7 @@ def test_window_is_taken_from_the_command_line(
     recording: Path, quick_config: Path, tmp_path: Path
 ) -> None:
     words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(tmp_path)]
-    assert main([*words, "--start", "0.1", "--duration", "0.2"]) == DaemonExit.OK
+    assert main([*words, "--start", "0.1", "--duration", "0.2"]) == ExitCode.OK
     assert summary_in(tmp_path)["pings_total"] == 2
 
 
@@ -155,7 +156,7 @@ def test_pose_on_the_command_line_overrules_odometry_and_is_reported(
     recording: Path, quick_config: Path, tmp_path: Path
 ) -> None:
     words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(tmp_path)]
-    assert main([*words, "--pose", "-1,2,3,0,0,0"]) == DaemonExit.OK
+    assert main([*words, "--pose", "-1,2,3,0,0,0"]) == ExitCode.OK
     assert summary_in(tmp_path)["poses"] == {"source": "fixed", "odometry_ignored": 6}
 
 
@@ -184,7 +185,7 @@ def test_missing_matplotlib_costs_the_picture_only(
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     out = tmp_path / "out"
     words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(out)]
-    assert main(words) == DaemonExit.OK
+    assert main(words) == ExitCode.OK
     assert "`topside`" in capsys.readouterr().err
     assert not (out / "map.png").exists()
     assert (out / "map.ply").exists()
@@ -207,7 +208,7 @@ def test_broken_matplotlib_costs_the_picture_only(
         check=False,
         timeout=120,
     )
-    assert done.returncode == DaemonExit.OK, done.stderr
+    assert done.returncode == ExitCode.OK, done.stderr
     assert "`topside`" in done.stderr
     assert {path.name for path in out.iterdir()} == {
         "map.bt",
@@ -257,7 +258,7 @@ def test_an_interrupted_replay_into_a_store_names_what_it_holds(
     errors = capsys.readouterr().err
     assert f"{store} holds the last save; the same command maps the rest" in errors
     assert "nothing was written" not in errors
-    assert main(words) == DaemonExit.OK
+    assert main(words) == ExitCode.OK
 
 
 class TestRealCapture:
@@ -270,7 +271,7 @@ class TestRealCapture:
     def replay(self, data: bytes, folder: Path) -> dict[str, Any]:
         path = folder / "raw"
         path.write_bytes(data)
-        assert main(["--replay", str(path), "--out", str(folder / "out"), STILL]) == DaemonExit.OK
+        assert main(["--replay", str(path), "--out", str(folder / "out"), STILL]) == ExitCode.OK
         return summary_in(folder / "out")
 
     def test_all_three_pings_are_mapped(self, capture: bytes, tmp_path: Path) -> None:
@@ -343,7 +344,7 @@ class TestRealCapture:
         self, shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
         capture = shared_data / "oculus" / "three_pings_8bit.raw"
-        assert main(["--replay", str(capture), "--out", str(tmp_path / "out")]) == DaemonExit.USAGE
+        assert main(["--replay", str(capture), "--out", str(tmp_path / "out")]) == ExitCode.USAGE
         output = capsys.readouterr().err
         assert "--pose" in output
         assert output.count("\n") == 1
@@ -362,7 +363,7 @@ def test_the_journal_knows_an_error_from_a_remark(tmp_path: Path) -> None:
             env=os.environ | {"JOURNAL_STREAM": f"{facts.st_dev}:{facts.st_ino}"},
             stderr=stream,
         )
-    assert code == DaemonExit.BAD_CONFIG
+    assert code == ExitCode.BAD_CONFIG
     assert output.read_text(encoding="utf-8").startswith(f"<3>{config}: $.nope: ")
 
 
@@ -379,11 +380,11 @@ def test_recordings_folder_that_cannot_be_used_is_no_wrong_setting(
 ) -> None:
     (tmp_path / "file").touch()
     settings = f"recording: {{folder: {tmp_path}/file/inside, free_floor: 0}}\n"
-    assert live(tmp_path, settings) == DaemonExit.CANNOT_WRITE
+    assert live(tmp_path, settings) == ExitCode.CANNOT_WRITE
     assert "recording.folder: " in capsys.readouterr().err
     settings = f"recording: {{folder: {tmp_path}/read-only, free_floor: 0}}\n"
     monkeypatch.setattr(os, "access", lambda *_: False)
-    assert live(tmp_path, settings) == DaemonExit.CANNOT_WRITE
+    assert live(tmp_path, settings) == ExitCode.CANNOT_WRITE
     assert "no files can be created" in capsys.readouterr().err
 
 
@@ -418,7 +419,7 @@ def test_extra_that_the_settings_need_is_missed_at_the_start(
 
     monkeypatch.setattr("importlib.util.find_spec", found)
     monkeypatch.setattr("mapperd.odometry.formats.find_spec", found)
-    assert live(tmp_path, settings) == DaemonExit.BAD_CONFIG
+    assert live(tmp_path, settings) == ExitCode.BAD_CONFIG
     (line,) = capsys.readouterr().err.splitlines()
     assert "pip install" in line
 
@@ -440,7 +441,7 @@ def test_a_replay_is_shown_in_the_browser_until_interrupted(
         with urllib.request.urlopen(url, timeout=60) as page:  # noqa: S310 our own
             assert page.status == 200
         process.send_signal(signal.SIGINT)
-        assert process.wait(60) == DaemonExit.OK
+        assert process.wait(60) == ExitCode.OK
     assert summary_in(tmp_path / "out")["pings_mapped"] == 5
 
 
@@ -453,4 +454,4 @@ def test_what_cannot_be_viewed_names_the_alternative(
 ) -> None:
     with pytest.raises(SystemExit) as ended:
         main(words)
-    assert (ended.value.code, hint in capsys.readouterr().err) == (DaemonExit.USAGE, True)
+    assert (ended.value.code, hint in capsys.readouterr().err) == (ExitCode.USAGE, True)

@@ -15,11 +15,10 @@ import pytest
 from mcap.writer import Writer
 
 from mapperd.cli.mapperctl.command import main as mapperctl
-from mapperd.cli.mapperctl.connection import CtlExit
-from mapperd.cli.mapperd import DaemonExit
 from mapperd.cli.mapperd import main as mapperd
 from mapperd.daemon.session import host_clock
 from oculus_driver import PlaybackSonar
+from oculus_driver.command_line import ExitCode
 from oculus_driver.virtual_sonar.faults import Faults
 from tests.support.process import free_port, free_tcp_port
 
@@ -141,7 +140,7 @@ def test_wrong_address_of_the_sonar(bench: Bench) -> None:
     code, printed = bench.run(sonar=free_tcp_port())
     one_line(printed, "If 127.0.0.1 is wrong, correct device.address", "finds the sonar")
     one_line(printed, "no ping arrived from the sonar", "`mapperd doctor`")
-    assert code == DaemonExit.BAD_DATA
+    assert code == ExitCode.BAD_DATA
 
 
 @pytest.mark.net
@@ -154,12 +153,12 @@ def test_wrong_address_of_an_odometry_source(bench: Bench) -> None:
 @pytest.mark.parametrize("words", [["status", "--once"], ["get", "filtering"]])
 def test_wrong_address_of_the_daemon(words: list[str], capsys: Capture) -> None:
     code = mapperctl([*words, "--address", f"127.0.0.1:{free_tcp_port()}"])
-    assert code == CtlExit.UNAVAILABLE
+    assert code == ExitCode.UNAVAILABLE
     one_line(capsys.readouterr().err, "no daemon answers", "check that mapperd runs there")
 
 
 def test_no_daemon_on_this_computer(capsys: Capture) -> None:
-    assert mapperctl(["events"]) == CtlExit.UNAVAILABLE
+    assert mapperctl(["events"]) == ExitCode.UNAVAILABLE
     one_line(capsys.readouterr().err, "no daemon is running", "start mapperd, or give --address")
 
 
@@ -219,7 +218,7 @@ def test_no_odometry(bench: Bench) -> None:
         printed, f"nothing arrives on UDP 127.0.0.1:{bench.port}", "let the vehicle send there"
     )
     one_line(printed, "no ping could be mapped: no_odometry", "check odometry.sources", "--pose")
-    assert code == DaemonExit.BAD_DATA
+    assert code == ExitCode.BAD_DATA
 
 
 @pytest.mark.net
@@ -227,7 +226,7 @@ def test_attitude_only(bench: Bench) -> None:
     code, printed = bench.run(record={"p": None})
     one_line(printed, "neither horizontal position nor velocity", "The sonar is recorded and shown")
     one_line(printed, "no ping could be mapped: ", "no_position", "odometry.owners.position: fixed")
-    assert code == DaemonExit.BAD_DATA
+    assert code == ExitCode.BAD_DATA
 
 
 @pytest.mark.net
@@ -235,7 +234,7 @@ def test_attitude_only_maps_from_a_fixed_spot(bench: Bench) -> None:
     link = f"{{link: 'udp://127.0.0.1:{bench.port}'}}"
     settings = f"odometry: {{sources: [{link}], owners: {{position: fixed}}}}\n"
     code, printed = bench.run(settings, record={"p": None})
-    assert code == DaemonExit.OK, printed
+    assert code == ExitCode.OK, printed
     assert "neither" not in printed
 
 
@@ -244,7 +243,7 @@ def test_attitude_only_maps_from_a_fixed_spot(bench: Bench) -> None:
 def test_clock_off_by_hours(hours: int, side: str, bench: Bench) -> None:
     code, printed = bench.run(record={"ahead_ns": hours * HOUR_NS})
     one_line(printed, f"is 3.0 h {side} this computer's", "Synchronize the clocks (NTP, chrony)")
-    assert code == DaemonExit.OK  # it maps: the stamps are fitted
+    assert code == ExitCode.OK  # it maps: the stamps are fitted
 
 
 def test_odometry_of_another_time(
@@ -259,7 +258,7 @@ def test_odometry_of_another_time(
     events = [("odometry", odometry_bytes(), 0.1 * k) for k in range(3)]
     write_recording(path, [*events, ("ping", ping_bytes(1), 7200.0)])
     words = ["--replay", path, "--config", config, "--out", tmp_path / "out"]
-    assert mapperd([str(word) for word in words]) == DaemonExit.BAD_DATA
+    assert mapperd([str(word) for word in words]) == ExitCode.BAD_DATA
     one_line(capsys.readouterr().err, "after_odometry 1", "check the clocks of both recordings")
 
 
@@ -269,7 +268,7 @@ def test_odometry_of_another_time(
 @pytest.mark.net
 def test_disk_nearly_full(bench: Bench) -> None:
     code, printed = bench.run("recording: {free_floor: 1000000000}\n")
-    assert code == DaemonExit.CANNOT_WRITE
+    assert code == ExitCode.CANNOT_WRITE
     one_line(printed, "no space to keep a session", "delete files or choose another disk")
 
 
@@ -293,7 +292,7 @@ def test_no_permission_for_the_settings(short: Path, capsys: Capture) -> None:
     path.chmod(0)
     with unprivileged():
         code = mapperd(["--config", str(path)])
-    assert code == DaemonExit.BAD_CONFIG
+    assert code == ExitCode.BAD_CONFIG
     one_line(capsys.readouterr().err, str(path), "Permission denied; check its owner")
 
 
@@ -306,7 +305,7 @@ def test_no_permission_for_the_results(short: Path, capsys: Capture, ping_bytes:
         code = mapperd(
             ["--replay", str(recording), "--pose", "0,0,0,0,0,0", "--out", str(folder / "out")]
         )
-    assert code == DaemonExit.CANNOT_WRITE
+    assert code == ExitCode.CANNOT_WRITE
     one_line(capsys.readouterr().err, str(folder), "Permission denied; check its owner")
 
 
@@ -321,7 +320,7 @@ def test_no_permission_for_the_socket(short: Path, capsys: Capture) -> None:
             path.chmod(0)
         with unprivileged():
             code = mapperctl(["events", "--socket", str(path)])
-    assert code == CtlExit.NO_PERMISSION
+    assert code == ExitCode.NO_PERMISSION
     one_line(capsys.readouterr().err, "Permission denied", "join the group that owns it")
 
 
@@ -330,7 +329,7 @@ def test_port_of_the_server_in_use(bench: Bench) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         code, printed = bench.run(f"server: {{address: '127.0.0.1:{port}'}}\n")
-    assert code == DaemonExit.UNAVAILABLE
+    assert code == ExitCode.UNAVAILABLE
     one_line(printed, f"127.0.0.1:{port}: cannot be listened on", "choose another port")
 
 
@@ -349,7 +348,7 @@ def test_second_daemon(short: Path, bench: Bench) -> None:
         other.bind(str(path))
         other.listen()
         code, printed = bench.run(f"server: {{socket: {path}}}\n")
-    assert code == DaemonExit.UNAVAILABLE
+    assert code == ExitCode.UNAVAILABLE
     one_line(printed, str(path), "such as another mapperd: stop it, or set server.socket")
 
 
@@ -397,7 +396,7 @@ def test_wrong_token(tmp_path: Path, bench: Bench) -> None:
     _, printed = bench.run(
         f"server: {{address: '{address}', token_file: {right}}}\n", meanwhile=ask, seconds=8
     )
-    assert codes == [*[CtlExit.NO_PERMISSION] * 2, *[CtlExit.OK] * 2], printed
+    assert codes == [*[ExitCode.NO_PERMISSION] * 2, *[ExitCode.OK] * 2], printed
     one_line(printed, "needs a token: give --token-file")
     one_line(printed, "wrong token; use a copy of the file that server.token_file")
 
@@ -405,7 +404,7 @@ def test_wrong_token(tmp_path: Path, bench: Bench) -> None:
 @pytest.mark.net
 def test_address_for_others_without_a_token(bench: Bench) -> None:
     code, printed = bench.run("server: {address: '0.0.0.0:7471'}\n")
-    assert code == DaemonExit.BAD_CONFIG
+    assert code == ExitCode.BAD_CONFIG
     one_line(printed, "needs a token: set server.token_file")
 
 
@@ -432,7 +431,7 @@ def test_localization_of_a_replay_without_a_map(
 @pytest.mark.net
 def test_localization_on_a_map_that_is_not_there(bench: Bench) -> None:
     code, printed = bench.run("localization: {mode: track, map_path: /nope.map}\n")
-    assert code == DaemonExit.BAD_CONFIG
+    assert code == ExitCode.BAD_CONFIG
     one_line(printed, "localization.map_path: /nope.map: there is no such file")
 
 
@@ -453,7 +452,7 @@ def test_unknown_kind_of_recording(name: str, tmp_path: Path, capsys: Capture) -
     path = tmp_path / name
     path.write_bytes(FILES[name])
     code = mapperd(["--replay", str(path), "--out", str(tmp_path / "out")])
-    assert code == DaemonExit.BAD_DATA
+    assert code == ExitCode.BAD_DATA
     remedy = "nothing was recorded" if name == "empty.mcap" else "expected MCAP"
     one_line(capsys.readouterr().err, name, remedy)
 
@@ -465,7 +464,7 @@ def test_unknown_kind_of_map(
 ) -> None:
     path = tmp_path / name
     path.write_bytes(FILES[name])
-    assert mapperctl([word.format(path) for word in words]) == CtlExit.USAGE
+    assert mapperctl([word.format(path) for word in words]) == ExitCode.USAGE
     one_line(capsys.readouterr().err, name, "no map: ", "OctoMap")
 
 
@@ -500,5 +499,5 @@ def test_ros_bag_without_sonar_data(
 ) -> None:
     write(tmp_path / name)
     code = mapperd(["--replay", str(tmp_path / name), "--out", str(tmp_path / "out")])
-    assert code == DaemonExit.BAD_DATA
+    assert code == ExitCode.BAD_DATA
     one_line(capsys.readouterr().err, name, "it holds ROS messages", "record those with")

@@ -18,8 +18,9 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from mapperd.cli.mapperd import DaemonExit, main
+from mapperd.cli.mapperd import main
 from mapperd.export.clouds import VERTEX
+from oculus_driver.command_line import ExitCode
 from oculus_driver.recording import RecordingWriter
 from tests.mapperd.conftest import START_NS, make_odometry, make_ping
 from tests.oculus_driver.recording.foreign_files import HOST, SONAR, Wire, ethernet, ipv4, pcap, udp
@@ -107,7 +108,7 @@ class Bench:
 
     def map(self, *words: object, out: str = "out") -> dict[str, Any]:
         code, text = self.run(*words, out=out)
-        assert code == DaemonExit.OK, text
+        assert code == ExitCode.OK, text
         summary: dict[str, Any] = json.loads((self.folder / out / "summary.json").read_text())
         assert summary["pings_mapped"] == PINGS, summary["pings_dropped"]
         return summary
@@ -127,7 +128,7 @@ class Bench:
         ours, theirs = self.cells(out), self.cells("reference")
         return len(ours & theirs) / len(ours | theirs)
 
-    def fails(self, *words: object, code: int = DaemonExit.BAD_DATA) -> str:
+    def fails(self, *words: object, code: int = ExitCode.BAD_DATA) -> str:
         """Return the one line of an error."""
         found, text = self.run("--replay", self.dive, "--odometry", *words)
         assert found == code, text
@@ -256,7 +257,7 @@ def test_offset_moves_the_times(bench: Bench, sign: int) -> None:
 )
 def test_no_overlap_names_the_gap_and_an_offset(bench: Bench, late_s: int, words: str) -> None:
     path = write_tum(bench.folder / "a.tum", late_s=late_s)
-    text = bench.fails(path, code=DaemonExit.USAGE)
+    text = bench.fails(path, code=ExitCode.USAGE)
     assert words in text
     assert "--odometry-offset" in text
     (offset,) = re.findall(r"\((\S+) lets both begin together\)", text)
@@ -326,7 +327,7 @@ def test_bad_files_are_one_line(bench: Bench) -> None:
     assert "latin: not UTF-8 text (byte " in bench.fails(bench.folder / "latin")
     assert f"{bench.folder}: no ROS bag in this folder" in bench.fails(bench.folder)
     missing = bench.folder / "missing.csv"
-    assert f"{missing}: there is no such file" in bench.fails(missing, code=DaemonExit.NO_INPUT)
+    assert f"{missing}: there is no such file" in bench.fails(missing, code=ExitCode.NO_INPUT)
 
 
 @pytest.mark.parametrize(
@@ -343,7 +344,7 @@ def test_bad_files_are_one_line(bench: Bench) -> None:
 def test_options_that_contradict(words: list[str], problem: str, capsys: Capture) -> None:
     with pytest.raises(SystemExit) as ended:
         main(words)
-    assert ended.value.code == DaemonExit.USAGE
+    assert ended.value.code == ExitCode.USAGE
     assert problem in capsys.readouterr().err
 
 
@@ -351,7 +352,7 @@ def test_recording_without_stamps(bench: Bench) -> None:
     raw = bench.folder / "raw.oculus"
     raw.write_bytes(b"".join(data for _, data in pings()))
     code, text = bench.run("--replay", raw, "--odometry", write_tum(bench.folder / "a"))
-    assert code == DaemonExit.USAGE
+    assert code == ExitCode.USAGE
     assert "no time stamps: odometry of other files cannot be used" in text
 
 
@@ -538,7 +539,7 @@ def test_damaged_bag_is_one_line(bench: Bench, storage: str) -> None:
     for size in (200, len(data) // 2, len(data) - 40):
         file.write_bytes(data[:size])
         code, text = bench.run("--replay", bench.dive, "--odometry", bag)
-        assert code in (DaemonExit.OK, DaemonExit.BAD_DATA), text
+        assert code in (ExitCode.OK, ExitCode.BAD_DATA), text
         assert "Traceback" not in text
         if code:
             assert text.count("\n") == 1, text
@@ -772,7 +773,7 @@ def test_datagrams_to_other_ports(bench: Bench) -> None:
     text = bench.fails(path)
     assert f"{path}: has no datagrams to the UDP ports of odometry.sources (52200)" in text
     code, text = bench.run("--replay", path)
-    assert code == DaemonExit.USAGE
+    assert code == ExitCode.USAGE
     assert "no odometry in it" in text
     source = "odometry: {sources: [{link: 'udp://0.0.0.0:14550'}], "
     bench.config.write_text(bench.config.read_text().replace("odometry: {", source))

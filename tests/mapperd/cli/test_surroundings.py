@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.cli.mapperd import DaemonExit, main
+from mapperd.cli.mapperd import main
 from mapperd.cli.surroundings import listen, odometry_lines, sonar_lines
+from oculus_driver.command_line import ExitCode
 from oculus_driver.encode import encode_status
 
 MAVLINK = b"\xfd" + bytes(20)
@@ -73,7 +74,7 @@ def test_without_settings_no_sonar_is_started(
 ) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     monkeypatch.chdir(tmp_path)
-    assert main(words) == DaemonExit.BAD_CONFIG
+    assert main(words) == ExitCode.BAD_CONFIG
     printed = capsys.readouterr()
     (line,) = printed.err.splitlines()
     assert line == (

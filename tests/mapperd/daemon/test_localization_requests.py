@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.cli.mapperd import DaemonExit, main
+from mapperd.cli.mapperd import main
 from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore
 from mapperd.config.loader import config_from_text
@@ -36,6 +36,7 @@ from mapperd.session_log import (
     Settings,
     decision_of,
 )
+from oculus_driver.command_line import ExitCode
 from tests.mapperd.localization.room import dive, events, room, settings, write_room
 
 Asked = Request | dict[str, Any]
@@ -150,7 +151,7 @@ def asked_for(folder: Path) -> dict[int, Asked]:
 
 def replayed(folder: Path, out: Path) -> tuple[int, dict[str, Any]]:
     code = main(["--replay", str(folder), "--as-recorded", "--out", str(out)])
-    if code != DaemonExit.OK:
+    if code != ExitCode.OK:
         return code, {}
     return code, json.loads((out / "summary.json").read_text(encoding="utf-8"))
 
@@ -187,7 +188,7 @@ def test_requests_are_recorded_and_done_again(
 
     write_nav2_map(GridMap(np.array(room().occupancy), 0.2), tmp_path / "shifted.yaml")
     code, _ = replayed(tmp_path / "recordings", tmp_path / "out")
-    assert code == DaemonExit.BAD_DATA
+    assert code == ExitCode.BAD_DATA
     assert "shifted.yaml: another map" in capsys.readouterr().err
 
 

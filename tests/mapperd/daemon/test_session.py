@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.cli.mapperd import DaemonExit, main
+from mapperd.cli.mapperd import main
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.daemon.session import Live, host_clock
@@ -26,6 +26,7 @@ from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.session.replay import Replay, Window
 from mapperd.session_log import DECISIONS, remarks_in
 from oculus_driver import Ping, PlaybackSonar
+from oculus_driver.command_line import ExitCode
 from oculus_driver.ping import PingHeader
 from oculus_driver.recording import open_recording
 from oculus_driver.wire import PingRate
@@ -215,7 +216,7 @@ def test_the_command_writes_the_same_folder(
     # No main thread, no signal handlers: the time limit ends it.
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("asyncio.unix_events._UnixSelectorEventLoop.add_signal_handler", lambda *_: 0)
-        assert asyncio.run(work()) == DaemonExit.OK
+        assert asyncio.run(work()) == ExitCode.OK
     summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
     assert summary["pings_mapped"] > 3
     assert summary["poses"]["source"] == "fixed"
@@ -238,7 +239,7 @@ def test_no_sonar_is_reported_in_one_line(
             encoding="utf-8",
         )
         words = ["--config", path, "--out", tmp_path / "out", "--duration", "0.2"]
-        assert main([str(word) for word in words]) == DaemonExit.BAD_DATA
+        assert main([str(word) for word in words]) == ExitCode.BAD_DATA
     assert re.search(rf"live: .*127\.0\.0\.1:{port}", capsys.readouterr().err)
 
 

@@ -7,13 +7,14 @@ import msgspec
 import pytest
 
 from mapperd.cli.mapperctl.arguments import EPILOG, parser
-from mapperd.cli.mapperctl.connection import REASONS, CtlExit
+from mapperd.cli.mapperctl.connection import REASONS
 from mapperd.server.connection import EVENTS_AT_ONCE, MAX_UNSENT
 from mapperd.server.session import ASKS, MESSAGES_AT_ONCE, MESSAGES_PER_S, QUIET_S
 from mapperd.server.stream_server import NEWCOMERS
 from mapperd.wire.auth import Limits
 from mapperd.wire.messages import MAX_FROM_CLIENT, AnswerMessage
 from mapperd.wire.requests import Fault, Request, decode_request
+from oculus_driver.command_line import ExitCode
 
 pytestmark = pytest.mark.net
 
@@ -60,7 +61,7 @@ def test_limits_are_those_in_force() -> None:
 
 
 def test_every_exit_code_is_explained() -> None:
-    for code in CtlExit:
+    for code in ExitCode:
         assert f"| {code:d} |" in COMMANDS
         assert re.search(rf"\b{code:d}\s", EPILOG)
 

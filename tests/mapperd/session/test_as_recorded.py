@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.cli.mapperd import DaemonExit, main
+from mapperd.cli.mapperd import main
 from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore
 from mapperd.config.loader import config_from_text
@@ -38,6 +38,7 @@ from mapperd.session_log import (
     Skip,
     decision_of,
 )
+from oculus_driver.command_line import ExitCode
 from oculus_driver.encode import encode_status
 from oculus_driver.recording import OCULUS_STATUS, RecordingWriter
 
@@ -171,7 +172,7 @@ def mapped_live(
 
 def replayed(folder: Path, out: Path) -> dict[str, Any]:
     words = ["--replay", str(folder), "--as-recorded", "--out", str(out)]
-    assert main(words) == DaemonExit.OK
+    assert main(words) == ExitCode.OK
     summary: dict[str, Any] = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     return summary
 
@@ -305,7 +306,7 @@ def test_session_without_its_beginning_cannot_be_mapped_as_recorded(
 ) -> None:
     (tmp_path / "raw.bin").write_bytes(ping_bytes(1))
     words = ["--replay", str(tmp_path / "raw.bin"), "--as-recorded", "--out", str(tmp_path)]
-    assert main(words) == DaemonExit.USAGE
+    assert main(words) == ExitCode.USAGE
     assert "raw.bin " in capsys.readouterr().err
 
 

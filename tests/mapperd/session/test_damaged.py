@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from mapperd.cli.mapperd import DaemonExit
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.daemon.session import Live
@@ -30,6 +29,7 @@ from mapperd.session.startup import open_map
 from mapperd.store.checkpoint import decode_state, encode_state
 from mapperd.store.position import RecordingOffset, position_in
 from mapperd.store.tile_store import TileStore
+from oculus_driver.command_line import ExitCode
 from oculus_driver.recording import OCULUS, Chunk, RecordingWriter
 
 PingBytes = Callable[..., bytes]
@@ -71,10 +71,10 @@ def test_altered_pings_are_not_mapped(
 ) -> None:
     recorded(tmp_path / "whole", track(survey))
     ran = run(tmp_path / "whole")
-    assert (ran.code, ran.summary["pings_mapped"]) == (DaemonExit.OK, PINGS)
+    assert (ran.code, ran.summary["pings_mapped"]) == (ExitCode.OK, PINGS)
     every = [ping_bytes(k + 1) for k in range(PINGS)]
     ran = run(altered(tmp_path / "whole", every))
-    assert ran.code == DaemonExit.BAD_DATA
+    assert ran.code == ExitCode.BAD_DATA
     assert ran.summary["pings_dropped"] == {"checksum": PINGS}
     assert "fail their checksum" in ran.output
 
@@ -89,7 +89,7 @@ def test_the_rest_of_a_damaged_recording_is_mapped_and_the_loss_is_listed(
     damaged = altered(tmp_path / "whole", changed)
     ran = run(damaged)
     summary, facts = ran.summary, ran.summary["recording"]
-    assert ran.code == DaemonExit.BAD_DATA
+    assert ran.code == ExitCode.BAD_DATA
     assert (summary["pings_mapped"], summary["pings_dropped"]) == (PINGS - 3, {"checksum": 3})
     assert summary["pings_lost"] == 0
     assert [part["file"] for part in facts["damaged_parts"]] == ["altered"] * 3
@@ -103,7 +103,7 @@ def test_the_rest_of_a_damaged_recording_is_mapped_and_the_loss_is_listed(
     assert run(tmp_path / "rest").summary["map_sha256"] == summary["map_sha256"]
 
     ran = run(damaged, "--allow-damaged")
-    assert (ran.code, ran.summary["pings_mapped"]) == (DaemonExit.OK, PINGS)
+    assert (ran.code, ran.summary["pings_mapped"]) == (ExitCode.OK, PINGS)
     assert ran.summary["map_sha256"] not in (whole["map_sha256"], summary["map_sha256"])
     assert "were mapped all the same" in ran.output
 
@@ -114,7 +114,7 @@ def test_a_replay_into_a_store_leaves_altered_pings_out(
     recorded(tmp_path / "whole", track(survey))
     damaged = altered(tmp_path / "whole", [ping_bytes(9)])
     ran = run(damaged, "--store", str(tmp_path / "map.db"))
-    assert ran.code == DaemonExit.BAD_DATA
+    assert ran.code == ExitCode.BAD_DATA
     assert ran.summary["pings_dropped"] == {"checksum": 1}
     assert ran.summary["map_sha256"] == run(damaged).summary["map_sha256"]
 
@@ -134,7 +134,7 @@ def test_a_damaged_record_head_ends_in_a_statement(
     data[start] = 0x0B  # a chunk of pings looks like statistics
     (tmp_path / "altered").write_bytes(data)
     ran = run(tmp_path / "altered", *(["--store", str(tmp_path / "map.db")] if stored else []))
-    assert (ran.code, ran.summary["recording"]["data_lost"]) == (DaemonExit.BAD_DATA, True)
+    assert (ran.code, ran.summary["recording"]["data_lost"]) == (ExitCode.BAD_DATA, True)
     assert "damaged at byte" in ran.output
 
 
@@ -147,7 +147,7 @@ def test_altered_odometry_is_not_used(
     data[data.index(record) + 15] ^= 1
     (tmp_path / "altered").write_bytes(data)
     ran = run(tmp_path / "altered")
-    assert ran.code == DaemonExit.BAD_DATA
+    assert ran.code == ExitCode.BAD_DATA
     assert ran.summary["poses"]["odometry_received"] == PINGS
     assert ran.summary["pings_mapped"] == PINGS
 

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mapperd.cli.mapperd import DaemonExit
 from mapperd.config.tree import Config
 from mapperd.daemon.map_folder import recording_facts, summary_of
 from mapperd.geometry.frames import pose_from_rpy
@@ -13,6 +12,7 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import FixedPose
 from mapperd.session.recordings import RecordedSession
 from mapperd.session.replay import Replay, Window
+from oculus_driver.command_line import ExitCode
 from oculus_driver.ping import Ping
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "guides" / "replay.md").read_text(
@@ -46,5 +46,5 @@ def test_every_key_of_the_summary_is_explained(
 
 
 def test_every_exit_code_is_explained() -> None:
-    for code in DaemonExit:
+    for code in ExitCode:
         assert f"| {code.value} |" in COMMANDS

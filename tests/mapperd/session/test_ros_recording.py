@@ -12,9 +12,10 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mapperd.cli.mapperd import DaemonExit, main
+from mapperd.cli.mapperd import main
 from mapperd.export.clouds import VERTEX
 from mapperd.session.ros_recording import RosRecording
+from oculus_driver.command_line import ExitCode
 from oculus_driver.encode import encode_fire
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.recording import OCULUS, RecordingWriter
@@ -251,7 +252,7 @@ class Bench:
 
     def map(self, *words: object, out: str = "out") -> dict[str, Any]:
         code, text = self.run(*words, out=out)
-        assert code == DaemonExit.OK, text
+        assert code == ExitCode.OK, text
         summary: dict[str, Any] = json.loads((self.folder / out / "summary.json").read_text())
         assert summary["pings_mapped"] == summary["pings_total"] == PINGS, summary
         return summary
@@ -389,7 +390,7 @@ def test_messages_without_a_stamp_have_the_time_of_the_bag(bench: Bench) -> None
 def test_images_that_define_no_ping(bench: Bench, changes: dict[str, Any], words: str) -> None:
     bag = write_bag(bench.folder / "bag", image_messages(**changes))
     code, text = bench.run("--replay", bag, STILL)
-    assert (code, text.count("\n")) == (DaemonExit.BAD_DATA, 1), text
+    assert (code, text.count("\n")) == (ExitCode.BAD_DATA, 1), text
     assert f"{bag}: no sonar data in it (topic /sonar: " in text or "nothing can be read" in text
     assert words in text
 
@@ -397,18 +398,18 @@ def test_images_that_define_no_ping(bench: Bench, changes: dict[str, Any], words
 def test_bag_without_sonar_data(bench: Bench) -> None:
     bag = write_bag(bench.folder / "bag", odometry_messages())
     code, text = bench.run("--replay", bag)
-    assert (code, text.count("\n")) == (DaemonExit.BAD_DATA, 1)
+    assert (code, text.count("\n")) == (ExitCode.BAD_DATA, 1)
     assert f"{bag}: a ROS bag without sonar data; raw Oculus messages, oculus_interfaces" in text
     (file,) = bag.glob("*.mcap")
     code, text = bench.run("--replay", file)
-    assert (code, text.count("\n")) == (DaemonExit.BAD_DATA, 1)
+    assert (code, text.count("\n")) == (ExitCode.BAD_DATA, 1)
     assert "it holds ROS messages, not the bytes of the sonar" in text
 
 
 def test_bag_without_poses(bench: Bench) -> None:
     bag = write_bag(bench.folder / "bag", raw_messages())
     code, text = bench.run("--replay", bag)
-    assert (code, text.count("\n")) == (DaemonExit.BAD_DATA, 1)
+    assert (code, text.count("\n")) == (ExitCode.BAD_DATA, 1)
     assert f"{bag}: has no odometry: no nav_msgs/Odometry" in text
     assert "--pose" in text
 
@@ -439,10 +440,10 @@ def test_damaged_bag_never_ends_in_a_traceback(bench: Bench, storage: str) -> No
         changed[int(place)] ^= 0x55
         file.write_bytes(changed)
         code, text = bench.run("--replay", bag)
-        assert code in (DaemonExit.OK, DaemonExit.BAD_DATA), text
+        assert code in (ExitCode.OK, ExitCode.BAD_DATA), text
     file.write_bytes(data[: len(data) // 2])
     code, text = bench.run("--replay", bag)
-    assert code == DaemonExit.BAD_DATA
+    assert code == ExitCode.BAD_DATA
     assert text.count("\n") == 1, text
 
 
@@ -451,7 +452,7 @@ def test_store_resumes(bench: Bench) -> None:
     bag = write_bag(bench.folder / "bag", [*raw_messages(), *odometry_messages()])
     words = ("--replay", bag, "--store", bench.folder / "map.db")
     summary = bench.map(*words)
-    assert bench.run(*words)[0] == DaemonExit.OK
+    assert bench.run(*words)[0] == ExitCode.OK
     again = json.loads((bench.folder / "out" / "summary.json").read_text())
     assert again["map_sha256"] == summary["map_sha256"]
     assert again["pings_total"] == 0

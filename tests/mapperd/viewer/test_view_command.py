@@ -15,13 +15,14 @@ import pytest
 
 from mapperd.cli.mapperctl.arguments import parser
 from mapperd.cli.mapperctl.command import main
-from mapperd.cli.mapperctl.connection import CtlError, CtlExit
+from mapperd.cli.mapperctl.connection import CtlError
 from mapperd.cli.mapperctl.view import _report_link, open_page, run_view, same_origin
 from mapperd.client import AskError, MapClient
 from mapperd.daemon.map_server import MapServer, saved_map
 from mapperd.mapping.queries import MapContent
 from mapperd.store.stored_map import StoredMap
 from mapperd.viewer.health import Health, health_html
+from oculus_driver.command_line import ExitCode
 from tests.mapperd.store.dive import CONFIG, dive_on, open_store
 from tests.support.mapperctl import call
 from tests.support.maps import FREE, OCCUPIED, map_of
@@ -65,7 +66,7 @@ def test_a_connection_that_another_page_makes_is_refused() -> None:
         assert asyncio.run(status(f"http://{place}")) == 101
         with pytest.raises(CtlError, match="another program listens there") as taken:
             open_page("127.0.0.1", server.get_port())
-        assert taken.value.code == CtlExit.UNAVAILABLE
+        assert taken.value.code == ExitCode.UNAVAILABLE
         assert server.request_share_url() is None, "nothing goes to other computers"
     finally:
         server.stop()
@@ -95,7 +96,7 @@ def test_a_missing_extra_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
-    assert main(["view", "--socket", str(tmp_path / "map.sock")]) == CtlExit.USAGE
+    assert main(["view", "--socket", str(tmp_path / "map.sock")]) == ExitCode.BAD_CONFIG
     assert "`topside`" in capsys.readouterr().err
 
 
@@ -118,7 +119,7 @@ def test_the_command_prints_the_address_and_opens_it(
 def test_what_cannot_be_is_refused(words: list[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         parser().parse_args(["view", *words])
-    assert ended.value.code == CtlExit.USAGE
+    assert ended.value.code == ExitCode.USAGE
 
 
 def test_a_map_file_is_served_as_a_daemon_serves_its_map(tmp_path: Path) -> None:
@@ -245,7 +246,7 @@ def test_what_is_no_map_is_one_line(tmp_path: Path, call: Call) -> None:
 def test_an_address_without_a_port_is_one_line(
     command: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([*command, "--address", "192.168.2.2"]) == CtlExit.USAGE
+    assert main([*command, "--address", "192.168.2.2"]) == ExitCode.USAGE
     output = capsys.readouterr()
     assert output.out == ""
     assert output.err.count("\n") == 1

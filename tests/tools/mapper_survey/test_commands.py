@@ -59,7 +59,7 @@ def test_export_does_what_it_is_reported(folder: Path, tmp_path: Path) -> None:
         assert uncertainty.min() > 0.4
     assert len((tmp_path / "here/positions.xyz").read_text().split("\n")) == depths.count() + 1
     settings.write_text("mapping: {occupied_threshold: 0.99}\n")
-    assert run("export", folder, "--config", settings) == 2
+    assert run("export", folder, "--config", settings) != 0
 
 
 @pytest.mark.slow
@@ -83,7 +83,7 @@ def test_report_reports_how_the_dives_agree(
 def test_what_a_person_can_mend_is_one_line(
     folder: Path, capsys: pytest.CaptureFixture[str], command: str, words: list[str], stated: str
 ) -> None:
-    assert run(command, folder, *words) == 2
+    assert run(command, folder, *words) == (78 if "--config" in words else 2)
     reported = capsys.readouterr().err
     assert stated in reported
     assert reported.count("\n") == 1
@@ -93,7 +93,7 @@ def test_survey_that_was_not_run_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for command in ("export", "report"):
-        assert run(command, tmp_path) == 2
+        assert run(command, tmp_path) == 66
         assert "map.db" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
     store_of(tmp_path / "map.db", map_of(np.array([[0, 0, 0]])))

@@ -5,9 +5,9 @@ import sys
 from collections.abc import Sequence
 
 from oculus_driver import __version__
-from oculus_driver.command_line import CommandParser
-from oculus_driver.errors import OculusError, missing_extra
-from sonar_sim.errors import FAULT, INTERRUPTED, USAGE, SonarSimError
+from oculus_driver.command_line import CommandParser, ExitCode
+from oculus_driver.errors import OculusError, RecordingUnwritableError, missing_extra
+from sonar_sim.errors import SceneError, SceneMissingError, SonarSimError
 
 __all__ = ["main"]
 
@@ -17,7 +17,8 @@ examples:
   sonar-sim capture tank --out tank.mcap
   sonar-sim render wreck --out out/wreck --pings 3
 
-exit codes: 0 success; 1 failure; 2 invalid command or scene; 130 interrupted"""
+exit codes: 0 success; 1 failure; 2 invalid command; 66 no such scene file; 73 cannot write; 78
+invalid scene or a missing extra; 130 interrupted"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -25,16 +26,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         parser = _parser()
     except ModuleNotFoundError as error:
-        return _failure(missing_extra(str(error.name), "sim"), USAGE)
+        return _failure(missing_extra(str(error.name), "sim"), ExitCode.BAD_CONFIG)
     args = parser.parse_args(argv)
     try:
         return int(args.run(args))
-    except SonarSimError as error:
-        return _failure(error, USAGE)
-    except (OculusError, OSError) as error:
-        return _failure(error, FAULT)
+    except (SonarSimError, OculusError, OSError) as error:
+        return _failure(error, _exit_code_of(error))
     except KeyboardInterrupt:
-        return INTERRUPTED
+        return ExitCode.INTERRUPTED
+
+
+def _exit_code_of(error: Exception) -> ExitCode:
+    codes = {
+        SceneMissingError: ExitCode.NO_INPUT,
+        SceneError: ExitCode.BAD_CONFIG,
+        SonarSimError: ExitCode.USAGE,
+        RecordingUnwritableError: ExitCode.CANNOT_WRITE,
+        OculusError: ExitCode.FAULT,
+    }
+    found = (code for kind, code in codes.items() if isinstance(error, kind))
+    return next(found, ExitCode.CANNOT_WRITE)
 
 
 def _failure(error: Exception | str, code: int) -> int:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from oculus_driver.command_line import ExitCode
 from sonar_sim.capture import CaptureSettings, write_capture
 from sonar_sim.command.arguments import count, seed
-from sonar_sim.errors import OK
 from sonar_sim.scene_file import load_scenario
 
 NAME = "capture"
@@ -54,4 +54,4 @@ def run(args: argparse.Namespace) -> int:
         f"{args.out}: {args.out.stat().st_size / 1e6:.1f} MB, {path_s:.1f} s simulated "
         f"in {wall_s:.1f} s ({path_s / wall_s:.1f} times as fast)"
     )
-    return OK
+    return ExitCode.OK

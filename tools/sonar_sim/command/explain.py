@@ -4,6 +4,7 @@ import argparse
 import json
 import sys
 
+from oculus_driver.command_line import ExitCode
 from sonar_sim.command.arguments import count, positive, time_on
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import Decision, EffectPlan, EffectSelection
@@ -11,7 +12,6 @@ from sonar_sim.effects.planner import Planner
 from sonar_sim.effects.previewer import Previewer
 from sonar_sim.effects.rule_check import measured_costs_ms
 from sonar_sim.engine import PingEngine
-from sonar_sim.errors import OK
 from sonar_sim.scene.scenario import sonar_motion, sonar_pose
 from sonar_sim.scene_file import load_scenario
 
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     for decision in plan.missed:
         reason = decision.verdict.reason
         sys.stderr.write(f"sonar-sim: {decision.effect.name} is switched off, but {reason}\n")
-    return OK
+    return ExitCode.OK
 
 
 def _print(plan: EffectPlan, costs_ms: dict[str, float], *, as_json: bool) -> None:

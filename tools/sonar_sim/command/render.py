@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from oculus_driver.command_line import ExitCode
 from oculus_driver.render import COLOURS, Style
 from sonar_sim.classic import classic_camera
 from sonar_sim.classic.scan import RANGE_M
 from sonar_sim.classic.writer import write_classic
 from sonar_sim.command.arguments import count, names, pose, positive, seed, size, time_on
 from sonar_sim.effects.plan import AUTO
-from sonar_sim.errors import OK, SonarSimError
+from sonar_sim.errors import SonarSimError
 from sonar_sim.geometry.pose import FramePose
 from sonar_sim.products import PRODUCTS, ProductRenderer, write_products
 from sonar_sim.products.writer import ProductSettings
@@ -89,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
         folder = args.out / f"{ping_id:06d}" if len(stops) > 1 else args.out
         files += draw(folder, ping_id, time_s, map_T_sonar)
     print(f"{len(files)} files in {args.out}")
-    return OK
+    return ExitCode.OK
 
 
 def _stops(args: argparse.Namespace, scenario: Scenario) -> Iterator[tuple[float, FramePose]]:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from sonar_sim.errors import OK
+from oculus_driver.command_line import ExitCode
 from sonar_sim.scene_file import load_scenario, scene_names
 
 NAME = "list"
@@ -27,4 +27,4 @@ def run(args: argparse.Namespace) -> int:
             f"{name:12}  {sonar.model} mode {sonar.mode}, {sonar.range_m:.3g} m"
             f"  {triangles:7d} triangles  {scenario.description}"
         )
-    return OK
+    return ExitCode.OK

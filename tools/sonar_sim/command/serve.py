@@ -7,6 +7,7 @@ from typing import Any
 
 from oculus_driver.cli.arguments import address, count, port, positive, share
 from oculus_driver.cli.output import run_until_stopped
+from oculus_driver.command_line import ExitCode
 from oculus_driver.models import model_of
 from oculus_driver.virtual_sonar.faults import SHARES, Faults
 from oculus_driver.virtual_sonar.server import broadcast_of
@@ -15,7 +16,6 @@ from sonar_sim.command.arguments import seed
 from sonar_sim.device.fire_settings import part_number_of
 from sonar_sim.device.server import ROUTE_ENDS, ServedScenario, ServeSettings
 from sonar_sim.effects.plan import AUTO
-from sonar_sim.errors import OK
 from sonar_sim.navigation.formats import FORMATS
 from sonar_sim.navigation.odometry_output import OdometryOutput, output_named
 from sonar_sim.scene.scenario import Scenario
@@ -120,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
     """Serve until stopped, or until the path ends."""
     scenario = with_model(load_scenario(args.scene), args.model)
     run_until_stopped(_serve(scenario, args), args.duration)
-    return OK
+    return ExitCode.OK
 
 
 def with_model(scenario: Scenario, model: str | None) -> Scenario:

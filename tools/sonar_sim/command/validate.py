@@ -5,8 +5,9 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from oculus_driver.command_line import ExitCode
 from sonar_sim.command.arguments import names
-from sonar_sim.errors import FAULT, OK, SonarSimError
+from sonar_sim.errors import SonarSimError
 from sonar_sim.validation.case import ValidationResult
 from sonar_sim.validation.cases import CASES, draw_page
 
@@ -35,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     draw_page(page, results)
     failed = sum(not check.holds for result in results for check in result.checks)
     print(f"{len(results)} cases, {failed} numbers off; drawn: {page}")
-    return FAULT if failed else OK
+    return ExitCode.FAULT if failed else ExitCode.OK
 
 
 def _lines(result: ValidationResult, *, verbose: bool) -> list[str]:

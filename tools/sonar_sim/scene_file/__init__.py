@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sonar_sim.errors import SceneError
+from sonar_sim.errors import SceneMissingError
 from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene_file.build import build_scenario
 from sonar_sim.scene_file.yaml_reader import read_scene_file
@@ -29,7 +29,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         path = SHIPPED / f"{path}.yaml"
         if not path.is_file():
             known = ", ".join(scene_names())
-            raise SceneError(f"no scene is named {name_or_path}; use {known}, or a file")
+            raise SceneMissingError(f"no scene is named {name_or_path}; use {known}, or a file")
     return build_scenario(path.stem, read_scene_file(path), path.parent)
 
 

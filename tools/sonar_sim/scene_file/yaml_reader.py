@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import yaml
 
-from sonar_sim.errors import SceneError
+from sonar_sim.errors import SceneError, SceneMissingError
 from sonar_sim.scene_file import schema
 from sonar_sim.scene_file.schema import Section
 
@@ -84,7 +84,7 @@ def read_tree(path: Path) -> object:
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
     except OSError as error:
-        raise SceneError(f"{path}: cannot be read: {error.strerror}") from error
+        raise SceneMissingError(f"{path}: cannot be read: {error.strerror}") from error
     if len(data) > MAX_BYTES:
         raise SceneError(f"{path}: larger than {MAX_BYTES >> 20} MiB, not a scene")
     try:

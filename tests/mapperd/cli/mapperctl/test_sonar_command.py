@@ -14,11 +14,10 @@ from typing import Any
 import pytest
 
 from mapperd.cli.mapperctl.command import main
-from mapperd.cli.mapperctl.connection import CtlExit
-from mapperd.cli.mapperd import DaemonExit
 from mapperd.cli.mapperd import main as mapperd_main
 from mapperd.pipeline.decoder import PingStream
 from oculus_driver import Ping
+from oculus_driver.command_line import ExitCode
 from oculus_driver.recording import open_recording
 from oculus_driver.sound_speed import speed_of_sound_mps
 from tests.support.process import free_port, free_tcp_port
@@ -126,7 +125,7 @@ def test_the_sonar_is_controlled_while_it_maps_and_the_recording_repeats_it(
     here = ("--socket", survey.socket)
     with survey.running():
         code, out, _ = answer_of(capsys, "sonar", "set", "--range", 8, *here)
-        assert code == CtlExit.OK
+        assert code == ExitCode.OK
         change, confirmed = out.splitlines()
         assert change.startswith("device.range: ")
         assert numbers_of(change) == [12.0, 8.0]
@@ -134,7 +133,7 @@ def test_the_sonar_is_controlled_while_it_maps_and_the_recording_repeats_it(
         assert survey.mapped("range_m", 8.0, 0.5)
 
         code, _, err = answer_of(capsys, "sonar", "set", "--range", 100, "--mode", 2, *here)
-        assert code == CtlExit.REFUSED
+        assert code == ExitCode.FAULT
         assert err.startswith("mapperctl: device.range: ")
         assert {100.0, 40.0, 2.0} <= set(numbers_of(err)), "what was asked, and what is allowed"
         assert survey.mapped("range_m", 8.0, 0.5), "a refusal changes nothing"
@@ -142,7 +141,7 @@ def test_the_sonar_is_controlled_while_it_maps_and_the_recording_repeats_it(
         changes = ("--gain", 70, "--gamma", 127, "--bits", 16, "--gain-assist", "true")
         water = ("--salinity", 0, "--temperature", 12)
         code, out, _ = answer_of(capsys, "sonar", "set", *changes, *water, *here)
-        assert code == CtlExit.OK
+        assert code == ExitCode.OK
         code, out, _ = answer_of(capsys, "sonar", *here)
         shown = dict(line.split(maxsplit=1) for line in out.splitlines()[1:])
         assert shown["device.gain"] == "70.0 %"
@@ -154,9 +153,9 @@ def test_the_sonar_is_controlled_while_it_maps_and_the_recording_repeats_it(
         assert abs(requested["speed_of_sound_mps"] - speed_of_sound_mps(12, 0)) < 1e-9
         assert survey.mapped("speed_of_sound_mps", speed_of_sound_mps(12, 0), 0.1)
 
-        assert answer_of(capsys, "sonar", "standby", *here)[0] == CtlExit.OK
+        assert answer_of(capsys, "sonar", "standby", *here)[0] == ExitCode.OK
         assert survey.status()["sonar"]["state"] == "standby"
-        assert answer_of(capsys, "sonar", "live", *here)[0] == CtlExit.OK
+        assert answer_of(capsys, "sonar", "live", *here)[0] == ExitCode.OK
         assert survey.status()["sonar"]["state"] == "pinging"
 
         _, out, _ = answer_of(capsys, "events", *here)
@@ -168,7 +167,7 @@ def test_the_sonar_is_controlled_while_it_maps_and_the_recording_repeats_it(
     assert all(abs(range_m - 8.0) < 0.5 for range_m in ranges_m[changed:])
 
     again = ["--replay", str(short / "rec"), "--as-recorded", "--out", str(short / "again")]
-    assert mapperd_main(again) == DaemonExit.OK
+    assert mapperd_main(again) == ExitCode.OK
     capsys.readouterr()
     live, replayed = (
         json.loads((short / name / "summary.json").read_text(encoding="utf-8"))
@@ -191,6 +190,6 @@ def test_a_command_that_means_nothing_is_one_line(
     words: tuple[str, ...], remedy: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, _, err = answer_of(capsys, *words, "--address", "127.0.0.1:1")
-    assert code == CtlExit.USAGE
+    assert code == ExitCode.USAGE
     assert err.startswith(f"mapperctl: {remedy}")
     assert err.count("\n") == 1
