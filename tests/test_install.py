@@ -5,13 +5,14 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 import yaml
 
 from mapperd import __version__
-from tests.support.shell_blocks import blocks_of
+from tests.support.shell_blocks import blocks_of, follow
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "getting-started" / "install.md"
@@ -106,3 +107,59 @@ def test_the_page_states_the_pythons_of_the_package() -> None:
     minors = [int(minor) for minor in re.findall(r'"cp3(\d\d)-manylinux', project)]
     assert f"3.{min(minors)} to 3.{max(minors)}" in PAGE.read_text("utf-8")
     assert f'requires-python = ">=3.{min(minors)}"' in project
+
+
+def test_the_page_lists_every_extra() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    table = re.findall(r"^\| (`[^|]*`) \|", PAGE.read_text("utf-8"), re.MULTILINE)
+    listed = [name for row in table for name in re.findall(r"`([\w-]+)`", row)]
+    assert sorted(listed) == sorted(extras["optional-dependencies"])
+
+
+@pytest.mark.slow
+@pytest.mark.net
+@pytest.mark.timeout(900)
+def test_the_vehicle_s_libraries_are_to_be_had_for_arm64_without_a_compiler(tmp_path: Path) -> None:
+    words = "install --dry-run --quiet --only-binary=:all: --implementation cp --no-deps"
+    platforms = ("manylinux_2_28_aarch64", "manylinux_2_17_aarch64", "manylinux2014_aarch64")
+    command = [sys.executable, "-m", "pip", *words.split(), "--target", str(tmp_path / "none")]
+    command += ["--python-version", "3.12", "--require-hashes"]
+    command += [word for name in platforms for word in ("--platform", name)]
+    command += ["-r", str(ROOT / "requirements" / "vehicle.lock")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
+    if re.search(r"NewConnectionError|Name or service|Connection(Error| refused)", done.stderr):
+        pytest.skip("no registry can be reached")
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+@pytest.mark.slow
+@pytest.mark.net
+@pytest.mark.timeout(7200)
+def test_the_first_dive_runs_from_a_fresh_clone(tmp_path: Path) -> None:
+    first_dive = PAGE.with_name("first-dive.md")
+    (install,) = (block.code for block in blocks_of(first_dive) if "git clone" in block.code)
+    run(install, tmp_path)
+    home = tmp_path / "reader"
+    home.mkdir()
+    follow(first_dive, home, installed=tmp_path / "mapperd" / "venv" / "bin")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_the_commands_of_the_service_install_it_in_an_empty_folder(tmp_path: Path) -> None:
+    page = PAGE.with_name("service.md")
+    (code,) = (block.code for block in blocks_of(page) if "pip install" in block.code)
+    kept = [line for line in code.splitlines() if "apt " not in line and "systemd" not in line]
+    moved = "\n".join(line for line in kept if "journalctl" not in line and "init" not in line)
+    moved = moved.replace("sudo ", "").replace("/opt/mapperd", f"{tmp_path}/opt/mapperd")
+    run(moved, tmp_path)
+    program = (
+        "import sys, pathlib; from mapperd.cli import init; "
+        f"init.SERVICE_SETTINGS = pathlib.Path('{tmp_path}/etc/mapperd.yaml'); "
+        f"init.SERVICE_TOKEN = pathlib.Path('{tmp_path}/etc/token'); "
+        "sys.exit(init.init(['--service', '--yes']))"
+    )
+    assert "mapperd init --service" in code
+    run(f'{tmp_path}/opt/mapperd/bin/python -c "{program}"', tmp_path)
+    assert (tmp_path / "etc" / "mapperd.yaml").is_file()
+    assert (tmp_path / "etc" / "token").stat().st_mode & 0o777 == 0o600

@@ -1,4 +1,4 @@
-"""Draw a recorded sonar beside the same sonar simulated: docs/images/simulator-real.png.
+"""Draw a recorded sonar beside the same sonar simulated: out/simulator-real.png.
 
 The recording is three pings of an M1200d at 2.1 MHz from the public repository liboculus
 (test/data/three_pings_8bit.raw). Exit code 1: some number of the two differs by more than allowed.
@@ -47,7 +47,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     default = ROOT.parent / "shared" / "data" / "oculus" / "three_pings_8bit.raw"
     parser.add_argument("recording", type=Path, nargs="?", default=default)
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images" / "simulator-real.png")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "simulator-real.png")
     arguments = parser.parse_args()
     recorded = read_recording(arguments.recording)
     both = {"recorded": recorded.pixels, "simulated": simulate_recording(recorded)}
