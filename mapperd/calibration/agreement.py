@@ -11,6 +11,7 @@ mounting's turn about the array changes ranges and bearings of nothing.
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -374,14 +375,18 @@ class Agreement:
         return np.asarray(np.bincount(self._point, looks, self.points), dtype=np.float64)
 
 
+@lru_cache(maxsize=1)
 def features(dive: CalibrationDive, blur: Blur) -> NDArray[np.float32]:
     """Return the images blurred, less their background: spots and edges.
 
-    The square root keeps the brightest echoes from outweighing all others.
+    The square root keeps the brightest echoes from outweighing all others. The rounds of a stage
+    share the result: it is read-only.
     """
     floor = 2.0 * float(np.median(dive.images[:, ::4, ::4])) + 2.0
     root = np.sqrt(np.clip(dive.images - floor, 0.0, None))
     across = (0.0, blur.range_m / dive.row_m, blur.sine / dive.sine_step)
     spots = gaussian_filter(root, across)
     spots -= gaussian_filter(root, [BACKGROUND * width for width in across])
-    return np.asarray(spots, dtype=np.float32)
+    found: NDArray[np.float32] = np.asarray(spots, dtype=np.float32)
+    found.setflags(write=False)
+    return found

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
-from scipy.spatial.transform import Rotation
 
 from mapperd.calibration.agreement import PARAMETERS, STEPS, Agreement, Blur, SonarView
 from mapperd.calibration.dive import CalibrationDive
-from mapperd.config.tree import Config
+from mapperd.config.tree import Config, OrientationConfig
 from mapperd.geometry.frames import quaternion_to_matrix, rotation_from_rpy
 
 __all__ = [
@@ -28,6 +27,7 @@ __all__ = [
     "fit_floor",
     "floor_echoes",
     "floor_points",
+    "nearest_angles",
     "start_of",
     "yaml_lines",
 ]
@@ -222,7 +222,10 @@ FLOOR = np.array([0, 2, 6, 7])
 STRUCTURE = np.array([0, 2, 6])
 STRUCTURE_AND_SCALE = np.array([0, 2, 6, 7])
 SEED = 5
-LIMITS = {"roll": 1.0, "yaw": 0.5, "time_offset": 0.02, "range_scale": 0.01}
+VERTICAL = 3e-4
+"""An x axis whose horizontal part is smaller is vertical: its rounded angles are the same."""
+
+LIMITS = {"roll": 0.3, "yaw": 0.3, "time_offset": 0.010, "range_scale": 0.003}
 """A parameter whose standard deviation is larger is not observable."""
 
 MIN_DEVIATION = {"roll": 0.03, "yaw": 0.2, "time_offset": 0.003, "range_scale": 0.001}
@@ -268,6 +271,11 @@ class ParameterEstimate:
         """Whether the recording shows it."""
         return not self.reason
 
+    @property
+    def significant(self) -> bool:
+        """Whether settings change: by more than the standard deviation."""
+        return self.observable and abs(self.change) > self.deviation
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
@@ -275,7 +283,7 @@ class Calibration:
 
     Attributes:
         parameters: all, in the order of `PARAMETERS`.
-        start, values: (8,) parameters at the start and at the end.
+        start, values: (8,) parameters at the start, and with the significant changes.
         view: of the sonar at the start.
         compared: views of the structure, for pictures.
     """
@@ -327,7 +335,7 @@ def calibrate(
     parameters = tuple(
         _parameter(name, found[k] - start[k], deviations[k]) for k, name in enumerate(PARAMETERS)
     )
-    used = np.array([one.change for one in parameters]) + start
+    used = np.array([one.change if one.significant else 0.0 for one in parameters]) + start
     last = LAST_WITH_FLOOR.blur
     blur = Blur(last * dive.range_m, last * SINE_PER_RANGE)
     compared = Agreement(
@@ -393,28 +401,58 @@ def _parameter(name: str, change: float, deviation: float) -> ParameterEstimate:
 
 
 def yaml_lines(found: Calibration, config: Config, sound_mps: float) -> str:
-    """Return the lines of the settings file that put a calibration into force.
+    """Return the lines of the settings file that put the significant changes into force.
 
     Args:
         found: the calibration.
         config: the settings it started from.
         sound_mps: speed of sound of the recording.
     """
-    angles = Rotation.from_matrix(found.view.mounting(found.values)).as_euler("ZYX", degrees=True)
-    yaw, pitch, roll = (round(float(angle), 2) + 0.0 for angle in angles)
-    lines = [
-        "mounting:",
-        f"  orientation: {{ roll: {roll}, pitch: {pitch}, yaw: {yaw} }}",
-    ]
-    by_name = {one.name: one for one in found.parameters}
-    if by_name["range_scale"].observable:
+    changes = {one.name: one.change for one in found.parameters if one.significant}
+    lines = []
+    turns = [f"{name} {changes[name]:+.2f}" for name in PARAMETERS[:3] if name in changes]
+    if turns:
+        angles = nearest_angles(found.view.mounting(found.values), config.mounting.orientation)
+        roll, pitch, yaw = (round(angle, 2) + 0.0 for angle in angles)
+        lines += [
+            "mounting:",
+            f"  # turned about the vehicle's axes, deg: {', '.join(turns)}",
+            f"  orientation: {{ roll: {roll}, pitch: {pitch}, yaw: {yaw} }}",
+        ]
+    if "range_scale" in changes:
         speed = sound_mps * found.values[7]
         lines += ["water:", f"  speed_of_sound: {speed:.1f}", "  correct_ranges: true"]
-    offset_s = by_name["time_offset"].change
-    if by_name["time_offset"].observable:
-        latency_s = config.device.latency_sec - offset_s
+    if "time_offset" in changes:
+        latency_s = config.device.latency_sec - changes["time_offset"]
         if latency_s >= 0:
             lines += ["device:", f"  latency_sec: {latency_s:.3f}"]
         else:
             lines += [f"# odometry.sources[].latency_sec: add {-latency_s:.3f}"]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines or ["# nothing to change"]) + "\n"
+
+
+def nearest_angles(mounting: Floats, settings: OrientationConfig) -> tuple[float, float, float]:
+    """Return a rotation as roll, pitch and yaw, deg, in the form nearest to the settings.
+
+    Two triples describe each rotation, and infinitely many one whose x axis is vertical: there roll
+    stays.
+
+    Args:
+        mounting: (3, 3) rotation.
+        settings: the angles before.
+    """
+    before = np.array([settings.roll, settings.pitch, settings.yaw])
+    level = math.hypot(mounting[0, 0], mounting[1, 0])
+    pitch = math.degrees(math.atan2(-mounting[2, 0], level))
+    if level < VERTICAL:
+        upright = 1.0 if pitch > 0 else -1.0
+        turn = math.degrees(math.atan2(-mounting[0, 1], mounting[1, 1]))
+        forms = [np.array([settings.roll, upright * 90.0, turn + upright * settings.roll])]
+    else:
+        roll = math.degrees(math.atan2(mounting[2, 1], mounting[2, 2]))
+        yaw = math.degrees(math.atan2(mounting[1, 0], mounting[0, 0]))
+        forms = [np.array([roll, pitch, yaw]), np.array([roll + 180.0, 180.0 - pitch, yaw + 180.0])]
+    near = [before + (form - before + 180.0) % 360.0 - 180.0 for form in forms]
+    best = min(near, key=lambda form: float(np.abs(form - before).sum()))
+    roll, pitch, yaw = ((float(angle) + 180.0) % 360.0 - 180.0 for angle in best)
+    return roll, pitch, yaw

@@ -82,10 +82,13 @@ def _facts(one: "ParameterEstimate") -> dict[str, object]:
 
 
 def _row(one: "ParameterEstimate") -> str:
-    if not one.observable:
-        return f"{one.name:<12} not observable, left: {one.reason}"
     digits, unit = DIGITS.get(one.name, 2), UNITS.get(one.name, "deg")
-    return f"{one.name:<12} {one.change:+.{digits}f} ± {one.deviation:.{digits}f} {unit}".rstrip()
+    deviation = f"± {one.deviation:.{digits}f} {unit}".rstrip()
+    if not one.observable:
+        known = f" ({deviation})" if math.isfinite(one.deviation) else ""
+        return f"{one.name:<12} not observable{known}, left: {one.reason}"
+    left = "" if one.significant else ", left: not more than its deviation"
+    return f"{one.name:<12} {one.change:+.{digits}f} {deviation}{left}"
 
 
 def _draw(found: "Calibration", path: Path) -> None:

@@ -1,9 +1,11 @@
-"""Simulated dives with known errors: the calibration finds those that the dives show."""
+"""Simulated dives with known errors: what is called observable is true, the rest is left."""
 
 import json
-import math
+from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
+import numpy as np
 import pytest
 import yaml
 from scipy.spatial.transform import Rotation
@@ -11,7 +13,16 @@ from sonar_sim.capture import CaptureSettings, write_capture
 from sonar_sim.scene_file import SHIPPED, load_scenario
 from sonar_sim.wire import Network
 
+from mapperd.calibration.agreement import PARAMETERS, Agreement
+from mapperd.calibration.estimate import (
+    Calibration,
+    ParameterEstimate,
+    nearest_angles,
+    start_of,
+    yaml_lines,
+)
 from mapperd.cli.mapperd import main
+from mapperd.config.tree import Config, OrientationConfig
 
 FORWARD = (
     (-7, 0.3, -3.4, 0),
@@ -35,65 +46,149 @@ FORWARD = (
 SPEED_MPS = 1490.07
 """In the scene's water."""
 
-NAMES = ("roll", "pitch", "yaw")
+ANGLES = ("roll", "pitch", "yaw")
+DOWN = {"roll", "yaw", "time_offset", "range_scale"}
+AHEAD = {"yaw", "time_offset"}
+TOLERANCES = {"roll": 0.3, "pitch": 0.3, "yaw": 0.3, "time_offset": 0.010, "range_scale": 0.003}
+
+
+@dataclass(frozen=True)
+class Dive:
+    """A dive with known errors.
+
+    Attributes:
+        pitch_deg: of the mounting in the settings; 90 looks down.
+        turn_deg: true turn of the mounting about the vehicle's axes, from the settings.
+        latency_s: of the pings.
+        sent_mps: speed of sound that the sonar is set to.
+        seed: of all noise.
+    """
+
+    pitch_deg: float
+    turn_deg: tuple[float, float, float]
+    latency_s: float
+    sent_mps: float
+    seed: int
+
+    def mounting(self) -> Rotation:
+        start = Rotation.from_euler("Y", self.pitch_deg, degrees=True)
+        return Rotation.from_rotvec(self.turn_deg, degrees=True) * start
+
+    def record(self, folder: Path) -> Path:
+        scene = yaml.safe_load((SHIPPED / "calibration.yaml").read_text())
+        angles = self.mounting().as_euler("ZYX", degrees=True)
+        for name, angle in zip(("yaw_deg", "pitch_deg", "roll_deg"), angles, strict=True):
+            scene["mounting"][name] = float(angle)
+        scene["sonar"]["told_speed_mps"] = self.sent_mps
+        if self.pitch_deg < 90.0:
+            scene["sonar"]["ping_rate_hz"] = 3
+            scene["trajectory"]["waypoints"] = [
+                {"position_m": list(place), "yaw_deg": yaw} for *place, yaw in FORWARD
+            ]
+        file, recording = folder / "scene.yaml", folder / "dive.mcap"
+        file.write_text(yaml.safe_dump(scene))
+        network = Network(processing_s=self.latency_s)
+        capture = CaptureSettings(
+            seed=self.seed, processes=1, network=network, effects="auto,+motion"
+        )
+        write_capture(recording, load_scenario(str(file)), capture)
+        return recording
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3000)
 @pytest.mark.parametrize(
-    "dive",
+    ("dive", "shown"),
     [
-        (90.0, (3.0, 1.0, -2.5), 0.070, 1508, 14),
-        (90.0, (0.0, 2.0, -3.5), 0.020, 1478, 12),
-        (30.0, (-1.0, 1.5, 3.0), 0.030, 1480, 32),
+        (Dive(90.0, (3.0, 1.0, -2.5), 0.070, 1508, 14), DOWN),
+        (Dive(90.0, (0.0, 2.0, -3.5), 0.020, 1478, 12), DOWN),
+        (Dive(90.0, (-2.0, -1.5, 2.0), 0.045, 1500, 21), DOWN),
+        (Dive(30.0, (-1.0, 1.5, 3.0), 0.030, 1480, 32), AHEAD),
+        (Dive(30.0, (2.0, -1.0, -2.0), 0.060, 1505, 33), AHEAD),
+        (Dive(30.0, (1.0, 1.0, 1.5), 0.025, 1490.07, 34), AHEAD),
     ],
-    ids=["all errors at once", "another seed", "looking ahead"],
+    ids=["down 1", "down 2", "down 3", "ahead 1", "ahead 2", "ahead 3"],
 )
-def test_finds_the_errors_of_a_simulated_dive(
-    tmp_path: Path, dive: tuple[float, tuple[float, float, float], float, float, int]
+def test_what_is_called_observable_is_true_and_the_rest_is_left(
+    tmp_path: Path, dive: Dive, shown: set[str]
 ) -> None:
-    pitch_deg, turn_deg, latency_s, told_mps, seed = dive
-    scene = yaml.safe_load((SHIPPED / "calibration.yaml").read_text())
-    turn = Rotation.from_rotvec(turn_deg, degrees=True)
-    mounting = turn * Rotation.from_euler("ZYX", [0.0, pitch_deg, 0.0], degrees=True)
-    angles = zip(
-        ("yaw_deg", "pitch_deg", "roll_deg"), mounting.as_euler("ZYX", degrees=True), strict=True
-    )
-    scene["mounting"].update({name: float(angle) for name, angle in angles})
-    scene["sonar"]["told_speed_mps"] = told_mps
-    if pitch_deg < 90.0:
-        scene["sonar"]["ping_rate_hz"] = 3
-        scene["trajectory"]["waypoints"] = [
-            {"position_m": list(place), "yaw_deg": yaw} for *place, yaw in FORWARD
-        ]
-    file, settings, out = tmp_path / "scene.yaml", tmp_path / "settings.yaml", tmp_path / "out"
-    file.write_text(yaml.safe_dump(scene))
-    settings.write_text(f"mounting: {{orientation: {{pitch: {pitch_deg}}}}}\n")
-    recording = tmp_path / "dive.mcap"
-    network = Network(processing_s=latency_s)
-    capture = CaptureSettings(seed=seed, processes=1, network=network, effects="auto,+motion")
-    write_capture(recording, load_scenario(str(file)), capture)
+    settings, out = tmp_path / "settings.yaml", tmp_path / "out"
+    settings.write_text(f"mounting: {{orientation: {{pitch: {dive.pitch_deg}}}}}\n")
+    recording = dive.record(tmp_path)
     assert main(["calibrate", str(recording), "--config", str(settings), "--out", str(out)]) == 0
     found = {one["name"]: one for one in json.loads((out / "calibration.json").read_text())}
-    errors = {
-        name: found[name]["change"] - true for name, true in zip(NAMES, turn_deg, strict=True)
-    }
-    errors["time_offset"] = found["time_offset"]["change"] + latency_s
-    errors["range_scale"] = found["range_scale"]["change"] + 1 - SPEED_MPS / told_mps
-    if pitch_deg == 90.0:
-        assert abs(errors["roll"]) < 0.3
-        assert abs(errors["range_scale"]) < 0.003
-    assert abs(errors["yaw"]) < 0.3
-    assert abs(errors["time_offset"]) < 0.010
-    for name in ("roll", "yaw", "time_offset", "range_scale"):
-        assert abs(errors[name]) < 2.5 * found[name]["deviation"], name
-    assert [one for one in found if not found[one]["observable"]] == ["pitch", "x", "y", "z"]
-    assert math.isclose(found["pitch"]["change"], 0.0)
-    assert found["pitch"]["deviation"] is None
+    truth = dict(zip(ANGLES, dive.turn_deg, strict=True))
+    truth |= {"time_offset": -dive.latency_s, "range_scale": SPEED_MPS / dive.sent_mps - 1}
+    observable = {name for name, one in found.items() if one["observable"]}
+    assert observable == shown
+    for name in observable:
+        error = found[name]["change"] - truth[name]
+        assert abs(error) < TOLERANCES[name], name
+        assert abs(error) < 3 * found[name]["deviation"], name
+    for name in found.keys() - observable:
+        assert found[name]["change"] == 0.0, name
     lines = yaml.safe_load((out / "calibration.yaml").read_text())
-    assert lines["device"]["latency_sec"] == pytest.approx(latency_s, abs=0.010)
-    assert lines["water"]["speed_of_sound"] == pytest.approx(SPEED_MPS, abs=9)
+    orientation = [lines["mounting"]["orientation"][name] for name in ("yaw", "pitch", "roll")]
+    start = Rotation.from_euler("Y", dive.pitch_deg, degrees=True)
+    written = Rotation.from_euler("ZYX", orientation, degrees=True) * start.inv()
+    for name, turn_deg in zip(ANGLES, written.as_rotvec(degrees=True), strict=True):
+        wanted = truth[name] if name in observable else 0.0
+        assert turn_deg == pytest.approx(wanted, abs=TOLERANCES[name]), name
+    assert lines["device"]["latency_sec"] == pytest.approx(dive.latency_s, abs=0.010)
+    assert ("water" in lines) == ("range_scale" in observable)
+    if "water" in lines:
+        assert lines["water"]["speed_of_sound"] == pytest.approx(SPEED_MPS, rel=0.003)
     assert (out / "calibration.png").stat().st_size > 10_000
+
+
+def _turned(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Rotation:
+    return Rotation.from_euler("ZYX", [yaw_deg, pitch_deg, roll_deg], degrees=True)
+
+
+@pytest.mark.parametrize("pitch_deg", [-90.0, -30.0, 0.0, 60.0, 89.9, 90.0, 90.1, 150.0])
+def test_writes_angles_of_the_same_rotation(pitch_deg: float) -> None:
+    random = np.random.default_rng(3)
+    for _ in range(20):
+        roll, yaw, *others = random.uniform(-180, 180, 4)
+        rotation = _turned(roll, pitch_deg, yaw)
+        angles = nearest_angles(rotation.as_matrix(), OrientationConfig(others[0], 20, others[1]))
+        assert (rotation.inv() * _turned(*angles)).magnitude() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("before", "turn_deg", "after"),
+    [
+        ((0, 90, 0), (0, 0, -2.5), (0, 90, -2.5)),
+        ((10, 90, 20), (0, 0, 5), (10, 90, 25)),
+        ((0, 90, 0), (0, 1, 0), (0, 91, 0)),
+        ((0, -90, 0), (0, 0, 3), (0, -90, 3)),
+        ((180, 30, 0), (0, 0, 2), (180, 30, 2)),
+        ((0, 120, 5), (0, 0, 2), (0, 120, 7)),
+    ],
+)
+def test_leaves_the_angles_that_have_not_turned(
+    before: tuple[float, float, float],
+    turn_deg: tuple[float, float, float],
+    after: tuple[float, float, float],
+) -> None:
+    turned = Rotation.from_rotvec(turn_deg, degrees=True) * _turned(*before)
+    angles = nearest_angles(turned.as_matrix(), OrientationConfig(*before))
+    assert np.exp(1j * np.radians(angles)) == pytest.approx(np.exp(1j * np.radians(after)))
+
+
+@pytest.mark.parametrize("name", ["yaw", "range_scale", "time_offset"])
+@pytest.mark.parametrize("factor", [-0.9, -1.1])
+def test_writes_a_change_only_if_it_exceeds_its_deviation(name: str, factor: float) -> None:
+    parameters = tuple(
+        ParameterEstimate(one, 0.01 * factor if one == name else 0.0, 0.01) for one in PARAMETERS
+    )
+    config = Config()
+    view, start = start_of(config)
+    values = start + [one.change if one.significant else 0.0 for one in parameters]
+    found = Calibration(parameters, start, values, view, compared=cast("Agreement", None))
+    sections = {"yaw": "mounting", "range_scale": "water", "time_offset": "device"}
+    lines = yaml.safe_load(yaml_lines(found, config, 1500.0))
+    assert lines is None if factor > -1 else set(lines) == {sections[name]}
 
 
 def test_names_a_missing_file_and_a_missing_extra(
