@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from oculus_driver.link.state import SonarCounters
     from oculus_driver.models import Model
     from oculus_driver.ping import Ping, PingHeader
-    from oculus_driver.stream import MessageBounds
+    from oculus_driver.stream import Framing, MessageBounds
 
 _LOG: Final = logging.getLogger(__name__)
 STANDBY_TIMEOUT_S: Final = 1.0
@@ -67,6 +67,8 @@ class OculusSonar:
         on_bytes: called with all received bytes before they are parsed, and their arrival time.
         on_chunk: called with the same bytes and time after they are parsed, and with the message
             boundaries in them, as `oculus_driver.recording.SonarLog.write` needs them.
+        on_framing: called with the same bytes and time after they are parsed, and with the messages
+            that they complete, so that the caller need not parse them again.
         on_status: called with each status datagram of the sonar and its arrival time. With `host`
             it is listened for only if this is given; a port that cannot be opened is logged.
         on_state: called with each change of the link's state or reason.
@@ -90,6 +92,7 @@ class OculusSonar:
         keep_pinging: bool = False,
         on_bytes: Callable[[bytes, int], None] | None = None,
         on_chunk: Callable[[bytes, int, MessageBounds], object] | None = None,
+        on_framing: Callable[[bytes, int, Framing], object] | None = None,
         on_status: Callable[[bytes, int], object] | None = None,
         on_state: Callable[[LinkStatus], None] | None = None,
         discovery: DiscoveryFactory | None = None,
@@ -122,6 +125,7 @@ class OculusSonar:
             clock=clock,
             on_bytes=on_bytes,
             on_chunk=on_chunk,
+            on_framing=on_framing,
             on_received=self._received,
             on_status=self._link_changed,
             on_failure=self._failed,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from oculus_driver.framing import (
     CANDIDATE,
@@ -16,6 +16,9 @@ from oculus_driver.framing import (
     SkipBytes,
 )
 from oculus_driver.wire import PAYLOAD_LIMITS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
 
 _MAX_STAMPS = 1 << 16
 """Arrival times kept for one unfinished message; beyond this every second one is dropped."""
@@ -116,6 +119,23 @@ class MessageBounds(NamedTuple):
 
     start: int
     end: int
+
+
+class Framing(NamedTuple):
+    """What a parser found in a piece of its stream; another parser of the same bytes may adopt it.
+
+    Attributes:
+        messages: those that the piece completes.
+        bounds: message boundaries in the piece.
+        begin: stream offset of the first byte of the piece.
+        synchronised, source_id: of the parser, after the piece.
+    """
+
+    messages: tuple[Message, ...]
+    bounds: MessageBounds
+    begin: int
+    synchronised: bool
+    source_id: int | None
 
 
 class StreamParser:
@@ -245,6 +265,45 @@ class StreamParser:
         return MessageBounds(
             next((m.offset - first for m in messages if m.offset >= first), begun), end
         )
+
+    def framing(self, messages: list[Message], size: int) -> Framing:
+        """Return what was found in the last fed bytes; arguments as for `bounds`."""
+        bounds, begin = self.bounds(messages, size), self.counters.bytes_total - size
+        return Framing(tuple(messages), bounds, begin, self._synchronised, self._source_id)
+
+    def adopt(self, pieces: Iterable[tuple[int, int | None]], messages: Sequence[Message]) -> bool:
+        """Take over messages instead of being fed their bytes; the state becomes the same.
+
+        Only for messages that another parser in the same state got from the same bytes. Any that
+        affect more than the counters of bytes and messages are not taken over.
+
+        Args:
+            pieces: sizes and arrival times of the bytes after the pending ones.
+            messages: found in the pending bytes and these.
+
+        Returns:
+            False if nothing was taken over.
+        """
+        sizes = [(size, arrival_ns) for size, arrival_ns in pieces if size]
+        total = sum(size for size, _ in sizes)
+        pending = len(self._buffer)
+        if (
+            not self._synchronised
+            or sum(len(one.data) for one in messages) != pending + total
+            or any(one.source_id != self._source_id or one.warnings for one in messages)
+            or any(one.message_id not in PAYLOAD_LIMITS for one in messages)
+        ):
+            return False
+        end = self._base + pending
+        for size, arrival_ns in sizes:
+            self._stamp(end, arrival_ns)
+            end += size
+        self.counters.bytes_total += total
+        self.counters.messages.update(one.message_id for one in messages)
+        self._buffer.clear()
+        self._base, self._needed = end, 0
+        self._discard_parsed()
+        return True
 
     def finish(self) -> list[Message]:
         """Parse the pending bytes at the end of the stream; the rest counts as truncated.

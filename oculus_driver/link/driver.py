@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from oculus_driver.link.machine import Link
     from oculus_driver.link.receiver import ReceivedMessage
     from oculus_driver.link.state import LinkStatus
-    from oculus_driver.stream import MessageBounds
+    from oculus_driver.stream import Framing, MessageBounds
 
 
 RECEIVE_BUFFER: Final = 2 * MIB
@@ -175,6 +175,7 @@ class LinkDriver:
         clock: host monotonic time, nanoseconds.
         on_bytes: called with all received bytes before they are parsed, and their arrival time.
         on_chunk: called with the same after they are parsed, and the message boundaries in them.
+        on_framing: called with the same after they are parsed, and what was found in them.
         on_received: called with each message, and with its ping if it is valid.
         on_status: called with the link's status after a change of state or reason.
         on_failure: called with an exception raised by one of these callbacks.
@@ -192,6 +193,7 @@ class LinkDriver:
         clock: Callable[[], int],
         on_bytes: Callable[[bytes, int], None] | None,
         on_chunk: Callable[[bytes, int, MessageBounds], object] | None,
+        on_framing: Callable[[bytes, int, Framing], object] | None,
         on_received: Callable[[ReceivedMessage, int], None],
         on_status: Callable[[LinkStatus], None],
         on_failure: Callable[[BaseException], None],
@@ -202,6 +204,7 @@ class LinkDriver:
         self._clock = clock
         self._on_bytes = on_bytes
         self._on_chunk = on_chunk
+        self._on_framing = on_framing
         self._on_received = on_received
         self._on_status = on_status
         self._on_failure = on_failure
@@ -320,7 +323,9 @@ class LinkDriver:
                 self._on_bytes(data, now_ns)
             messages = self._receiver.feed(data, now_ns)
             if self._on_chunk is not None:
-                self._on_chunk(data, now_ns, self._receiver.bounds)
+                self._on_chunk(data, now_ns, self._receiver.framing.bounds)
+            if self._on_framing is not None:
+                self._on_framing(data, now_ns, self._receiver.framing)
             for received in messages:
                 self._handle(received, now_ns)
         except Exception as error:  # noqa: BLE001 - a callback may raise anything

@@ -8,7 +8,7 @@ from typing import Final
 
 from oculus_driver.errors import Reject
 from oculus_driver.ping import PingHeader, PingSequence, decode_header
-from oculus_driver.stream import Message, MessageBounds, StreamCounters, StreamParser
+from oculus_driver.stream import Message, StreamCounters, StreamParser
 from oculus_driver.wire import MIB, MessageId
 
 MAX_RESYNC_BYTES: Final = 16 * MIB
@@ -28,7 +28,7 @@ class PingReceiver:
     """Parses one sonar's consecutive connections and decides whether to continue.
 
     Attributes:
-        bounds: message boundaries in the last fed bytes.
+        framing: what was found in the last fed bytes.
         sequence: lost, duplicate and restarted ids.
         pings: valid pings, each counted once.
         rejects: unusable ping messages by reason, full_ping among them; bytes outside messages
@@ -36,11 +36,11 @@ class PingReceiver:
     """
 
     def __init__(self) -> None:
-        self.bounds = MessageBounds(0, 0)
         self.sequence = PingSequence()
         self.pings = 0
         self.rejects: Counter[str] = Counter()
         self._parser = StreamParser()
+        self.framing = self._parser.framing([], 0)
         self._last: tuple[int, float | None, int | None] | None = None
         self._same_connection = True
         self._received_ns = 0
@@ -62,7 +62,7 @@ class PingReceiver:
         """Feed the next bytes and return the messages that they complete."""
         self._received_ns = arrival_ns
         messages = self._parser.feed(data, arrival_ns)
-        self.bounds = self._parser.bounds(messages, len(data))
+        self.framing = self._parser.framing(messages, len(data))
         received = [self._received(one) for one in messages]
         if self._parser.synchronised:
             self._resync_since_ns = None

@@ -48,12 +48,13 @@ def test_any_split_gives_each_ping_once(make_ping: MakePing) -> None:
 def test_bounds_follow_a_new_connection(make_ping: MakePing) -> None:
     ping, receiver = make_ping(), PingReceiver()
     receiver.feed(ping[:700], 0)
-    assert receiver.bounds == MessageBounds(0, 0)
+    assert receiver.framing.bounds == MessageBounds(0, 0)
     receiver.feed(ping[700:800], 1)
-    assert receiver.bounds == MessageBounds(100, -700)
+    assert receiver.framing.bounds == MessageBounds(100, -700)
     receiver.finish()
     receiver.feed(ping + ping[:5], 2)
-    assert receiver.bounds == MessageBounds(0, len(ping))
+    assert receiver.framing.bounds == MessageBounds(0, len(ping))
+    assert receiver.framing.begin == 800
 
 
 def test_the_captures_come_through(capture: bytes) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from oculus_driver import FireSettings, LinkError, LinkState, OculusSonar, SettingsError, model_of
 from oculus_driver.ping import PingHeader
-from oculus_driver.stream import MessageBounds, StreamParser
+from oculus_driver.stream import Framing, MessageBounds, StreamParser
 
 if TYPE_CHECKING:
     from oculus_driver import LinkStatus, LinkTimeouts, Ping
@@ -281,6 +281,24 @@ def test_chunks_come_with_their_message_boundaries(fake: MakeSonar, run: Run) ->
         parser = StreamParser()
         for data, _, bounds in taped:
             assert parser.bounds(parser.feed(data), len(data)) == bounds
+
+    run(main())
+
+
+def test_chunks_come_with_the_messages_that_they_complete(fake: MakeSonar, run: Run) -> None:
+    async def main() -> None:
+        taped: list[tuple[bytes, int, Framing]] = []
+        async with (
+            fake() as device,
+            OculusSonar(
+                HOST, FREE, port=device.port, on_framing=lambda *chunk: taped.append(chunk)
+            ) as sonar,
+        ):
+            await take(sonar, 3)
+        parser = StreamParser()
+        for data, at_ns, framing in taped:
+            assert parser.framing(parser.feed(data, at_ns), len(data)) == framing
+        assert sum(len(framing.messages) for *_, framing in taped) >= 3
 
     run(main())
 
