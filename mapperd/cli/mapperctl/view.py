@@ -92,7 +92,7 @@ def _push_from_any_thread() -> None:
             with contextlib.suppress(RuntimeError):  # its loop has ended
                 buffer.event_loop.call_soon_threadsafe(buffer.message_event.set)
 
-    AsyncMessageBuffer.push = push  # type: ignore[method-assign]
+    AsyncMessageBuffer.push = push  # type: ignore[assignment, method-assign]
 
 
 def same_origin(origin: str | None, host: str | None) -> bool:
