@@ -142,7 +142,7 @@ void bind_scatter(py::module_& module) {
   py::class_<FaceTable>(module, "FaceTable")
       .def(py::init(&face_table), arg("planes"), arg("objects"), arg("materials"), arg("smooth"),
            arg("curved_normal"), arg("table"));
-  py::class_<RayArrays>(module, "RayArrays")
+  py::class_<RayArrays>(module, "Rays")
       .def(py::init(&rays_of), arg("face"), arg("seen"), arg("transmit"), arg("receive"),
            arg("cell"), arg("span_m"), arg("gain"), arg("legs"));
   py::class_<Setting>(module, "Setting")
