@@ -315,6 +315,7 @@ class MapSource:
             if before.map != self._identity.map:
                 if self._files is not None:
                     self._files.damaged.clear()
+                    self._files.quarantined = frozenset()
                 self._start_again()
         if self._facts != self._facts_now():
             self._start_again()
