@@ -10,6 +10,7 @@ import random
 import signal
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -117,6 +118,17 @@ def wait_for_bytes(process: int, folder: Path, names: str, more: int) -> bool:
     return False
 
 
+def wait_for(condition: Callable[[], bool], process: int) -> bool:
+    """Wait for a condition; returns False if the daemon ends before."""
+    until_s = time.monotonic() + 120
+    while time.monotonic() < until_s and runs(process):
+        with contextlib.suppress(StoreError):  # it is being created
+            if condition():
+                return True
+        time.sleep(0.01)
+    return False
+
+
 def mid_session(path: Path) -> bool:
     """Whether the file was saved since its session began, and the session goes on."""
     if not path.exists():
@@ -146,15 +158,18 @@ def test_map_after_a_kill_is_that_of_the_recordings(
         config = config_from_text(text)
         for _ in range(chance.randint(1, 3)):
             process = daemons.start("--config", folder / "live.yaml", "--out", folder / "out")
-            if chance.random() < 0.9:
-                assert wait_for_bytes(
-                    process, folder / "recordings", "*", chance.randint(1, 300_000)
-                )
+            kind = chance.random()
+            if kind < 0.9:  # by what is written, not by time: load shifts that
+                more = chance.randint(1, 300_000)
+                assert wait_for_bytes(process, folder / "recordings", "*", more)
+            if is_saved := kind < 0.7:
+                assert wait_for(partial(mid_session, folder / "dive.map"), process)
             time.sleep(chance.uniform(0.0, 0.1))
             os.kill(process, signal.SIGKILL)
             assert daemons.ended() == -signal.SIGKILL
             kills += 1
         path = folder / "dive.map"
+        assert mid_session(path) or not is_saved
         mid += mid_session(path)
         folders += 1
         recordings = folder / "recordings"
@@ -165,7 +180,6 @@ def test_map_after_a_kill_is_that_of_the_recordings(
         assert content(path, config) == reference, f"{folder} {pings} pings"
         mapped += pings
     print(f"{kills} kills, {mid} of {folders} maps in a session, {mapped} pings, all equal")  # noqa: T201
-    assert mid > folders / 2
     assert mapped > 10 * KILLS
 
 
