@@ -1,4 +1,4 @@
-"""Draw docs/images/view.png: the page of `mapperctl view` while a daemon maps the demo's dive.
+"""Draw out/view.png: the page of `mapperctl view` while a daemon maps the demo's dive.
 
     make demo && python tools/studies/view_picture.py [--chromium /usr/bin/chromium] [--out PNG]
 
@@ -46,7 +46,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--chromium", default="/usr/bin/chromium")
     parser.add_argument("--demo", type=Path, default=ROOT / "out" / "demo")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images" / "view.png")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "view.png")
     args = parser.parse_args()
     with (
         tempfile.TemporaryDirectory() as folder,
