@@ -51,7 +51,12 @@ class IwloParams:
         adaptive_max_ratio: float = 0.3,
         adaptive_min_ratio: float = 0.25,
         protect_occupied: bool = True,
+        prior: float = 0.0,
     ) -> None: ...
+    @property
+    def prior(self) -> float:
+        """Log-odds of an unobserved voxel, to which the map's evidence is added."""
+
     def occupied_weight(self, intensity: float) -> float:
         """w(I): 0 at or below the threshold, else the sigmoid of the normalised intensity."""
 
@@ -65,6 +70,37 @@ class IwloParams:
         factor: float = 1.0,
     ) -> tuple[float, int]:
         """One voxel's state after one ping; `weight` is w(I), `factor` multiplies the step."""
+
+class ArcParams:
+    """The arc rule's constants: `cpp/map/include/mapperd/map/arc_integrator.hpp` defines them."""
+
+    def __init__(
+        self,
+        *,
+        half_aperture_rad: float = ...,
+        beam_width_rad: float = ...,
+        spread_below: float = 0.45,
+        spread_above: float = 1.0,
+        broad_share: float = 0.3,
+        missed_share: float = 0.1,
+        first_return: float = 0.45,
+        quiet: float = 3.0,
+        behind_scale: float = 0.3,
+        min_step: float = 0.3,
+        max_step: float = 6.0,
+    ) -> None: ...
+    @property
+    def free_step(self) -> float:
+        """Log-odds by which silence lowers a voxel: -L_free of the map's `IwloParams`."""
+
+class ArcModel:
+    """Tables of the arc rule, for maps with the same `IwloParams`.
+
+    Raises:
+        ValueError: a parameter is out of range; the text names it.
+    """
+
+    def __init__(self, params: ArcParams, rule: IwloParams) -> None: ...
 
 class PingMotion:
     """How the sonar moves while its ping is in the water.
@@ -132,6 +168,30 @@ class VoxelMap:
 
         Raises:
             ValueError: not finite.
+        """
+
+    def integrate_arc(
+        self,
+        model: ArcModel,
+        levels: NDArray[np.float32],
+        noise: NDArray[np.float32],
+        bearings_rad: NDArray[np.float64],
+        range_resolution_m: float,
+        map_T_sonar: NDArray[np.float64],  # noqa: N803 frames are named
+        *,
+        min_range_m: float = 0.5,
+        carve_no_return: bool = False,
+        threads: int = 1,
+        motion: PingMotion = ...,
+    ) -> PingStats:
+        """Add one ping's evidence by the arc rule: the level of an echo tells its elevation.
+
+        `model` is that of the map's own rule. `levels`, (rows, beams), are relative to the level of
+        a surface on the beam's axis; so is `noise`, (rows,), its median level, above 0.
+
+        Raises:
+            ValueError, IndexError: as `integrate_evidence_grid`.
+            RuntimeError: the map is limited to a part.
         """
 
     def integrate_evidence_grid(

@@ -28,7 +28,10 @@ from studies.elevation.measures import (
 from studies.elevation.report import MAIN, Rows, interval, verdicts
 from studies.elevation.run import Task, contender_config, map_dive, noisy_poses, run_task
 
+from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
+from mapperd.imaging.ping_image import PingImage
+from mapperd.mapping.arc import ArcConfig, ArcMap, SurfaceLevel
 
 if TYPE_CHECKING:
     from mapperd.mapping.sonar_map import SonarMap
@@ -240,9 +243,48 @@ def test_what_changes_is_counted_in_pings_that_see_it(
 
 def test_settings_go_by_dotted_names() -> None:
     config = contender_config({"mapping.occupied_threshold": 0.8}, 0.05)
+    assert isinstance(config, Config)
     assert (config.mapping.occupied_threshold, config.octree.voxel_resolution) == (0.8, 0.05)
     with pytest.raises(ConfigError):
         contender_config({"mapping.no_such_setting": 1}, 0.05)
+
+
+def floor_image(level: float, noise: float = 1.0) -> PingImage:
+    """A surface of one level at 3 m in all beams, 0.2 m deep, over noise."""
+    intensity = np.full((250, 64), noise, dtype=np.float32)
+    intensity[150:160] = level
+    return PingImage(intensity, np.arcsin(np.linspace(-0.5, 0.5, 64)), 0.02)
+
+
+def test_the_level_of_surfaces_is_that_of_first_returns() -> None:
+    surface = SurfaceLevel(0.1)
+    default = surface.level
+    surface.add(floor_image(4.0), 1.0)
+    assert surface.level == default  # nothing stands out of the noise
+    for level in (20.0, 20.0, 250.0, 250.0):
+        surface.add(floor_image(level), 1.0)
+    assert surface.level == pytest.approx(1.3 * 20.0)
+    for _ in range(12):
+        surface.add(floor_image(40.0), 1.0)
+    assert surface.level == pytest.approx(1.3 * 40.0)
+
+
+def test_the_arc_rule_finds_a_wall_by_its_level_and_by_its_looks() -> None:
+    arc_map = ArcMap(0.1, ArcConfig(level=40.0))
+    for pitch in np.radians((-10.0, 0.0, 10.0)):
+        pose = np.eye(4)
+        pose[:3, :3] = [
+            [np.cos(pitch), 0, np.sin(pitch)],
+            [0, 1, 0],
+            [-np.sin(pitch), 0, np.cos(pitch)],
+        ]
+        # A small thing on the horizon, 10 degrees off the axis: 0.66 of its level is left.
+        arc_map.integrate(floor_image(40.0 if pitch == 0 else 26.0), pose)
+    log_odds, _ = arc_map.core.query(
+        np.array([[3.05, 0.0, 0.05], [2.95, 0.0, 0.75], [1.5, 0.0, 0.05]])
+    )
+    assert log_odds[0] > log_odds[1] + 0.3 > log_odds[2] + 1.0
+    assert len(arc_map.occupied().centres_m) > 10
 
 
 def save(data: DiveData, path: Path) -> None:
@@ -261,7 +303,7 @@ def test_rows_are_measured_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert run_task(changed) == ["other"]
     mapped = map_dive(load(SMALL, 1, tmp_path), contender_config({}, EDGE_M))
     assert len(mapped.cpu_ms) == 4
-    assert len(mapped.map.occupied())
+    assert len(mapped.map.occupied().centres_m)
 
 
 def row(contender: str, dive: str, seed: int, **figures: Any) -> dict[str, Any]:

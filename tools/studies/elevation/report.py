@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
@@ -237,13 +238,19 @@ def _ratio(rows: Rows, name: str, dive: str, figure: str) -> str:
     return f"{rows.mean(name, dive, figure) / base:.2f}" if base else ""
 
 
-def write_report(folder: Path, *, write: bool) -> None:
+def write_report(folder: Path, contenders: Sequence[str] = (), *, write: bool) -> None:
     """Print the tables and draw the pictures; with `write` into the documentation.
+
+    Args:
+        folder: of all files.
+        contenders: those to report beside the first one; all without any.
+        write: into docs/images and the accuracy report.
 
     Raises:
         ValueError: the page has no section `elevation`.
     """
-    rows = read_rows(folder)
+    wanted = {FIRST, *contenders}
+    rows = [row for row in read_rows(folder) if not contenders or row["contender"] in wanted]
     _write_csv(rows, folder / "results.csv")
     cases = sorted({(row["edge_m"], row["poses"]) for row in rows}, key=lambda c: (c != MAIN, c))
     text = [f"Mean and 95 % interval over seeds; {machine()}."]
@@ -293,7 +300,7 @@ def _draw_bars(rows: Rows) -> Figure:
         at = np.arange(len(rows.dives)) + (k - (len(rows.contenders) - 1) / 2) * width
         scores = [rows.values(name, dive, "f_one") for dive in rows.dives]
         heights = [v.mean() if len(v) else math.nan for v in scores]
-        errors = np.nan_to_num([interval(v) for v in scores])
+        errors = [interval(v) for v in scores]
         colour = COLOURS[k % len(COLOURS)]
         axes.bar(at, heights, 0.92 * width, yerr=errors, capsize=2, color=colour, label=name)
         best = [rows.mean(name, dive, "best_f_one") for dive in rows.dives]
@@ -357,6 +364,14 @@ def _draw_slices(contenders: Sequence[str], folder: Path) -> Figure | None:
             occupied_m = sonar_map.occupied().centres_m
             _draw_slice(axes, truth, sonar_map.core.voxels()[0], occupied_m, SLICES[name])
             axes.set_title(f"{DIVES[name].title}: {contender}", fontsize=9)
+    meaning = {
+        NEAR: "within a voxel",
+        MIDDLE: "within 0.25 m",
+        FAR: "farther",
+        FREE: "not occupied",
+    }
+    handles = [Patch(color=colour, label=text) for colour, text in meaning.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     return figure
 
 

@@ -3,7 +3,7 @@
 Usage: python -m studies elevation simulate [--dives NAME ...] [--seeds 1 2 3] [--jobs 2]
        python -m studies elevation run [--dives ...] [--seeds ...] [--contenders NAME ...]
            [--with NAME SETTING=VALUE ...] [--voxel 0.05] [--pose-noise] [--jobs 2]
-       python -m studies elevation report [--write]
+       python -m studies elevation report [--contenders NAME ...] [--write]
 
 What is there is not done again: dives that are simulated, and rows of the same settings, core,
 dive and figures. A row is a file, `rows/CONTENDER/DIVE-SEED-VOXELmm-POSES.json`.
@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,9 +28,9 @@ import yaml
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from mapperd import _core
 from mapperd.config.loader import config_of
 from mapperd.config.tree import Config
+from mapperd.mapping.arc import ArcConfig, ArcMap
 from mapperd.mapping.sonar_map import SonarMap
 from studies.accuracy_cost.mapping.dives import once
 from studies.elevation.dives import DIVES, DiveData, cache_of, load, simulate
@@ -47,14 +48,19 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-CONTENDERS: dict[str, dict[str, object]] = {
-    "iwlo": {},
-    # Add the arc rule here, and each of its ingredients switched off.
-}
-"""Settings that differ from the defaults, by dotted name. The first one is what others stand
-beside: its observed voxels are those of `..._common`."""
+Contender = Mapping[str, object] | ArcConfig
 
-FIGURES_VERSION = 1
+CONTENDERS: dict[str, Contender] = {
+    "iwlo": {},
+    "arc": ArcConfig(),
+    "arc, level 34": ArcConfig(level=34.0),
+    "arc, unprotected": ArcConfig(protected=1.0),
+    "arc, all levels": ArcConfig(params=(("broad_share", 0.99),)),
+}
+"""Settings of `Config` that differ from the defaults, by dotted name, or those of the arc rule. The
+first one is what others stand beside: its observed voxels are those of `..._common`."""
+
+FIGURES_VERSION = 2
 """Counts up when `measures` changes what a figure means."""
 POSITION_NOISE_M, ATTITUDE_NOISE_DEG = 0.05, 0.5
 FOLDER = Path("out/elevation")
@@ -64,12 +70,14 @@ VOXEL_M = 0.1
 J = TypeVar("J")
 
 
-def contender_config(overrides: Mapping[str, object], edge_m: float) -> Config:
+def contender_config(overrides: Contender, edge_m: float) -> Config | ArcConfig:
     """The settings of a contender for voxels of an edge.
 
     Raises:
         ConfigError: there is no such setting, or the value is not allowed.
     """
+    if isinstance(overrides, ArcConfig):
+        return overrides
     tree: dict[str, Any] = {"octree": {"voxel_resolution": edge_m}}
     for name, value in overrides.items():
         *sections, field = name.split(".")
@@ -89,15 +97,16 @@ class Mapped:
         cpu_ms: (N,) CPU time of each ping.
     """
 
-    map: SonarMap
+    map: SonarMap | ArcMap
     cpu_ms: Floats
 
 
 def map_dive(
     data: DiveData,
-    config: Config,
+    config: Config | ArcConfig,
     poses: Floats | None = None,
-    watch: Callable[[int, SonarMap], None] | None = None,
+    watch: Callable[[int, SonarMap | ArcMap], None] | None = None,
+    edge_m: float = VOXEL_M,
 ) -> Mapped:
     """Map a dive ping by ping.
 
@@ -106,8 +115,11 @@ def map_dive(
         config: the map's settings.
         poses: map_T_sonar to map with, (N, 4, 4); None takes the true ones.
         watch: called with number and map after each ping.
+        edge_m: of a voxel, for the arc rule; another's settings have it.
     """
-    sonar_map, cpu_ms = SonarMap(config), []
+    sonar_map: SonarMap | ArcMap
+    sonar_map = ArcMap(edge_m, config) if isinstance(config, ArcConfig) else SonarMap(config)
+    cpu_ms = []
     for i, pose in enumerate(data.map_T_sonar if poses is None else poses):
         image = data.ping(i)
         began_s = time.process_time()
@@ -145,7 +157,7 @@ class Task:
 
     dive: str
     seed: int
-    contenders: Mapping[str, Mapping[str, object]]
+    contenders: Mapping[str, Contender]
     edge_m: float
     noise: bool
     folder: Path
@@ -165,11 +177,18 @@ class Task:
         """Where it is kept which voxels the first contender observed."""
         return self.folder / f"common-{self.label}.npz"
 
-    def fingerprint(self, config: Config) -> str:
+    def fingerprint(self, config: Config | ArcConfig) -> str:
         """Of everything that the row depends on."""
         dive_file = _sha256(cache_of(DIVES[self.dive], self.seed, self.folder))
-        parts = [msgspec.json.encode(config).decode(), _sha256(Path(_core.__file__)), dive_file]
+        parts = [msgspec.json.encode(config).decode(), _core_sha256(), dive_file]
         return hashlib.sha256("\n".join([*parts, str(FIGURES_VERSION)]).encode()).hexdigest()
+
+
+@cache
+def _core_sha256() -> str:
+    """Of the compiled core."""
+    spec = find_spec("mapperd._core")
+    return _sha256(Path(spec.origin)) if spec is not None and spec.origin is not None else ""
 
 
 @cache
@@ -195,7 +214,7 @@ def run_task(task: Task) -> list[str]:
         watch = None
         if dive.change is not None:
             watch = ChangeWatch(dive, data, task.edge_m, task.folder)
-        mapped = map_dive(data, configs[name], poses, watch)
+        mapped = map_dive(data, configs[name], poses, watch, task.edge_m)
         common = _common(task, mapped.map if name == first else None, truth)
         seen_m = data.seen_m if watch is None else watch.staying_m
         row: dict[str, object] = {
@@ -218,14 +237,14 @@ def run_task(task: Task) -> list[str]:
     return missing
 
 
-def _is_there(task: Task, name: str, config: Config) -> bool:
+def _is_there(task: Task, name: str, config: Config | ArcConfig) -> bool:
     path = task.row_file(name)
     if not path.exists():
         return False
     return bool(json.loads(path.read_text())["fingerprint"] == task.fingerprint(config))
 
 
-def _common(task: Task, first: SonarMap | None, truth: TrueGrid) -> NDArray[np.bool_]:
+def _common(task: Task, first: SonarMap | ArcMap | None, truth: TrueGrid) -> NDArray[np.bool_]:
     """Which voxels the first contender observed: of its map if it is at hand, else of its file."""
     if first is not None:
         observed = np.zeros(truth.solid.shape, dtype=np.bool_)
@@ -295,7 +314,7 @@ def _results(work: Callable[[J], str], jobs: Iterable[J], processes: int) -> Ite
 def _report(args: argparse.Namespace) -> None:
     from studies.elevation.report import write_report  # noqa: PLC0415 imports this module
 
-    write_report(args.folder, write=args.write)
+    write_report(args.folder, args.contenders, write=args.write)
 
 
 def main() -> None:
@@ -307,6 +326,7 @@ def main() -> None:
         command.set_defaults(function=function)
         command.add_argument("--folder", type=Path, default=FOLDER, help="of all files")
         if name == "report":
+            command.add_argument("--contenders", nargs="+", default=[], help="all if none is given")
             command.add_argument("--write", action="store_true", help="into docs/")
             continue
         command.add_argument("--dives", nargs="+", choices=DIVES, default=list(DIVES))
