@@ -36,7 +36,7 @@ from mapperd.session_log import LINK, ClockSet, Remarks, Request, Session, Setti
 from oculus_driver.link.state import LinkState, LinkStatus
 from oculus_driver.recording.sonar_log import MAX_CLOCK_ERROR_NS
 from oculus_driver.sonar import OculusSonar
-from oculus_driver.stream import MessageBounds
+from oculus_driver.stream import Framing
 
 __all__ = ["Live", "host_clock"]
 
@@ -119,11 +119,11 @@ class Live:
             fire_settings(config),
             serial=config.device.serial or None,
             port=config.device.port,
-            on_chunk=self._receive_sonar,
+            on_framing=self._receive_sonar,
             on_status=partial(self.ingest.receive, STATUS, gap=False),
             on_state=self._log_sonar_state,
             clock=self.now_ns,
-            max_pings=1,  # nobody reads them: the mapping thread decodes the bytes, as in a replay
+            max_pings=1,  # nobody reads them: the mapping thread decodes its messages
         )
         self.control = SonarControl(self._sonar, config, events)
 
@@ -287,9 +287,9 @@ class Live:
         """Raise errors of the sonar's link."""
         await self._sonar.wait_for(LinkState.CLOSED)
 
-    def _receive_sonar(self, data: bytes, arrival_ns: int, bounds: MessageBounds) -> None:
+    def _receive_sonar(self, data: bytes, arrival_ns: int, framing: Framing) -> None:
         gap, self._is_new_connection = self._is_new_connection, False
-        self.ingest.receive(SONAR, data, arrival_ns, bounds, gap=gap)
+        self.ingest.receive(SONAR, data, arrival_ns, framing, gap=gap)
 
     def _log_sonar_state(self, status: LinkStatus) -> None:
         # The bytes of a new connection do not continue those of the previous one.

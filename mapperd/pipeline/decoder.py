@@ -16,6 +16,7 @@ from mapperd.imaging.ping_image import corrected_ranges
 from mapperd.odometry.bridge import ENCODING_PREFIX
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.framing import LinkParser
 from mapperd.pipeline.pose_lookup import PoseLookup, PoseLookupState, ping_time_ns
 from mapperd.session_log import (
     DECISIONS,
@@ -30,7 +31,7 @@ from mapperd.session_log import (
 from oculus_driver.clock import SonarClock, SonarClockState
 from oculus_driver.ping import Ping, PingSequence, decode_ping
 from oculus_driver.recording import OCULUS, Chunk
-from oculus_driver.stream import Message, StreamParser, StreamParserState
+from oculus_driver.stream import Framing, Message, StreamParserState
 from oculus_driver.wire import MessageId
 
 __all__ = [
@@ -85,7 +86,7 @@ FULL_PING = Reject("full_ping", "full ping results (message 0x22) do not name wh
 
 
 class PingStream:
-    """Frames the bytes of each link and decodes the pings; each ping message counts once.
+    """Decodes the pings in the bytes of each link; each ping message counts once.
 
     Args:
         confirm: hold each ping back until the next bytes confirm that none of its bytes is
@@ -94,7 +95,7 @@ class PingStream:
 
     def __init__(self, *, confirm: bool = False) -> None:
         self._confirm = confirm
-        self._parsers: dict[str, StreamParser] = {}
+        self._parsers: dict[str, LinkParser] = {}
         self._sequence = PingSequence()
         self._owner: str | None = None
         self._unnumbered = 0  # rejected ping messages since the last ping
@@ -109,6 +110,7 @@ class PingStream:
         *,
         gap_before: bool = False,
         damaged: bool = False,
+        framing: Framing | None = None,
     ) -> Iterator[Arrival]:
         """Feed the next bytes of a link; yield the ping messages that they complete.
 
@@ -118,12 +120,14 @@ class PingStream:
             arrival_ns: their arrival time.
             gap_before: bytes in front of them are missing.
             damaged: they fail their checksum.
+            framing: what the driver found in them; None if they did not come from it.
         """
-        parser = self._parsers.setdefault(link, StreamParser(confirm=self._confirm))
+        parser = self._parsers.setdefault(link, LinkParser(confirm=self._confirm))
         if damaged:
             start = parser.counters.bytes_total
             self._damaged.setdefault(link, []).append((start, start + len(data)))
-        yield from self._arrivals(link, parser.feed(data, arrival_ns, gap_before=gap_before))
+        messages = parser.feed(data, arrival_ns, gap_before=gap_before, framing=framing)
+        yield from self._arrivals(link, messages)
 
     def state(self) -> PingStreamState:
         """Return everything that `restore` needs to continue exactly."""
@@ -139,7 +143,7 @@ class PingStream:
     def restore(self, state: PingStreamState) -> None:
         """Continue as the one of which `state` was taken; the arguments must be the same."""
         for link, parser in state.parsers.items():
-            self._parsers[link] = StreamParser(confirm=self._confirm)
+            self._parsers[link] = LinkParser(confirm=self._confirm)
             self._parsers[link].restore(parser)
         self._sequence.restore(state.sequence)
         self._owner, self._unnumbered = state.owner, state.unnumbered
@@ -356,19 +360,22 @@ class SessionDecoder:
         )
         self._whole, self._gaps = state.whole, set(state.gaps)
 
-    def feed(self, chunk: Chunk, *, late: bool = False) -> list[Work]:
+    def feed(
+        self, chunk: Chunk, *, late: bool = False, framing: Framing | None = None
+    ) -> list[Work]:
         """Decode the next chunk; return the resulting work in order.
 
         Args:
             chunk: of any link.
             late: the chunk is after the chosen part of the recording: its sonar bytes may complete
                 a ping, its odometry is ignored.
+            framing: what the driver found in bytes of the sonar; None if they did not come from it.
         """
         if chunk.encoding == DECISIONS:
             return list(self._decide(chunk))
         self.bytes_taken += len(chunk.data)
         if chunk.encoding == OCULUS:
-            self._take_sonar(chunk)
+            self._take_sonar(chunk, framing)
         elif chunk.encoding.startswith(ENCODING_PREFIX) and not late:
             self._take_odometry(chunk)
         return self._resolve(None if late or chunk.damaged else chunk.arrival_ns)
@@ -454,10 +461,14 @@ class SessionDecoder:
             gap_before=self._gap_before(chunk),
         )
 
-    def _take_sonar(self, chunk: Chunk) -> None:
-        gap = self._gap_before(chunk)
+    def _take_sonar(self, chunk: Chunk, framing: Framing | None) -> None:
         arrivals = self._stream.feed(
-            chunk.link, chunk.data, chunk.arrival_ns, gap_before=gap, damaged=chunk.damaged
+            chunk.link,
+            chunk.data,
+            chunk.arrival_ns,
+            gap_before=self._gap_before(chunk),
+            damaged=chunk.damaged,
+            framing=framing,
         )
         self._offer_all(arrivals, chunk.arrival_ns)
 

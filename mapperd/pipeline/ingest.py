@@ -4,19 +4,23 @@ import threading
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from threading import Condition
+from typing import NamedTuple
 
 from mapperd.pipeline.recorder import Recorder
 from mapperd.session_log import Decision, Gap, Skip, chunk_of
 from oculus_driver.recording import OCULUS, OCULUS_STATUS, Chunk
-from oculus_driver.stream import MessageBounds
+from oculus_driver.stream import Framing
 
-__all__ = ["MAX_BYTES", "SONAR", "STATUS", "ChunkQueue", "Ingest"]
+__all__ = ["MAX_BYTES", "SONAR", "STATUS", "ChunkQueue", "Ingest", "Received"]
 
 MAX_BYTES = 64 * 1024 * 1024
 """Room of the sonar in the queue."""
 
 MAX_OTHER_BYTES = 8 * 1024 * 1024
 """Room of each other link: none takes the sonar's."""
+
+MAX_FRAMED_BYTES = 8 * 1024 * 1024
+"""With more waiting, messages that the driver found are not kept: they hold the bytes once more."""
 
 MIN_SIZE = 512
 """Minimum accounted size of an entry: its own memory."""
@@ -27,6 +31,20 @@ SONAR = "sonar"
 
 STATUS = "status"
 """Name of the link of its status datagrams, which are recorded and not mapped."""
+
+
+class Received(NamedTuple):
+    """A chunk on its way to the mapping thread.
+
+    Attributes:
+        chunk: the bytes, or a decision.
+        number: of the recorded piece that holds it, or of the piece before it.
+        framing: what the driver found in bytes of the sonar; None: the mapping thread frames them.
+    """
+
+    chunk: Chunk
+    number: int
+    framing: Framing | None = None
 
 
 class ChunkQueue:
@@ -43,7 +61,7 @@ class ChunkQueue:
         self.chunks_refused = 0
         self.bytes_refused = 0
         self._limit = max_bytes
-        self._chunks: deque[tuple[Chunk, int]] = deque()
+        self._chunks: deque[Received] = deque()
         self._bytes: Counter[str] = Counter()
         self._total = 0
         self._closed = self._woken = False
@@ -63,15 +81,17 @@ class ChunkQueue:
         self.bytes_refused += len(chunk.data)
         return False
 
-    def put(self, chunk: Chunk, number: int = 0) -> None:
+    def put(self, chunk: Chunk, number: int = 0, framing: Framing | None = None) -> None:
         """Append a chunk that fits, or a decision.
 
         Args:
             chunk: the next chunk.
             number: of the recorded piece that holds it, or of the piece before it.
+            framing: what the driver found in it.
         """
         with self._changed:
-            self._chunks.append((chunk, number))
+            kept = framing if self._total <= MAX_FRAMED_BYTES else None
+            self._chunks.append(Received(chunk, number, kept))
             self._bytes[chunk.link] += _size(chunk)
             self._total += _size(chunk)
             self._changed.notify()
@@ -82,8 +102,8 @@ class ChunkQueue:
             self._woken = True
             self._changed.notify()
 
-    def take(self, wait_s: float | None) -> list[tuple[Chunk, int]] | None:
-        """Remove and return all waiting chunks with their numbers; None when closed and empty.
+    def take(self, wait_s: float | None) -> list[Received] | None:
+        """Remove and return all waiting chunks; None when closed and empty.
 
         Args:
             wait_s: how long to wait for the first chunk; None waits without a limit.
@@ -139,7 +159,7 @@ class Ingest:
         link: str,
         data: bytes,
         arrival_ns: int,
-        bounds: MessageBounds | None = None,
+        framing: Framing | None = None,
         *,
         gap: bool,
     ) -> None:
@@ -149,8 +169,7 @@ class Ingest:
             link: name of the link.
             data: the received bytes.
             arrival_ns: their arrival time.
-            bounds: message boundaries in bytes of the sonar, for the recorder; None: these are
-                whole messages.
+            framing: what the driver found in bytes of the sonar; None: these are whole messages.
             gap: bytes in front of them are missing.
         """
         with self._lock:
@@ -159,10 +178,11 @@ class Ingest:
             if not data:
                 return
             chunk = Chunk(link, self._encodings[link], arrival_ns, data)
+            bounds = None if framing is None else framing.bounds
             if self._queue.has_room(chunk):
                 self._queue_skips(arrival_ns)
                 number = self._recorder.record(chunk, gap=gap, bounds=bounds)
-                self._queue.put(chunk, number)
+                self._queue.put(chunk, number, framing)
                 return
             self._skipped[link] = self._skipped.get(link, 0) + len(data)
             self._recorder.record(chunk_of(Skip(link, len(data)), arrival_ns), gap=False)

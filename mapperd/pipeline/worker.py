@@ -137,9 +137,9 @@ class MappingThread:
         decoder = self.pipeline.decoder
         try:
             while (chunks := self._queue.take(self._timeout_s())) is not None:
-                for chunk, number in chunks:
+                for chunk, number, framing in chunks:
                     self._number = number
-                    self._enqueue(decoder.feed(chunk), chunk.arrival_ns)
+                    self._enqueue(decoder.feed(chunk, framing=framing), chunk.arrival_ns)
                 self._do_one(patient=False)
                 self._persistence.between(self._number, len(self.backlog))
                 self._publish(news=bool(chunks))

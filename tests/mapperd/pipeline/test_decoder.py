@@ -1,3 +1,4 @@
+import random
 from collections.abc import Callable
 from typing import Any
 
@@ -8,6 +9,8 @@ from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import NewSettings, PosedPing, SessionDecoder
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses, PoseLookup
 from mapperd.session_log import Decision, Drop, Gap, Reset, Session, Settings, Skip, chunk_of
+from mapperd.store.checkpoint import encode_state
+from oculus_driver.link.receiver import PingReceiver
 from oculus_driver.ping import Ping
 from oculus_driver.recording import OCULUS, Chunk
 
@@ -145,3 +148,29 @@ def test_a_ping_that_comes_late_is_of_the_time_when_it_was(ping: Callable[..., P
     expected_ns = 10**18 + 4_000_000_000 - 5_000_000 - 0.75 * 2 * 5.0 / 1500.0 * 1e9
     assert times_ns[-1] is not None
     assert abs(times_ns[-1] - expected_ns) < 1e6
+
+
+def test_checkpoints_with_the_drivers_messages_are_those_without_at_any_byte(
+    ping_bytes: MakeBytes,
+) -> None:
+    chance = random.Random(5)  # noqa: S311 for the bytes
+    driver, adopting, parsing = PingReceiver(), engine_of(), engine_of()
+    for k in range(1, 40):
+        data = ping_bytes(k) if k % 6 else ping_bytes(k)[: chance.randrange(3000)]
+        t_ns = T0 + 100 * k * MS
+        while data:
+            size = chance.randrange(1, 3000)
+            piece, data = data[:size], data[size:]
+            if chance.random() < 0.05:
+                driver.finish()
+                adopting.feed(chunk_of(Gap("sonar"), t_ns))
+                parsing.feed(chunk_of(Gap("sonar"), t_ns))
+            driver.feed(piece, t_ns)
+            found = adopting.feed(sonar(piece, t_ns), framing=driver.framing)
+            assert numbers(found) == numbers(parsing.feed(sonar(piece, t_ns)))
+            if chance.random() < 0.3:
+                assert encode_state(adopting.state()) == encode_state(parsing.state())
+    adopting.end()
+    parsing.end()
+    assert adopting.counters == parsing.counters
+    assert adopting.counters.pings_total > 25

@@ -1,10 +1,10 @@
 import threading
 from typing import Any
 
-from mapperd.pipeline.ingest import SONAR, ChunkQueue, Ingest
+from mapperd.pipeline.ingest import MAX_FRAMED_BYTES, SONAR, ChunkQueue, Ingest, Received
 from mapperd.session_log import Decision, Drop, Gap, Reset, Skip, decision_of
 from oculus_driver.recording import Chunk
-from oculus_driver.stream import MessageBounds
+from oculus_driver.stream import Framing, MessageBounds
 
 T0 = 5
 
@@ -35,7 +35,11 @@ def inlet_with(max_bytes: int) -> tuple[Ingest, Recorded, ChunkQueue]:
 
 
 def taken(queue: ChunkQueue) -> list[bytes | Decision]:
-    return [decision_of(chunk) or chunk.data for chunk, _ in queue.take(0) or []]
+    return [decision_of(one.chunk) or one.chunk.data for one in queue.take(0) or []]
+
+
+def framing_of(begin: int = 0) -> Framing:
+    return Framing((), MessageBounds(0, 400), begin, synchronised=True, source_id=None)
 
 
 def test_recorder_and_mapper_get_the_same_in_one_order() -> None:
@@ -51,7 +55,7 @@ def test_recorder_and_mapper_get_the_same_in_one_order() -> None:
 def test_the_recorder_gets_the_message_boundaries() -> None:
     inlet, recorded, _ = inlet_with(1024)
     for data in (b"a" * 600, b"b" * 600):  # the second has no room in the queue
-        inlet.receive(SONAR, data, 1, MessageBounds(0, 400), gap=False)
+        inlet.receive(SONAR, data, 1, framing_of(), gap=False)
     assert recorded.bounds == [MessageBounds(0, 400), None, MessageBounds(0, 400)]
 
 
@@ -98,10 +102,20 @@ def test_queue_that_is_closed_gives_what_is_left_then_ends() -> None:
 
 def test_reader_that_waits_is_woken() -> None:
     queue = ChunkQueue()
-    got: list[list[tuple[Chunk, int]] | None] = []
+    got: list[list[Received] | None] = []
     reader = threading.Thread(target=lambda: got.append(queue.take(None)))
     reader.start()
     queue.put(Chunk(SONAR, "oculus", 0, b"a"))
     reader.join(60)
     assert [len(chunks or []) for chunks in got] == [1]
     assert queue.waiting_bytes == 0
+
+
+def test_the_mapper_gets_the_drivers_messages_unless_much_waits() -> None:
+    inlet, _, queue = inlet_with(4 * MAX_FRAMED_BYTES)
+    data = bytes(MAX_FRAMED_BYTES // 2 + 1)
+    for k in range(3):
+        inlet.receive(SONAR, data, k, framing_of(k), gap=False)
+    assert [one.framing for one in queue.take(0) or []] == [framing_of(0), framing_of(1), None]
+    inlet.receive(SONAR, data, 3, framing_of(3), gap=False)
+    assert [one.framing for one in queue.take(0) or []] == [framing_of(3)]

@@ -39,7 +39,8 @@ from mapperd.session_log import (
     decision_of,
 )
 from oculus_driver.command_line import ExitCode
-from oculus_driver.encode import encode_status
+from oculus_driver.encode import encode_dummy, encode_status
+from oculus_driver.link.receiver import PingReceiver
 from oculus_driver.recording import OCULUS_STATUS, RecordingWriter
 
 MakeBytes = Callable[..., bytes]
@@ -51,7 +52,7 @@ PINGS = 60
 
 @dataclass
 class Event:
-    """Something that happens: bytes of a link, or an order."""
+    """Something that happens: bytes of a link, or an order. The sonar's gap: a new connection."""
 
     t_ns: int
     link: str
@@ -83,15 +84,21 @@ def image_of(chance: Random) -> Any:
 def dive(
     chance: Random, ping_bytes: MakeBytes, odometry_bytes: MakeBytes, resets: tuple[int, ...]
 ) -> Iterator[Event]:
-    """Pings cut anywhere, lost connections, silent odometry, changed settings and resets."""
+    """Pings cut anywhere, lost connections, noise, silent odometry, changed settings, resets."""
     bearings = np.linspace(-6000, 6000, BEAMS).round().astype(np.int16)
     fields: dict[str, Any] = {"range_resolution_m": 0.02, "bearings_cdeg": bearings}
-    fresh = True
+    fresh, noise = True, Random(PINGS)  # noqa: S311 no secret
     for k in range(PINGS):
         t_ns = START_NS + 100 * k * MS
         data = ping_bytes(k + 1, start_time=50 + 0.1 * k, image=image_of(chance), **fields)
         lost = chance.random() < 0.1
         whole = data[: chance.randrange(1, len(data))] if lost else data
+        if lost and noise.random() < 0.3:  # between two messages
+            whole = data
+        if noise.random() < 0.3:
+            whole = encode_dummy(source_id=7) + whole
+        if noise.random() < 0.1:
+            whole = noise.randbytes(noise.randrange(1, 2000)) + whole
         cuts = sorted(chance.randrange(len(whole)) for _ in range(3))
         for i, (a, b) in enumerate(zip([0, *cuts], [*cuts, len(whole)], strict=True)):
             yield Event(t_ns + i * MS, SONAR, whole[a:b], gap=fresh and i == 0)
@@ -141,6 +148,7 @@ def mapped_live(
     store, sonar_map, clock = ConfigStore(Layered(config)), SonarMap(config), [START_NS]
     live = Live(sonar_map, OdometryPoses(config), session="abc", clock=lambda: clock[0])
     live.queue._limit = room
+    driver = PingReceiver()
     slow_steps(live, clock, step_ns)
     store.follow(PingExecutor.FOLLOWS, live.reconfigure)
 
@@ -158,6 +166,12 @@ def mapped_live(
                     assert isinstance(store.apply(event.changes or {}, "test"), Applied)
                 elif event.link == "reset":
                     live.ingest.order(Reset(k, "test"))
+                elif event.link == SONAR:
+                    if event.gap:
+                        driver.finish()
+                        live._is_new_connection = True
+                    driver.feed(event.data, event.t_ns)
+                    live._receive_sonar(event.data, event.t_ns, driver.framing)
                 else:
                     live.ingest.receive(event.link, event.data, event.t_ns, gap=event.gap)
             while is_busy(live):  # noqa: ASYNC110
@@ -201,6 +215,8 @@ def test_recording_gives_the_map_again(
     assert summary["pings_mapped"] == counters.pings_mapped > 3
     assert summary["pings_total"] == counters.pings_total
     assert summary["bytes_total"] == counters.bytes_total
+    assert summary["bytes_rejected"] == counters.bytes_rejected > 0
+    assert summary["resyncs"] == counters.resyncs
     assert summary["map_sha256"] == sonar_map.sha256()
     kinds = kinds_in(folder)
     assert kinds >= {Gap, Settings, Reset, Drop}

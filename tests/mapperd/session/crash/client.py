@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from oculus_driver import PlaybackSonar
+from oculus_driver import Faults, PlaybackSonar
 from tests.mapperd.conftest import make_odometry, make_ping
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -29,6 +29,7 @@ class World:
         pings: that are played again and again.
         place: x and y of the vehicle's k-th record.
         speed: at which the pings are played.
+        faults: of the sonar.
 
     Attributes:
         sonar: that plays them.
@@ -41,7 +42,9 @@ class World:
         pings: list[bytes] | None = None,
         place: Callable[[int], tuple[float, float]] = to_and_fro,
         speed: float = 3.0,
+        faults: Faults | None = None,
     ) -> None:
+        self._faults = faults
         self.sonar_port = 0
         self._pings = pings or [make_ping(k, start_time=100 + 0.02 * k) for k in range(1, 200)]
         self._place = place
@@ -62,7 +65,9 @@ class World:
         self._loop.close()
 
     async def _go(self) -> None:
-        async with PlaybackSonar(self._pings, standby=True, loops=None, speed=self._speed) as sonar:
+        async with PlaybackSonar(
+            self._pings, standby=True, loops=None, speed=self._speed, faults=self._faults
+        ) as sonar:
             self.sonar, self.sonar_port = sonar, sonar.port
             self._ready.set()
             driving = asyncio.create_task(self._drive())

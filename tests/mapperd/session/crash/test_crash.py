@@ -30,6 +30,7 @@ from mapperd.session.replay_to_store import map_into_store
 from mapperd.session.startup import open_map
 from mapperd.store.position import position_in
 from mapperd.store.reader import StoreReader
+from oculus_driver import Faults
 from tests.mapperd.session.crash.client import ROOT, Daemons, World
 
 pytestmark = pytest.mark.crash
@@ -37,9 +38,13 @@ pytestmark = pytest.mark.crash
 KILLS = int(os.environ.get("CRASH_KILLS", "50"))
 
 
+NOISY = Faults(cut=0.01, garbage=0.05, flip=0.05, piece_bytes=700)
+"""Of a sonar whose messages come in pieces, with noise between them and lost connections inside."""
+
+
 @pytest.fixture
-def world() -> Iterator[World]:
-    world = World()
+def world(request: pytest.FixtureRequest) -> Iterator[World]:
+    world = World(faults=getattr(request, "param", None))
     yield world
     world.close()
 
@@ -145,6 +150,11 @@ def mid_session(path: Path) -> bool:
     return position is not None and not position.whole and position.done + position.place.file > 0
 
 
+@pytest.mark.parametrize(
+    "world",
+    [pytest.param(None, id="calm"), pytest.param(NOISY, id="noisy", marks=pytest.mark.slow)],
+    indirect=True,
+)
 def test_map_after_a_kill_is_that_of_the_recordings(
     tmp_path: Path, world: World, daemons: Daemons
 ) -> None:
