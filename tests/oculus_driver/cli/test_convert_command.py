@@ -36,7 +36,7 @@ def test_a_file_that_exists_is_kept_unless_asked(
 ) -> None:
     out = tmp_path / "a.mcap"
     out.write_bytes(b"mine")
-    assert oculus("convert", capture_path, out).code == 65
+    assert oculus("convert", capture_path, out).code == 73
     assert out.read_bytes() == b"mine"
     assert oculus("convert", capture_path, out, "--overwrite").code == 0
 
