@@ -7,10 +7,9 @@ ray meets first, among the rays within a beam's width to either side and the ver
 """
 
 import argparse
-import dataclasses
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -133,13 +132,15 @@ def _look(
     place: PoseBox, sonar: SonarSettings, pose: FramePose, ping: SimulatedPing, config: Config
 ) -> JudgedScan:
     sines = np.linspace(-1.0, 1.0, sonar.beams) * math.sin(sonar.half_aperture_rad)
-    echo = ping_image_of_array(ping.image, sonar.range_m, np.arcsin(sines), config.sonar)
+    echo = replace(
+        ping_image_of_array(ping.image, sonar.range_m, np.arcsin(sines), config.sonar),
+        gamma_byte=sonar.gamma_byte,
+    )
     around = ScanContext(
         0,
         level_T_base(quaternion_of(pose.rotation)),
         height_m=float(pose.position_m[2]) - place.floor_m,
         depth_m=-float(pose.position_m[2]),
-        gamma_byte=sonar.gamma_byte,
     )
     began_s = time.process_time()
     scan = scan_of(echo, around, config)
@@ -172,13 +173,13 @@ def _look(
 def _within(truth: Truth, half_aperture_rad: float) -> Truth:
     inside = np.abs(truth.ray_elevation_rad) <= half_aperture_rad
     direction, range_m = truth.ray_direction[inside], truth.ray_range_m[inside]
-    return dataclasses.replace(truth, ray_direction=direction, ray_range_m=range_m)
+    return replace(truth, ray_direction=direction, ray_range_m=range_m)
 
 
 def _scenario(place: PoseBox) -> Scenario:
     scenario = load_scenario(place.scene)
-    sonar = dataclasses.replace(scenario.sonar, demanded_range_m=place.range_m)
-    return dataclasses.replace(scenario, sonar=sonar)
+    sonar = replace(scenario.sonar, demanded_range_m=place.range_m)
+    return replace(scenario, sonar=sonar)
 
 
 def report(place: PoseBox, looks: list[JudgedScan]) -> str:

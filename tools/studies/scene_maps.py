@@ -17,8 +17,8 @@ import numpy as np
 import yaml
 from demo.map_truth import (
     MapAccuracy,
+    OccupiedVoxels,
     TrueSurface,
-    VoxelCloud,
     accuracy_of,
     read_triangles,
     read_voxels,
@@ -52,7 +52,7 @@ class ScenePanel:
     name: str
     truth_m: NDArray[np.float64]
     seen_m: NDArray[np.float64]
-    voxels: VoxelCloud
+    voxels: OccupiedVoxels
     error_m: NDArray[np.float64]
     ping: Ping
     caption: str
@@ -152,7 +152,7 @@ class SceneMap:
     scenario: Scenario
     truth_m: NDArray[np.float64]
     seen_m: NDArray[np.float64]
-    voxels: VoxelCloud
+    voxels: OccupiedVoxels
     error_m: NDArray[np.float64]
     accuracy: MapAccuracy
 

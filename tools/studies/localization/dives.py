@@ -12,7 +12,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -98,13 +98,15 @@ def ping_scans(world: DiveWorld, config: Config, seed: int) -> Callable[[int, Fl
     def scan(number: int, place: Floats, stamp_ns: int) -> Scan:
         pose = FramePose(place[:3], rotation_of(*place[3:]))
         ping = simulator.ping(pose, number)
-        echo = ping_image_of_array(ping.image, sonar.range_m, bearing, config.sonar)
+        echo = replace(
+            ping_image_of_array(ping.image, sonar.range_m, bearing, config.sonar),
+            gamma_byte=sonar.gamma_byte,
+        )
         around = ScanContext(
             stamp_ns,
             level_T_base(quaternion_of(pose.rotation)),
             height_m=float(place[2]) - world.place.floor_m,
             depth_m=-float(place[2]),
-            gamma_byte=sonar.gamma_byte,
         )
         made = scan_of(echo, around, config)
         if isinstance(made, Reject):

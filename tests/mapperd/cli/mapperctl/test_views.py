@@ -65,7 +65,9 @@ def test_one_screen_for_people() -> None:
 
 
 def test_a_heading_is_of_a_world_with_north() -> None:
-    odometry = STATUS["odometry"] | {"north_referenced": True}
+    odometry = STATUS["odometry"]
+    assert isinstance(odometry, dict)
+    odometry = odometry | {"north_referenced": True}
     assert "heading 045°" in "\n".join(status_lines(STATUS | {"odometry": odometry}, None))
 
 
