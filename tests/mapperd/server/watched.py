@@ -5,7 +5,7 @@ import socket
 import ssl
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,16 +41,7 @@ from tests.support.control_server import TOKEN, FakeDaemon
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-LIMIT_S = 20.0
 Key = tuple[int, int, int]
-
-
-def run(work: Coroutine[Any, Any, None]) -> None:
-    async def limited() -> None:
-        async with asyncio.timeout(LIMIT_S):
-            await work
-
-    asyncio.run(limited())
 
 
 class PlainView:
