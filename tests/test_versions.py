@@ -12,6 +12,7 @@ import yaml
 
 import mapperd
 import oculus_driver
+from oculus_driver.command_line import ExitCode
 
 ROOT = Path(__file__).resolve().parents[1]
 COMMANDS = {
@@ -77,7 +78,7 @@ def test_command_of_a_missing_extra_ends_in_one_line(command: str, words: list[s
     done = subprocess.run(  # noqa: S603 our own lines
         [sys.executable, "-c", code], capture_output=True, text=True, check=False
     )
-    assert done.returncode == 2
+    assert done.returncode == ExitCode.BAD_CONFIG
     assert done.stdout == ""
     (line,) = done.stderr.splitlines()
     assert "the extra `" in line

@@ -493,9 +493,10 @@ def add_view(command: argparse.ArgumentParser) -> None:
 
 
 EXIT_CODES = """\
-exit codes: 0 success; 1 refused by the daemon; 2 usage error; 69 no daemon
-answers; 73 cannot write; 75 try again later; 76 protocol mismatch;
-77 permission denied; 78 invalid settings; 130 interrupted"""
+exit codes: 0 success; 1 refused by the daemon; 2 usage error; 65 not a map,
+or a damaged one; 66 no such file; 69 no daemon answers; 73 cannot write;
+75 try again later; 76 protocol mismatch; 77 permission denied; 78 invalid
+settings, or a missing extra; 130 interrupted"""
 
 EPILOG = f"""examples:
   mapperctl status --watch

@@ -73,7 +73,8 @@ def file_error_code(error: Exception) -> ExitCode:
     if isinstance(error, StoreError):
         return _STORE.get(error.reason, ExitCode.BAD_DATA)
     if isinstance(error, MapError):
-        return ExitCode.NO_INPUT if error.reason == "unreadable" else ExitCode.BAD_DATA
+        reasons = {"unreadable": ExitCode.NO_INPUT, "bad_tolerance": ExitCode.USAGE}
+        return reasons.get(error.reason, ExitCode.BAD_DATA)
     found = (code for kind, code in _FILES.items() if isinstance(error, kind))
     return next(found, ExitCode.USAGE)
 

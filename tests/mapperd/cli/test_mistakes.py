@@ -464,7 +464,7 @@ def test_unknown_kind_of_map(
 ) -> None:
     path = tmp_path / name
     path.write_bytes(FILES[name])
-    assert mapperctl([word.format(path) for word in words]) == ExitCode.USAGE
+    assert mapperctl([word.format(path) for word in words]) == ExitCode.BAD_DATA
     one_line(capsys.readouterr().err, name, "no map: ", "OctoMap")
 
 

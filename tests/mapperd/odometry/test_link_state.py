@@ -42,7 +42,7 @@ def test_pauses_grow_and_start_again_once_bytes_came() -> None:
         S // 2,
         1 * S,
         2 * S,
-        5 * S,
+        4 * S,
         5 * S,
     ]
     link.opened(10 * S)

@@ -235,9 +235,9 @@ def test_what_is_no_map_is_one_line(tmp_path: Path, call: Call) -> None:
     recording = tmp_path / "dive one.mcap"
     recording.write_bytes(b"\x89MCAP0\r\n")
     code, _, error = call("view", recording)
-    assert (code, "mapperd --replay" in error, "dive one.mcap' --view" in error) == (2, True, True)
+    assert (code, "mapperd --replay" in error, "dive one.mcap' --view" in error) == (65, True, True)
     code, _, error = call("view", tmp_path / "none.map")
-    assert (code, "no such file" in error) == (2, True)
+    assert (code, "no such file" in error) == (66, True)
     code, _, error = call("view", recording, "--socket", tmp_path / "a.sock")
     assert (code, "--socket" in error) == (2, True)
 

@@ -60,7 +60,7 @@ def test_some_pings_can_be_chosen(oculus: Oculus, capture_path: Path, tmp_path: 
 @pytest.mark.parametrize("words", [("--height", "0"), ("--gamma", "nan"), ("--ping", "x"), ()])
 def test_what_cannot_be_is_one_line(oculus: Oculus, tmp_path: Path, words: tuple[str, ...]) -> None:
     result = oculus("render", tmp_path / "missing.raw", tmp_path / "o", *words)
-    assert result.code == (2 if words else 65)
+    assert result.code == (2 if words else 66)
     assert result.err.startswith("oculus")
     assert result.err.count("\n") == 1
     assert "Traceback" not in result.err

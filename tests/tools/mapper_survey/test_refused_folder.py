@@ -4,8 +4,8 @@ import errno
 from pathlib import Path
 
 import pytest
-from mapper_survey.errors import SurveyError
 
+from mapperd.errors import ExportError
 from tests.tools.mapper_survey.dives import run_here, write_survey
 
 
@@ -16,7 +16,7 @@ def refused(*_: object, **__: object) -> None:
 @pytest.mark.parametrize(
     ("what", "error", "stated"),
     [
-        ("pathlib.Path.mkdir", SurveyError, "out: cannot be written into: Permission denied"),
+        ("pathlib.Path.mkdir", ExportError, "out: cannot be written into: Permission denied"),
         ("mapper_survey.running.plan_all", PermissionError, "Permission denied: 'a.mcap'"),
     ],
 )

@@ -1,6 +1,7 @@
 """`survey.yaml` is accepted, or refused with one line that names the error and its place."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ from mapper_survey.command import main
 from mapper_survey.errors import SurveyError
 from mapper_survey.memory import bytes_of, edge_for, voxel_bytes_of
 from mapper_survey.request import Transform, read_survey
+
+from oculus_driver.command_line import ExitCode
 
 DIVES = [{"name": "a", "recording": "a.mcap"}]
 
@@ -89,7 +92,9 @@ def test_what_is_wrong_is_reported_in_one_line(
     path = written(tmp_path, reported)
     with pytest.raises(SurveyError, match=stated):
         read_survey(path)
-    assert main(["plan", str(path), "--out", str(tmp_path / "out"), "--workers", "0"]) == 2
+    code = main(["plan", str(path), "--out", str(tmp_path / "out"), "--workers", "0"])
+    missing = re.search("no such (map|file|recording)", stated)
+    assert code == (ExitCode.NO_INPUT if missing else ExitCode.BAD_CONFIG)
     error = capsys.readouterr().err
     assert error.startswith("mapper-survey: ")
     assert error.count("\n") == 1

@@ -24,11 +24,11 @@ MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "`echo`": _in("mapperd/", "imaging/ping_image.py"),
     "`evidence_grid`, `kernels`, `iwlo`": (
-        *_in("cpp/map/include/mapperd/map/", "evidence_grid.hpp kernels.hpp ping.hpp"),
+        *_in("cpp/map/include/mapperd/map/", "kernels.hpp ping.hpp polar_grid.hpp"),
         *_in(
             "cpp/map/src/",
             "evidence_grid.cpp evidence_integrator.cpp iwlo.cpp kernels_body.hpp "
-            "lanes_body.hpp rays.cpp",
+            "lanes_body.hpp polar_grid.cpp rays.cpp",
         ),
     ),
     "`distance_field`, `volume_map`": (
@@ -129,6 +129,11 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "fitted to images in double precision, whose samples have 8 bits": _in(
         "mapperd/calibration/", "agreement.py dive.py"
+    ),
+    "the arc rule's levels, in steps of half a decibel; test_arc.cpp compares with doubles": (
+        "cpp/map/include/mapperd/map/arc_integrator.hpp",
+        "cpp/map/src/arc_integrator.cpp",
+        "mapperd/mapping/arc.py",
     ),
     "checks of the simulator, which run beside it": _in(
         SIMULATOR + "validation/",

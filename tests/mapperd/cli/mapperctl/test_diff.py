@@ -48,7 +48,7 @@ def test_a_coloured_cloud(tmp_path: Path, call: Call) -> None:
 def test_what_cannot_be_compared_is_one_line(tmp_path: Path, call: Call) -> None:
     a, b = saved(tmp_path)
     code, _, error = call("diff", a, tmp_path / "none.map")
-    assert (code, "no such file" in error) == (2, True)
+    assert (code, "no such file" in error) == (66, True)
     code, _, error = call("diff", a, b, "--tolerance", "100")
     assert (code, "at most 15 m" in error) == (2, True)
     code, _, error = call("diff", a, b, "--out", tmp_path / "diff.xyz")

@@ -158,7 +158,7 @@ def test_a_library_that_is_missing_is_named(
     where = ["--socket", str(tmp_path / "none.sock")]
     assert main(["record", str(tmp_path / "a.mcap"), *where]) == 73
     assert "pip install 'foxglove-sdk" in capsys.readouterr().err
-    assert main(["foxglove", "--port", "0", *where]) == 2
+    assert main(["foxglove", "--port", "0", *where]) == 78
     assert "pip install 'foxglove-sdk" in capsys.readouterr().err
 
 
