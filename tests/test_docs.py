@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.shell_blocks import blocks_of, follow
+from tests.support.stages import STAGES
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -67,6 +68,16 @@ def test_blocks_that_do_not_run_have_a_reason(page: Path) -> None:
     assert len(listed) == page.read_text("utf-8").count("<!-- not run"), listed
 
 
+@pytest.mark.parametrize("page", MANUALS, ids=lambda page: page.relative_to(DOCS).as_posix())
+def test_tests_that_run_blocks_of_a_page_read_it(page: Path) -> None:
+    for block in blocks_of(page):
+        if block.tested:
+            file, _, name = block.tested.partition("::")
+            text = (ROOT / file).read_text("utf-8")
+            assert f"def {name}(" in text, block.tested
+            assert page.name in text, f"{file} does not read {page.name}"
+
+
 def test_a_marker_without_a_reason_is_refused(tmp_path: Path) -> None:
     (tmp_path / "page.md").write_text("<!-- not run -->\n```sh\ntrue\n```\n")
     with pytest.raises(ValueError, match="unknown marker"):
@@ -76,6 +87,20 @@ def test_a_marker_without_a_reason_is_refused(tmp_path: Path) -> None:
 def test_a_block_that_fails_is_noticed(tmp_path: Path) -> None:
     (tmp_path / "page.md").write_text("```sh\nfalse\ntrue\n```\n")
     with pytest.raises(AssertionError, match="false"):
+        follow(tmp_path / "page.md", tmp_path)
+
+
+def test_each_line_runs_until_a_command_succeeds(tmp_path: Path) -> None:
+    lines = 'bash -c "trap exit\\ 0 INT; echo up | tee -a log; while :; do sleep 0.1; done"\n' * 2
+    until = f"<!-- until: grep -q up $OUTPUT -->\n```sh\n{lines}```\n"
+    text = f"{until}```sh\ntest $(grep -c up log) = 2\n```\n"
+    (tmp_path / "page.md").write_text(text)
+    follow(tmp_path / "page.md", tmp_path)
+
+
+def test_a_line_that_ends_by_itself_is_noticed(tmp_path: Path) -> None:
+    (tmp_path / "page.md").write_text("<!-- until: test -s log -->\n```sh\ntrue\n```\n")
+    with pytest.raises(AssertionError, match="true"):
         follow(tmp_path / "page.md", tmp_path)
 
 
@@ -89,8 +114,12 @@ def test_commands_of_the_installation_page_run(tmp_path: Path) -> None:
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(
     "page",
-    [page for page in MANUALS if any(not block.reason for block in blocks_of(page))],
+    [
+        page
+        for page in MANUALS
+        if any(not block.reason and not block.tested for block in blocks_of(page))
+    ],
     ids=lambda page: page.relative_to(DOCS).as_posix(),
 )
 def test_shell_blocks_of_a_page_run(page: Path, tmp_path: Path) -> None:
-    follow(page, tmp_path)
+    follow(page, tmp_path, stage=STAGES.get(page.stem))

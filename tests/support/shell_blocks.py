@@ -24,6 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TIMEOUT_S = 900.0
 READY_TIMEOUT_S = 240.0
 STOP_TIMEOUT_S = 60.0
+POLL_S = 0.2
 
 _BLOCK = re.compile(
     r"^(?:<!-- (?P<marker>[^\n]*?) -->\n)?^```(?:sh|console)\n(?P<code>.*?)^```$",
@@ -62,19 +63,24 @@ class Block:
         ready: command that succeeds once the block's program answers; only of programs that run
             in the background until the page ends.
         ended: the program in the background that Ctrl-C ends before, or "".
+        until: command after whose success Ctrl-C ends each line, a program of its own, or "".
+        tested: the test that runs it instead, as pytest names it, or "".
     """
 
     code: str
     reason: str = ""
     ready: str = ""
     ended: str = ""
+    until: str = ""
+    tested: str = ""
 
 
 def blocks_of(page: Path) -> list[Block]:
     """The shell blocks of a page, in order.
 
     Raises:
-        ValueError: a marker is not `not run: REASON`, `background: COMMAND` or `ctrl-c: PROGRAM`.
+        ValueError: a marker is not `not run: REASON`, `run by: TEST`, `background: COMMAND`,
+            `until: COMMAND` or `ctrl-c: PROGRAM`.
     """
     return [_block(match) for match in _BLOCK.finditer(page.read_text("utf-8"))]
 
@@ -89,6 +95,10 @@ def _block(match: re.Match[str]) -> Block:
         return Block(code, reason=rest)
     if kind == "background" and rest:
         return Block(code, ready=rest)
+    if kind == "until" and rest:
+        return Block(code, until=rest)
+    if kind == "run by" and rest:
+        return Block(code, tested=rest)
     if kind == "ctrl-c" and rest:
         return Block(code, ended=rest)
     raise ValueError(f"unknown marker: {marker}")
@@ -165,7 +175,9 @@ class Reader:
             "XDG_STATE_HOME": str(folder / ".local" / "state"),
             "XDG_RUNTIME_DIR": str(runtime),
             "PYTHONPATH": os.pathsep.join(str(ROOT / part) for part in parts),
+            "BROWSER": "true",
         }
+        self._commands = folder / "stand-ins"
 
     @staticmethod
     def _install(commands: Path) -> None:
@@ -177,6 +189,14 @@ class Reader:
                 f'if __name__ == "__main__":\n    sys.exit({function}())\n'
             )
             (commands / name).chmod(0o755)
+
+    def add_command(self, name: str, script: str) -> None:
+        """Put a script before the command of that name."""
+        if not self._commands.exists():
+            self._commands.mkdir()
+            self.environment["PATH"] = f"{self._commands}{os.pathsep}{self.environment['PATH']}"
+        (self._commands / name).write_text(script)
+        (self._commands / name).chmod(0o755)
 
     def run(self, code: str) -> subprocess.CompletedProcess[str]:
         """Run commands; stop at the first that fails."""
@@ -203,39 +223,52 @@ class Reader:
         process.send_signal(signal.SIGINT)
         assert process.wait(STOP_TIMEOUT_S) in (0, 130)
 
+    def write_scene(self) -> None:
+        """Write scene.yaml, a floor."""
+        (self.folder / "scene.yaml").write_text(SCENE)
+
     def simulate_dive(self) -> None:
         """Record dive.mcap, four seconds above a floor."""
-        (self.folder / "scene.yaml").write_text(SCENE)
+        self.write_scene()
         done = self.run("sonar-sim capture scene.yaml --out dive.mcap")
         assert done.returncode == 0, done.stderr
 
     @contextmanager
     def background(self, block: Block) -> Iterator[None]:
-        """A program that answers `block.ready` inside, and ends properly at an interrupt."""
-        program = block.code.split()[0]
-        log = (self.folder / f"background-{time.monotonic_ns()}.log").open("w+")
-        process = subprocess.Popen(  # noqa: S603 commands of our own pages
-            [*self._shell, "-c", f"exec {block.code}"],
-            cwd=self.folder,
-            env=self.environment,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-        )
+        """A program that answers `block.ready` inside, and ends properly at an interrupt.
+
+        Lines before the last are run first. `block.ready` finds the output in the file $OUTPUT.
+        """
+        *before, last = block.code.strip().splitlines()
+        program = last.split()[0]
+        output = self.folder / f"output-{time.monotonic_ns()}.log"
+        with output.open("w") as log:
+            process = subprocess.Popen(  # noqa: S603 commands of our own pages
+                [*self._shell, "-euo", "pipefail", "-c", "\n".join([*before, f"exec {last}"])],
+                cwd=self.folder,
+                env=self.environment,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+            )
         try:
             end = time.monotonic() + READY_TIMEOUT_S
-            while self.run(block.ready).returncode != 0:
-                log.seek(0)
-                assert process.poll() is None, log.read()
-                assert time.monotonic() < end, f"{block.ready} failed for {READY_TIMEOUT_S} s"
+            while self.run(f"OUTPUT={output}; {block.ready}").returncode != 0:
+                assert process.poll() is None, f"{block.code}\n{output.read_text()}"
+                assert time.monotonic() < end, (
+                    f"{block.ready} failed for {READY_TIMEOUT_S} s\n{output.read_text()}"
+                )
+                time.sleep(POLL_S)
+            earlier = self._programs.get(program)
             self._programs[program] = process
             yield
-            if program in self._programs:
+            if self._programs.get(program) is process:
                 self.end(program)
+            if earlier is not None:
+                self._programs[program] = earlier
         finally:
             if process.poll() is None:
                 process.kill()
                 process.wait()
-            log.close()
 
 
 def follow(
@@ -243,6 +276,7 @@ def follow(
     folder: Path,
     *,
     installed: Path | None = None,
+    stage: Callable[[Reader, ExitStack], None] | None = None,
     after: Callable[[Block, Reader], bool] = lambda *_: True,
 ) -> None:
     """Run the shell blocks of a page one after the other.
@@ -254,16 +288,19 @@ def follow(
         page: the page.
         folder: the reader's home.
         installed: folder of installed commands; None: those of this checkout.
+        stage: makes ready what the page expects: programs and files.
         after: called after each block; returns whether to go on.
 
     Raises:
         AssertionError: a block failed.
     """
-    blocks = [block for block in blocks_of(page) if not block.reason]
+    blocks = [block for block in blocks_of(page) if not block.reason and not block.tested]
     with ExitStack() as stack:
         runtime = stack.enter_context(tempfile.TemporaryDirectory(prefix="mapperd-docs-"))
         network = stack.enter_context(own_network())
-        if not network and any(block.ready for block in blocks):  # a sonar's ports exist once
+        if not network and (
+            stage or any(block.ready for block in blocks)
+        ):  # a sonar's ports exist once
             lock = stack.enter_context(
                 (Path(tempfile.gettempdir()) / "mapperd-docs.lock").open("w")
             )
@@ -275,13 +312,24 @@ def follow(
         read = "".join([*files.values(), *(block.code for block in blocks)])
         if "dive.mcap" in read and "--out dive.mcap" not in read:
             reader.simulate_dive()
+        if stage is not None:
+            stage(reader, stack)
         for block in blocks:
-            if block.ready:
-                stack.enter_context(reader.background(block))
-            else:
-                if block.ended:
-                    reader.end(block.ended)
-                done = reader.run(block.code)
-                assert done.returncode == 0, f"{block.code}\n{done.stdout}\n{done.stderr}"
+            _follow_block(block, reader, stack)
             if not after(block, reader):
                 return
+
+
+def _follow_block(block: Block, reader: Reader, stack: ExitStack) -> None:
+    if block.ready:
+        stack.enter_context(reader.background(block))
+        return
+    if block.until:
+        for line in block.code.splitlines():
+            with reader.background(Block(line, ready=block.until)):
+                pass
+        return
+    if block.ended:
+        reader.end(block.ended)
+    done = reader.run(block.code)
+    assert done.returncode == 0, f"{block.code}\n{done.stdout}\n{done.stderr}"
