@@ -47,6 +47,10 @@ HASH_VERSION = 2
 
 BLOCKS_AT_ONCE = 1024
 
+BLOCKS_OF_A_BATCH = 64
+"""Blocks whose voxels are listed at once: at 12 bytes a voxel of a block and 100 of a listed one,
+30 MB at most."""
+
 OCTOMAP_REACH_VOXELS = 32768
 """Range of OctoMap's 16-bit keys in voxels, to each side of the origin."""
 
@@ -226,6 +230,23 @@ class SonarMap:
         centres, log_odds, count = self._map.voxels(**limits)
         probability = 1 / (1 + np.exp(-log_odds.astype(np.float64)))
         return Voxels(centres, probability.astype(np.float32), count)
+
+    def voxel_batches(self, kind: Literal["occupied", "free"]) -> Iterator[Voxels]:
+        """Yield the voxels of `voxels`, in its order, few at a time; nobody may write meanwhile."""
+        low, high = (
+            (self._occupied_log_odds, math.inf)
+            if kind == "occupied"
+            else (-math.inf, self._free_log_odds)
+        )
+        for begin in range(0, self._map.block_count, BLOCKS_OF_A_BATCH):
+            keys, units, count = self._map.blocks(begin, BLOCKS_OF_A_BATCH)
+            log_odds = units * _core.LOG_ODDS_UNIT
+            block, voxel = np.nonzero((count > 0) & (log_odds > low) & (log_odds < high))
+            places = np.stack(np.unravel_index(voxel, 3 * (BLOCK_VOXELS,))[::-1], axis=1)
+            places += keys[block].astype(np.int64) * BLOCK_VOXELS
+            probability = 1 / (1 + np.exp(-log_odds[block, voxel]))
+            centres: Floats = np.multiply(places + 0.5, self.resolution_m, dtype=np.float64)
+            yield Voxels(centres, probability.astype(np.float32), count[block, voxel])
 
     def occupied(self) -> Voxels:
         """Return the occupied voxels."""

@@ -41,7 +41,7 @@ from mapperd.store.transfer import check_structure
 __all__ = ["StoredMap"]
 
 BRICKS_AT_ONCE = 16
-"""Bricks of a part in memory; with lists of their voxels each may take 10 MB."""
+"""Bricks of a part in memory; each may take 1.5 MB, and half as much while it is read."""
 
 DECODED_AT_ONCE = 8
 """Bricks decoded before they are put into a part."""
@@ -133,9 +133,9 @@ class StoredMap:
         return _StoredVoxels(self._in_order, survey.counts.occupied, survey.box_m)
 
     def free(self) -> Iterator[Voxels]:
-        """Yield the free voxels of each part."""
+        """Yield the free voxels, few at a time."""
         for part in self._in_order():
-            yield part.voxels("free")
+            yield from part.voxel_batches("free")
 
     def parts(self) -> Iterator[_core.VoxelMap]:
         """Yield parts in the map's fixed order, each valid until the next."""
@@ -197,9 +197,8 @@ class StoredMap:
         for part in self._parts_in_any_order():
             counts = MapCounts(*map(add, astuple(counts), astuple(part.counts())))
             memory_bytes = max(memory_bytes, part.memory_bytes)
-            occupied = part.voxels("occupied")
-            if len(occupied):
-                corners_m.append(occupied.box_m)
+            occupied = part.voxel_batches("occupied")
+            corners_m += [some.box_m for some in occupied if len(some)]
         both_m = np.concatenate(corners_m) if corners_m else np.zeros((2, 3))
         box_m = np.stack([both_m.min(axis=0), both_m.max(axis=0)])
         return _Survey(counts, memory_bytes, box_m)
@@ -329,9 +328,9 @@ class _StoredVoxels:
         return self.count
 
     def batches(self) -> Iterator[Voxels]:
-        """Yield the voxels of each part."""
+        """Yield the voxels, few at a time: lists of those of a whole part take 10 MB a brick."""
         for part in self.parts():
-            yield part.voxels("occupied")
+            yield from part.voxel_batches("occupied")
 
 
 _BLOCKS = struct.Struct("<Q")

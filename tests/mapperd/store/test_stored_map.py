@@ -8,7 +8,7 @@ import pytest
 from mapperd.config.loader import config_from_text
 from mapperd.errors import MapError
 from mapperd.mapping.probability import points_of
-from mapperd.mapping.sonar_map import SonarMap
+from mapperd.mapping.sonar_map import BRICK_VOXELS, SonarMap
 from mapperd.store import stored_map
 from mapperd.store.maintenance import packed, write_whole
 from mapperd.store.stored_map import StoredMap
@@ -89,6 +89,23 @@ def test_voxels_come_in_the_same_order(sonar_map: SonarMap, stored: StoredMap) -
     np.testing.assert_array_equal(cloud.box_m, whole.box_m)
     for name in ("centres_m", "probability", "count"):
         parts = np.concatenate([getattr(some, name) for some in cloud.batches()])
+        np.testing.assert_array_equal(parts, getattr(whole, name))
+
+
+def test_lists_of_voxels_do_not_grow_with_the_map(tmp_path: Path) -> None:
+    whole = SonarMap(CONFIG)
+    whole.core.put_bricks([((0, y, 0), uniform_brick(3.0)) for y in range(3)])
+    write_store(tmp_path / "dive.map", whole)
+    with closing(StoredMap(tmp_path / "dive.map", CONFIG)) as stored:
+        sizes = [len(some) for some in stored.occupied().batches()]
+    assert sum(sizes) == 3 * BRICK_VOXELS**3
+    assert max(sizes) <= BRICK_VOXELS**3
+
+
+def test_free_voxels_come_in_the_same_order(sonar_map: SonarMap, stored: StoredMap) -> None:
+    whole = sonar_map.voxels("free")
+    for name in ("centres_m", "probability", "count"):
+        parts = np.concatenate([getattr(some, name) for some in stored.free()])
         np.testing.assert_array_equal(parts, getattr(whole, name))
 
 
