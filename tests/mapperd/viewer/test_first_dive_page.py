@@ -21,7 +21,16 @@ from tests.support.shell_blocks import Block, Reader, follow
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.net, pytest.mark.timeout(3600)]
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.slow,
+    pytest.mark.net,
+    pytest.mark.timeout(3600),
+    pytest.mark.skipif(
+        "MAPPERD_PICTURES" not in os.environ,
+        reason="a browser without a GPU draws for minutes: set MAPPERD_PICTURES to a folder",
+    ),
+]
 
 FIRST_DIVE = Path(__file__).resolve().parents[3] / "docs" / "getting-started" / "first-dive.md"
 PATIENCE_MS = 180_000.0
