@@ -17,7 +17,7 @@ CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLi
 # Programs and tests start hundreds of Pythons, which must not compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives localization-certainty second-pass localization-soak soak store-soak map-size crash-soak power-cuts chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check tidy cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install lock sdist wheels prerequisites test-prerequisites clean
+.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives localization-certainty second-pass localization-soak soak store-soak map-size crash-soak power-cuts chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study from-clone fuzz docs check tidy cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install lock sdist wheels prerequisites test-prerequisites clean
 
 demo: $(STAMP)
 	$(TOOL) demo --out out/demo
@@ -142,6 +142,10 @@ survey-dives: $(STAMP)
 # cores that have nothing else to do; after a stop the same command goes on.
 survey-study: survey-dives
 	$(TOOL) studies survey --out out/survey
+
+# Installs from a clone as the pages say, and follows the first dive there. A quarter of an hour.
+from-clone: $(STAMP)
+	MAPPERD_FROM_CLONE=1 $(BIN)/python -m pytest -n 0 tests/test_install.py
 
 # Breaks each guarded formula once and has a test notice; writes docs/reports/mutations.md. An hour
 # of one core; what is as it was when it was measured is not measured again.

@@ -132,6 +132,13 @@ def test_the_vehicle_s_libraries_are_to_be_had_for_arm64_without_a_compiler(tmp_
     assert done.returncode == 0, done.stderr[-2000:]
 
 
+FROM_CLONE = pytest.mark.skipif(
+    "MAPPERD_FROM_CLONE" not in os.environ,
+    reason="installs from a clone for minutes: `make from-clone` runs it",
+)
+
+
+@FROM_CLONE
 @pytest.mark.slow
 @pytest.mark.net
 @pytest.mark.timeout(7200)
@@ -144,6 +151,7 @@ def test_the_first_dive_runs_from_a_fresh_clone(tmp_path: Path) -> None:
     follow(first_dive, home, installed=tmp_path / "mapperd" / "venv" / "bin")
 
 
+@FROM_CLONE
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_the_commands_of_the_service_install_it_in_an_empty_folder(tmp_path: Path) -> None:
