@@ -155,6 +155,7 @@ def mid_session(path: Path) -> bool:
     [pytest.param(None, id="calm"), pytest.param(NOISY, id="noisy", marks=pytest.mark.slow)],
     indirect=True,
 )
+@pytest.mark.timeout(1200)
 def test_map_after_a_kill_is_that_of_the_recordings(
     tmp_path: Path, world: World, daemons: Daemons
 ) -> None:
