@@ -7,8 +7,9 @@ The truth of a scene is a grid of the map's own voxels, made from the triangles:
 - It is *solid* if it is touched, or if no way of untouched voxels (over their faces) leads to it
   from a sonar: the inside of bodies, the ground, and the air above a sea surface. Beyond the edge
   of the floor, where nothing closes the water, only touched voxels are solid.
-- The distance of its centre to the nearest surface comes from the same samples: too large by
-  4 mm at most where it is 5 cm or more; 0.5 m and more are 0.5 m.
+- The distance of its centre to the nearest surface comes from the same samples, which make it too
+  large by up to 5 mm, and is rounded down to 5 mm; 0.5 m and more are 0.5 m. So a centre 0.25 m
+  off a wall along the grid is not farther than that.
 """
 
 import math
@@ -57,8 +58,10 @@ PIECE_STEPS = 12
 """Triangles are cut until none is longer than so many steps."""
 MAX_POINTS = 1_000_000
 """Of a part of the samples, about."""
-THIN_M = 0.01
-"""Of samples so near to each other one is kept for the distances."""
+THIN_M, NEAR_THIN_M = 0.02, 0.01
+"""Of samples so near to each other one is kept for the distances: twice as fine below `FINE_M`."""
+FINE_M = 0.15
+ROUND_M = 0.005
 TOUCH_M = 1e-6
 MARGIN_M = 1.5
 """Around all fans of a dive: the jitter of its seeds and errors of poses."""
@@ -153,19 +156,35 @@ def true_grid(
             index = np.floor((points_m + side_m) / edge_m).astype(np.int64) - low
             index = index[((index >= 0) & (index < shape)).all(axis=1)]
             touched[tuple(index.T)] = True
-        cells = cell_keys(points_m, THIN_M)
-        samples.append(points_m[np.unique(cells, return_index=True)[1]])
+        samples.append(_thinned(points_m, NEAR_THIN_M))
     distance = np.full(shape, CAP_M, dtype=np.float16)
     if samples:
         reach = math.ceil(CAP_M / edge_m) + 1
         near = np.nonzero(maximum_filter(touched, size=2 * reach + 1))
         centres_m = (np.stack(near, axis=1) + low + 0.5) * edge_m
-        # The samples lie on lattices: balancing a tree of so many equal coordinates takes minutes.
-        tree = cKDTree(np.concatenate(samples), balanced_tree=False, compact_nodes=False)
-        found_m, _ = tree.query(centres_m)
-        distance[near] = np.minimum(found_m, CAP_M)
+        found_m = _to_samples(centres_m, np.concatenate(samples))
+        distance[near] = np.minimum(ROUND_M * np.floor(found_m / ROUND_M + TOUCH_M), CAP_M)
     solid = touched | _dry(touched, low, edge_m, dry_m, wet_m)
     return TrueGrid((), edge_m, low, distance, solid)
+
+
+def _to_samples(points_m: Floats, samples_m: Floats) -> Floats:
+    """Distance (N,) of points (N, 3) to the nearest sample (M, 3)."""
+    found_m: Floats = _tree(_thinned(samples_m, THIN_M)).query(points_m)[0]
+    close = found_m < FINE_M
+    found_m[close] = _tree(samples_m).query(points_m[close])[0]
+    return found_m
+
+
+def _tree(points_m: Floats) -> cKDTree:
+    """The points lie on lattices: balancing a tree of so many equal coordinates takes minutes."""
+    return cKDTree(points_m, balanced_tree=False, compact_nodes=False)
+
+
+def _thinned(points_m: Floats, cell_m: float) -> Floats:
+    """One of the points (N, 3) a cell."""
+    first = np.unique(cell_keys(points_m, cell_m), return_index=True)[1]
+    return np.asarray(points_m[first])
 
 
 def _near(triangles_m: Floats, box_m: Floats) -> Floats:
@@ -424,7 +443,7 @@ def measure(
         common: (X, Y, Z), which voxels of the truth's grid are compared for all contenders.
     """
     edge_m = truth.edge_m
-    seen_m = seen_m[np.unique(cell_keys(seen_m, edge_m / 2), return_index=True)[1]]
+    seen_m = _thinned(seen_m, edge_m / 2)
     occupied_m = sonar_map.occupied().centres_m
     centres_m, held, _ = sonar_map.core.voxels()
     log_odds = held.astype(np.float64)

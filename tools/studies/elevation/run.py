@@ -60,7 +60,7 @@ CONTENDERS: dict[str, Contender] = {
 """Settings of `Config` that differ from the defaults, by dotted name, or those of the arc rule. The
 first one is what others stand beside: its observed voxels are those of `..._common`."""
 
-FIGURES_VERSION = 2
+FIGURES_VERSION = 3
 """Counts up when `measures` changes what a figure means."""
 POSITION_NOISE_M, ATTITUDE_NOISE_DEG = 0.05, 0.5
 FOLDER = Path("out/elevation")
