@@ -200,9 +200,11 @@ cpp-test-tsan: $(TOOLS)
 cpp-test-aarch64: $(TOOLS)
 	scripts/cpp-test aarch64
 
-# More workers than cores: many tests wait for a save or a timeout.
+# More workers than cores: many tests wait for a save or a timeout. A browser without a GPU needs
+# both cores, so its tests run alone afterwards.
 python-test: $(STAMP)
-	$(BIN)/python -m pytest tests -n 3
+	$(BIN)/python -m pytest tests -m "not browser" -n 3
+	$(BIN)/python -m pytest tests -m browser -n 0
 
 prerequisites:
 	@PYTHON="$(PYTHON)" scripts/prerequisites

@@ -25,7 +25,7 @@ from mapperd.server.state_feed import StateFeed
 from mapperd.server.stream_server import StreamServer
 from mapperd.wire.auth import Limits
 from mapperd.wire.messages import Interest, MapFacts
-from tests.support.waiting import run
+from tests.support.waiting import LIMIT_S, run
 
 TOKEN = b"correct-horse-battery-staple"
 
@@ -307,11 +307,17 @@ MALFORMED: list[Any] = [
 ]
 
 
-def go(work: Callable[[Served], Awaitable[None]], folder: Path, **more: Any) -> None:
+def go(
+    work: Callable[[Served], Awaitable[None]],
+    folder: Path,
+    *,
+    within_s: float = LIMIT_S,
+    **more: Any,
+) -> None:
     """Run a test against a server; nothing of it may be left over."""
 
     async def serving() -> None:
         async with served(folder, **more) as one:
             await work(one)
 
-    run(serving(), nothing_left=True)
+    run(serving(), within_s, nothing_left=True)
