@@ -179,10 +179,29 @@ class _Kept:
     sound_mps: float
 
 
+class _Thinned:
+    """Pings, evenly over the recording, few enough to hold."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.kept: list[_Kept] = []
+        self._every = 1
+
+    def add(self, ping: _Kept) -> None:
+        if self.count % self._every == 0:
+            self.kept.append(ping)
+        self.count += 1
+        if len(self.kept) == 2 * MAX_PINGS:
+            del self.kept[1::2]
+            self._every *= 2
+
+
 def read_dive(
     session: RecordedSession, config: Config, progress: Callable[[float], None] = lambda _: None
 ) -> CalibrationDive:
     """Read the pings and the path of a recorded session.
+
+    Of a sonar whose range or mode changed, the images of the most common size are read.
 
     Args:
         session: with sonar data and odometry.
@@ -196,19 +215,17 @@ def read_dive(
     poses = OdometryPoses(config)
     decoder = SessionDecoder(config, poses, PipelineCounters(), confirm=True, obey=False)
     path = _Path(poses.odometry.fusion)
-    kept: list[_Kept] = []
-    shape = None
+    alike: dict[object, _Thinned] = {}
     newest_ns = 0
     for work, arrival_ns in _works(session, decoder):
         newest_ns = max(newest_ns, arrival_ns or 0)
         path.advance(arrival_ns)
         for ping in _pings(work, config):
-            shape = shape or (ping.image.shape, ping.row_m)
-            if (ping.image.shape, ping.row_m) == shape:
-                kept.append(ping)
+            alike.setdefault((ping.image.shape, ping.row_m), _Thinned()).add(ping)
         progress(session.bytes_read / max(session.size_bytes, 1))
     path.advance(newest_ns + 2 * POSE_LAG_NS)
-    return _dive(kept, path)
+    most = max(alike.values(), key=lambda pings: pings.count, default=_Thinned())
+    return _dive(most.kept, path)
 
 
 def _works(

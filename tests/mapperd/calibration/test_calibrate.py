@@ -1,9 +1,10 @@
 """Simulated dives with known errors: what is called observable is true, the rest is left."""
 
 import json
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,7 +14,9 @@ from sonar_sim.capture import CaptureSettings, write_capture
 from sonar_sim.scene_file import SHIPPED, load_scenario
 from sonar_sim.wire import Network
 
+from mapperd.calibration import dive as dive_module
 from mapperd.calibration.agreement import PARAMETERS, Agreement
+from mapperd.calibration.dive import read_dive
 from mapperd.calibration.estimate import (
     Calibration,
     ParameterEstimate,
@@ -23,6 +26,8 @@ from mapperd.calibration.estimate import (
 )
 from mapperd.cli.mapperd import main
 from mapperd.config.tree import Config, OrientationConfig
+from mapperd.session.recordings import files_in, sessions_of
+from tests.support.shell_blocks import SCENE
 
 FORWARD = (
     (-7, 0.3, -3.4, 0),
@@ -190,6 +195,34 @@ def test_writes_a_change_only_if_it_exceeds_its_deviation(name: str, factor: flo
     sections = {"yaw": "mounting", "range_scale": "water", "time_offset": "device"}
     lines = yaml.safe_load(yaml_lines(found, config, 1500.0))
     assert lines is None if factor > -1 else set(lines) == {sections[name]}
+
+
+def test_reads_the_most_common_images_evenly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = yaml.safe_load(SCENE)
+    scene["trajectory"]["waypoints"][1]["position_m"][0] = 6
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
+    recording = tmp_path / "dive.mcap"
+    write_capture(recording, load_scenario(str(tmp_path / "scene.yaml")), CaptureSettings(seed=1))
+    found, count = dive_module._pings, 0
+
+    def first_ones_shorter(works: Any, config: Config) -> Iterator[Any]:
+        nonlocal count
+        for ping in found(works, config):
+            count += 1
+            yield replace(ping, image=ping.image[:-1]) if count <= 9 else ping
+
+    monkeypatch.setattr(dive_module, "_pings", first_ones_shorter)
+    monkeypatch.setattr(dive_module, "MIN_PINGS", 5)
+    monkeypatch.setattr(dive_module, "MAX_PINGS", 8)
+    (session,) = sessions_of(files_in([recording]))
+    dive = read_dive(session, Config())
+    assert count > 9 + 8
+    assert len(dive.images) == 8
+    steps_s = np.diff(dive.t_s)
+    assert steps_s.max() < 2.1 * steps_s.min()
+    assert dive.t_s[-1] - dive.t_s[0] > 0.6 * (count - 9) * 0.2
 
 
 def test_names_a_missing_file_and_a_missing_extra(
