@@ -261,7 +261,8 @@ class VoxelMap:
         """A slice of the blocks, sorted by key.
 
         Returns:
-            keys (M, 3), log-odds in LOG_ODDS_UNIT and counts, both (M, BLOCK_EDGE**3), x fastest.
+            keys (M, 3), log-odds less the prior in LOG_ODDS_UNIT, and counts, both
+            (M, BLOCK_EDGE**3), x fastest.
         """
 
     def visit_blocks(
@@ -293,8 +294,8 @@ class VoxelMap:
         """Make the map's content that of `encode_map`'s bytes.
 
         Raises:
-            ValueError: not all of a map, or one of another resolution, clamps or settled count;
-                the text states what is wrong. The map is as before.
+            ValueError: not all of a map, or one of another resolution, prior, clamps or settled
+                count; the text states what is wrong. The map is as before.
         """
 
     def octomap_bt(self, occupied_log_odds: float, free_log_odds: float) -> bytes:
@@ -445,8 +446,8 @@ class VoxelMap:
         Neither the order of the others, nor which of all the maps takes them, changes the result.
 
         Raises:
-            ValueError: another resolution, clamp or settled count, or the map itself; nothing is
-                changed.
+            ValueError: another resolution, prior, clamp or settled count, or the map itself;
+                nothing is changed.
         """
 
     def with_rule(self, iwlo: IwloParams) -> VoxelMap:

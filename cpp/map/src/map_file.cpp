@@ -12,7 +12,7 @@ namespace mapperd::map {
 namespace {
 
 constexpr std::uint32_t kVersion = 1;
-constexpr std::size_t kBegin = kMapFileMagic.size() + sizeof kVersion;
+constexpr std::uint32_t kVersionWithPrior = 2;
 constexpr std::size_t kChecksumBytes = sizeof(std::uint32_t);
 constexpr std::size_t kMinBlockBytes = 12 + 2 + 2 + 2;  // key, form and shift, one state
 
@@ -20,16 +20,17 @@ constexpr std::size_t kMinBlockBytes = 12 + 2 + 2 + 2;  // key, form and shift, 
   throw std::invalid_argument("map file: " + what);
 }
 
-// Everything but a file of this version that is whole.
+// Everything but a file of these versions that is whole.
 std::string_view checked_content(std::string_view file) {
   if (file.substr(0, kMapFileMagic.size()) != kMapFileMagic) refuse("no map of mapperd");
   ByteReader head(file.substr(kMapFileMagic.size()));
   const auto version = head.left() < sizeof kVersion ? kVersion : head.get<std::uint32_t>();
-  if (version != kVersion) {
-    refuse("version " + std::to_string(version) + "; this program reads version " +
-           std::to_string(kVersion));
+  if (version != kVersion && version != kVersionWithPrior) {
+    refuse("version " + std::to_string(version) + "; this program reads versions " +
+           std::to_string(kVersion) + " and " + std::to_string(kVersionWithPrior));
   }
-  if (file.size() < kBegin + kChecksumBytes) refuse("it ends too early");
+  if (file.size() < kMapFileMagic.size() + sizeof kVersion + kChecksumBytes)
+    refuse("it ends too early");
   const std::string_view content = file.substr(0, file.size() - kChecksumBytes);
   if (ByteReader(file.substr(content.size())).get<std::uint32_t>() != crc32(content)) {
     refuse("the checksum is wrong: it was cut off or changed");
@@ -37,7 +38,15 @@ std::string_view checked_content(std::string_view file) {
   return content;
 }
 
-void check_same_kind(ByteReader& bytes, const VoxelMap& map) {
+void check_same_prior(std::int32_t prior, const VoxelMap& map) {
+  if (prior == file_units_of(map.rule().params().prior)) return;
+  std::ostringstream what;
+  what << "log-odds of an unobserved voxel are " << log_odds_of(prior) << " in it, "
+       << map.rule().params().prior << " in the map: they are of different rules or priors";
+  refuse(what.str());
+}
+
+void check_same_kind(std::uint32_t version, ByteReader& bytes, const VoxelMap& map) {
   const double resolution_m = bytes.get_double();
   if (!(resolution_m == map.resolution_m())) {
     std::ostringstream what;
@@ -47,6 +56,7 @@ void check_same_kind(ByteReader& bytes, const VoxelMap& map) {
   }
   const auto low = bytes.get<std::int32_t>();
   const auto high = bytes.get<std::int32_t>();
+  check_same_prior(version == kVersionWithPrior ? bytes.get<std::int32_t>() : 0, map);
   const IwloRule& rule = map.rule();
   if (rule.units_of_file(low) != rule.min_units() || rule.units_of_file(high) != rule.max_units()) {
     std::ostringstream what;
@@ -89,10 +99,12 @@ void read_blocks(ByteReader& bytes, VoxelMap& map) {
 
 std::string encode_map(const VoxelMap& map) {
   std::string file(kMapFileMagic);
-  put(file, kVersion);
+  const std::int32_t prior = file_units_of(map.rule().params().prior);
+  put(file, prior == 0 ? kVersion : kVersionWithPrior);
   put(file, map.resolution_m());
   put(file, file_units_of(map.rule().params().L_min));
   put(file, file_units_of(map.rule().params().L_max));
+  if (prior != 0) put(file, prior);
   put(file, map.rule().settled_count());
   const std::size_t count_at = file.size();
   std::uint64_t count = 0;
@@ -117,8 +129,9 @@ std::string encode_map(const VoxelMap& map) {
 
 void load_map(std::string_view file, VoxelMap& map) {
   ByteReader bytes(checked_content(file));
-  bytes.take(kBegin);
-  check_same_kind(bytes, map);
+  bytes.take(kMapFileMagic.size());
+  const auto version = bytes.get<std::uint32_t>();
+  check_same_kind(version, bytes, map);
   VoxelMap loaded(map.resolution_m(), map.rule().params());
   try {
     read_blocks(bytes, loaded);

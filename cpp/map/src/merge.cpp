@@ -18,6 +18,7 @@ void check_equal_kind(const VoxelMap& map, const VoxelMap& other) {
   }
   const IwloParams& a = map.rule().params();
   const IwloParams& b = other.rule().params();
+  if (a.prior != b.prior) throw std::invalid_argument("maps of different priors cannot be merged");
   if (a.L_min != b.L_min || a.L_max != b.L_max) {
     throw std::invalid_argument("maps with different clamps (L_min, L_max) cannot be merged");
   }
@@ -92,7 +93,8 @@ void add_to(VoxelMap& map, const BlockKey& key, const Sum& sum) {
   for (std::size_t i = 0; i < kBlockVoxels; ++i) {
     const std::int64_t total = rule.file_units(voxels.units[i]) + sum.units[i];
     const std::uint64_t count = voxels.count[i] + sum.count[i];
-    states[i] = {rule.units(std::ldexp(static_cast<double>(total), -24)),
+    const double log_odds = std::ldexp(static_cast<double>(total), -24) + rule.params().prior;
+    states[i] = {rule.units(log_odds),
                  static_cast<std::uint16_t>(std::min<std::uint64_t>(count, rule.settled_count()))};
   }
   map.set_block(key, states);

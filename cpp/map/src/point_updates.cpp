@@ -58,9 +58,11 @@ void add_step(BlockWriter& writer, const IwloRule& rule, const VoxelIndex& voxel
               const StepLimits& limits) {
   const std::int64_t before = writer.at(voxel).units;
   const std::int64_t sum = before + whole_units(rule, step);
-  const std::int64_t updated = step > 0
-                                   ? std::min(sum, std::max(whole_units(rule, limits.high), before))
-                                   : std::max(sum, std::min(whole_units(rule, limits.low), before));
+  const double prior = rule.params().prior;
+  const std::int64_t high = whole_units(rule, limits.high - prior);
+  const std::int64_t low = whole_units(rule, limits.low - prior);
+  const std::int64_t updated =
+      step > 0 ? std::min(sum, std::max(high, before)) : std::max(sum, std::min(low, before));
   put(writer, rule, voxel, updated);
 }
 
@@ -103,7 +105,7 @@ void set_log_odds(VoxelMap& map, const Points& points, const double* values) {
   const WriteLock lock(map);
   BlockWriter writer(map);
   for (const std::size_t i : by_block(voxels)) {
-    put(writer, map.rule(), voxels[i], whole_units(map.rule(), values[i]));
+    put(writer, map.rule(), voxels[i], map.rule().units(values[i]));
   }
 }
 

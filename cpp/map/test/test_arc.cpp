@@ -9,6 +9,8 @@
 
 #include "mapperd/map/arc_integrator.hpp"
 #include "mapperd/map/map_file.hpp"
+#include "mapperd/map/merge.hpp"
+#include "mapperd/map/point_updates.hpp"
 #include "mapperd/map/snapshot.hpp"
 #include "scenes.hpp"
 #include "testing.hpp"
@@ -364,6 +366,23 @@ TEST_CASE("an unobserved voxel has the prior, and files keep evidence") {
   VoxelMap loaded(kEdge, rule);
   load_map(encode_map(map), loaded);
   CHECK(loaded.at(VoxelIndex{1, 2, 3}).log_odds == map.at(VoxelIndex{1, 2, 3}).log_odds);
+  const double at[] = {0.5 * kEdge, 0.5 * kEdge, 0.5 * kEdge};
+  const double value = -1.0;
+  set_log_odds(map, {at, 1}, &value);
+  CHECK(map.at(VoxelIndex{0, 0, 0}).log_odds == doctest::Approx(-1.0).epsilon(1e-3));
+  const double step = 3.0;
+  add_log_odds(map, {at, 1}, &step, {-2.0, 1.5});
+  CHECK(map.at(VoxelIndex{0, 0, 0}).log_odds == doctest::Approx(1.5).epsilon(1e-3));
+  const VoxelMap copy = with_rule(map, rule);
+  CHECK(encode_map(copy) == encode_map(map));
+  IwloParams other = rule;
+  other.prior += 0.01;
+  VoxelMap elsewhere(kEdge, other);
+  CHECK_THROWS_WITH_AS(load_map(encode_map(map), elsewhere), doctest::Contains("priors"),
+                       std::invalid_argument);
+  CHECK_THROWS_AS(merge(elsewhere, {&map}), std::invalid_argument);
+  CHECK(encode_map(VoxelMap(kEdge, {}))[8] == 1);
+  CHECK(encode_map(map)[8] == 2);
   rule.prior = std::nan("");
   CHECK_THROWS_AS(VoxelMap(kEdge, rule), std::invalid_argument);
 }

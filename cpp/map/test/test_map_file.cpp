@@ -129,8 +129,8 @@ TEST_CASE("what is not a map file is refused") {
   CHECK(contains(refusal_of("# Octomap OcTree file\n"), "no map of mapperd"));
   CHECK(contains(refusal_of(std::string(mapperd::map::kMapFileMagic)), "ends too early"));
   std::string newer = content_of(small_map());
-  newer[8] = 2;
-  CHECK(contains(refusal_of(with_checksum(newer)), "version 2"));
+  newer[8] = 3;
+  CHECK(contains(refusal_of(with_checksum(newer)), "version 3"));
 }
 
 TEST_CASE("a file cut off anywhere is refused, and so is one with a byte too many") {
