@@ -362,22 +362,32 @@ def map_of(
     # Rounding to steps may exceed the clamps of the daemon's map.
     most = min(float(np.abs(cells.log_odds).max(initial=0.0)), MAX_LOG_ODDS)
     replace = msgspec.structs.replace
-    sonar_map = SonarMap(
-        replace(
+    limits = {
+        "occupied_threshold": _probability(facts.occupied_log_odds),
+        "free_threshold": _probability(facts.free_log_odds),
+    }
+    config = replace(config, octree=replace(config.octree, voxel_resolution=cell_m))
+    if facts.prior_log_odds:
+        prior, most = facts.prior_log_odds, min(most, MAX_LOG_ODDS + facts.prior_log_odds)
+        arc = replace(
+            config.arc,
+            prior=_probability(prior),
+            lowest=min(config.arc.lowest, prior - 1, -most),
+            highest=max(config.arc.highest, most),
+            **limits,
+        )
+        config = replace(config, mapping=replace(config.mapping, rule="arc"), arc=arc)
+    else:
+        config = replace(
             config,
-            octree=replace(config.octree, voxel_resolution=cell_m),
-            mapping=replace(
-                config.mapping,
-                occupied_threshold=_probability(facts.occupied_log_odds),
-                free_threshold=_probability(facts.free_log_odds),
-            ),
+            mapping=replace(config.mapping, rule="iwlo", **limits),
             iwlo=replace(
                 config.iwlo,
                 L_min=min(config.iwlo.L_min, -most),
                 L_max=max(config.iwlo.L_max, most),
             ),
         )
-    )
+    sonar_map = SonarMap(config)
     sonar_map.core.set_log_odds(cells.centres_m, cells.log_odds.astype(np.float64))
     return sonar_map
 

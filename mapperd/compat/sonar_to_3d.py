@@ -375,11 +375,10 @@ class SonarTo3DMapper(UpdateHandlers):
             MapError: the map is on disk (`in_tiles`).
         """
         self._map.check_whole()
-        mapping = self._config.mapping
         return MapQueries(
             self._map.core,
-            occupied_threshold=mapping.occupied_threshold,
-            free_threshold=mapping.free_threshold,
+            occupied_threshold=self._config.occupied_threshold,
+            free_threshold=self._config.free_threshold,
         )
 
     def merge(self, *others: "SonarTo3DMapper") -> None:

@@ -38,8 +38,8 @@ class Layered:
     Attributes:
         config: the settings.
         origins: absolute path of the file that names a setting, `octree.voxel_resolution`.
-        notice: settings of an earlier version in the files, in one line; empty where there are
-            none.
+        notice: settings of an earlier version in the files, and those of the other rule, in one
+            line; empty where there are none.
     """
 
     config: Config = field(default_factory=Config)
@@ -105,9 +105,33 @@ def load_files(files: Sequence[Path]) -> Layered:
             _put(merged, name, value)
             origins[name] = str(path.absolute())  # a client may have another working folder
     try:
-        return Layered(config_of(merged, "settings"), origins, "; ".join(outdated))
+        config = config_of(merged, "settings")
     except ConfigError as error:
         raise ConfigError(_named(error, origins), error.path) from error
+    unused = [name for name in origins if _is_unused(name, config)]
+    if unused:
+        outdated.append(
+            f"without effect by mapping.rule {config.mapping.rule}: {', '.join(unused)}"
+        )
+    return Layered(config, origins, "; ".join(outdated))
+
+
+OF_IWLO = (
+    "iwlo.",
+    "adaptive.",
+    "mapping.occupied_threshold",
+    "mapping.free_threshold",
+    "mapping.aggregation",
+    "mapping.integrator",
+    "mapping.detail",
+    "mapping.angular_cone_width",
+)
+"""Beginnings of the names of settings that the arc rule does not use."""
+
+
+def _is_unused(name: str, config: Config) -> bool:
+    """Return whether a setting belongs to the other rule."""
+    return name.startswith(OF_IWLO if config.mapping.rule == "arc" else "arc.")
 
 
 def _leaves(tree: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:

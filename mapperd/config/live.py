@@ -29,6 +29,7 @@ __all__ = [
     "changes_between",
     "chosen",
     "facts_of",
+    "occupied_above",
     "with_values",
 ]
 
@@ -56,6 +57,18 @@ def with_values(config: Config, values: Mapping[str, object]) -> Config:
             section = section[part]
         section[leaf] = value
     return config_of(tree, "")
+
+
+def occupied_above(config: Config, probability: float) -> dict[str, float]:
+    """Changes by which voxels above a probability are occupied, by whichever rule."""
+    return {
+        f"{section}.{limit}_threshold": value
+        for section, free in (
+            ("mapping", config.mapping.free_threshold),
+            ("arc", config.arc.free_threshold),
+        )
+        for limit, value in (("occupied", probability), ("free", min(free, probability)))
+    }
 
 
 def facts_of(

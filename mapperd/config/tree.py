@@ -6,6 +6,7 @@ program runs. A parameter stands here only if it does something. Reading YAML is
 of `mapperd.config.loader`.
 """
 
+import math
 from typing import Annotated, Literal
 
 from msgspec import Struct
@@ -37,6 +38,7 @@ from mapperd.config.odometry import (
 __all__ = [
     "AdaptiveConfig",
     "AmclConfig",
+    "ArcConfig",
     "BacklogConfig",
     "Config",
     "CrosstalkConfig",
@@ -149,6 +151,15 @@ class OctreeConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.05
 
 
+UpdateRule = Annotated[
+    Literal["iwlo", "arc"],
+    rule(
+        "iwlo: the intensity is the weight of an echo; arc: its level tells where on its arc it "
+        "comes from (docs/guides/arc-rule.md)."
+    ),
+]
+
+
 class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """From a ping to evidence, and from evidence to classes."""
 
@@ -221,6 +232,7 @@ class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):
         float,
         rule("Shadow tolerance of rays: factor on twice a beam's width.", live=True, ge=0, le=100),
     ] = 0.5
+    rule: UpdateRule = "iwlo"  # the last field: its name hides the function
 
     def __post_init__(self) -> None:
         """Check what no single field can."""
@@ -265,6 +277,84 @@ class IwloConfig(Struct, frozen=True, forbid_unknown_fields=True):
                 f"decay_rate {self.decay_rate:g} with min_alpha {self.min_alpha:g} needs more "
                 f"than {MAX_COUNT} pings to settle; allowed: raise either of them"
             )
+
+
+class ArcConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """The arc rule; the classes of its maps. Levels are those of 8-bit images."""
+
+    prior: Annotated[
+        float, rule("Probability that an unobserved voxel is occupied.", ge=0.001, le=0.4)
+    ] = 0.05
+    occupied_threshold: Annotated[
+        float, rule("Voxels above this probability are occupied.", live=True, gt=0, lt=1)
+    ] = 0.17
+    free_threshold: Annotated[
+        float,
+        rule(
+            "Observed voxels below this probability are free, from here to "
+            "occupied_threshold uncertain; at most that.",
+            live=True,
+            gt=0,
+            lt=1,
+        ),
+    ] = 0.03
+    level: Annotated[
+        float,
+        rule(
+            "Level of a surface on the beam's axis; 0 estimates it from the first returns of the "
+            "session.",
+            "0-255",
+            ge=0,
+            le=255,
+        ),
+    ] = 0.0
+    beam_width: Annotated[
+        float,
+        rule(
+            "Vertical width of the beam one way, of the data sheet: 20 for M750d, M3000d and "
+            "M1200d at low frequency, 12 for M1200d at high frequency.",
+            "deg",
+            ge=1,
+            le=60,
+        ),
+    ] = 20.0
+    lowest: Annotated[float, rule("Floor of the log-odds.", "log-odds", ge=-14, lt=0)] = -6.0
+    highest: Annotated[float, rule("Ceiling of the log-odds.", "log-odds", ge=0, le=8)] = 6.0
+    max_ratio: Annotated[
+        float,
+        rule("Part of a step downwards that a voxel surely occupied takes.", ge=0, le=1),
+    ] = 0.3
+    spread_below: Annotated[
+        float,
+        rule("Spread of the logarithm of levels below that of a surface.", ge=0.05, le=10),
+    ] = 0.45
+    spread_above: Annotated[
+        float, rule("The same of levels above that of a surface.", ge=0.05, le=10)
+    ] = 1.0
+    broad_share: Annotated[
+        float, rule("Share of surfaces that return any level.", ge=0, le=0.99)
+    ] = 0.3
+    missed_share: Annotated[
+        float, rule("Share of surfaces that return nothing.", ge=0.001, le=0.9)
+    ] = 0.1
+
+    def __post_init__(self) -> None:
+        """Check what no single field can."""
+        if self.free_threshold > self.occupied_threshold:
+            raise ValueError(
+                f"free_threshold {self.free_threshold:g} is above occupied_threshold "
+                f"{self.occupied_threshold:g}; allowed: at most that"
+            )
+        if self.lowest >= self.prior_log_odds:
+            raise ValueError(
+                f"lowest {self.lowest:g} is not below the log-odds of the prior, "
+                f"{self.prior_log_odds:.3g}; allowed: below that"
+            )
+
+    @property
+    def prior_log_odds(self) -> float:
+        """Log-odds of an unobserved voxel."""
+        return math.log(self.prior / (1 - self.prior))
 
 
 class AdaptiveConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -320,6 +410,7 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     mapping: MappingConfig = MappingConfig()
     iwlo: IwloConfig = IwloConfig()
     adaptive: AdaptiveConfig = AdaptiveConfig()
+    arc: ArcConfig = ArcConfig()
     processing: ProcessingConfig = ProcessingConfig()
     time_sync: TimeSyncConfig = TimeSyncConfig()
     slam_quality: SlamQualityConfig = SlamQualityConfig()
@@ -363,3 +454,18 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
                 f"{MIN_TILE_VOXELS} voxels of {self.octree.voxel_resolution:g} m; "
                 "allowed: at least that"
             )
+
+    @property
+    def class_limits(self) -> MappingConfig | ArcConfig:
+        """Section with the thresholds in force, those of the rule."""
+        return self.arc if self.mapping.rule == "arc" else self.mapping
+
+    @property
+    def occupied_threshold(self) -> float:
+        """Voxels above this probability are occupied."""
+        return self.class_limits.occupied_threshold
+
+    @property
+    def free_threshold(self) -> float:
+        """Observed voxels below this probability are free."""
+        return self.class_limits.free_threshold

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mapperd import _core
 from mapperd.errors import ExportError
+from mapperd.mapping.core_args import prior_log_odds
 from mapperd.mapping.probability import log_odds_of
 from mapperd.mapping.queries import MapContent
 
@@ -105,7 +106,7 @@ class KnownCells:
         heights: which voxels count.
         resolution_m: edge of a voxel.
         occupied_log_odds: voxels above are occupied.
-        free_log_odds: observed voxels below are free.
+        free_log_odds: observed voxels below are free. Both are relative to the prior.
     """
 
     def __init__(
@@ -180,12 +181,13 @@ def known_cells(sonar_map: MapContent, heights: Heights) -> GridLayer | None:
     Raises:
         ExportError: the grid is too large.
     """
-    mapping = sonar_map.config.mapping
+    config = sonar_map.config
+    prior = prior_log_odds(config)
     known = KnownCells(
         heights,
         sonar_map.resolution_m,
-        log_odds_of(mapping.occupied_threshold, "occupied_threshold"),
-        log_odds_of(mapping.free_threshold, "free_threshold"),
+        log_odds_of(config.occupied_threshold, "occupied_threshold") - prior,
+        log_odds_of(config.free_threshold, "free_threshold") - prior,
     )
     for part in sonar_map.parts():
         part.visit_blocks(known.add, BLOCKS_AT_ONCE)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mapperd.config.live import with_values
 from mapperd.config.tree import Config
 from mapperd.errors import MapError, StoreError
 from mapperd.localization.map_io import read_nav2_map
@@ -19,6 +20,7 @@ from mapperd.localization.maps import (
     keep_boundaries,
     volume_map,
 )
+from mapperd.mapping.file_headers import settings_of_octomap
 from mapperd.mapping.queries import MapQueries
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import StoreReader
@@ -95,7 +97,6 @@ def _fingerprint(grid: GridMap) -> str:
 
 def _voxels_in(path: Path, config: Config) -> SonarMap:
     """Load a whole map with voxels into memory."""
-    sonar_map = SonarMap(config)
     try:
         if not path.is_file():  # a pipe would block
             raise MapError(f"{path}: there is no such file", "bad_map_file")
@@ -104,14 +105,16 @@ def _voxels_in(path: Path, config: Config) -> SonarMap:
         with path.open("rb") as file:
             begin = file.read(len(SQLITE))
         if begin == SQLITE:
+            sonar_map = SonarMap(config)
             with StoreReader(path) as reader:
                 lost = reader.load(sonar_map).lost
             if lost:
                 text = f"{path}: {len(lost)} bricks of it are damaged; holes would look like water"
                 raise MapError(text, "bricks_lost")
         elif path.suffix.lower() in (".bt", ".ot"):
-            _load_octomap(sonar_map, path)
+            sonar_map = _octomap_in(path, config)
         else:
+            sonar_map = SonarMap(config)
             sonar_map.load(path)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise MapError(f"{path}: cannot be read: {error}", "bad_map_file") from error
@@ -120,19 +123,23 @@ def _voxels_in(path: Path, config: Config) -> SonarMap:
     return sonar_map
 
 
-def _load_octomap(sonar_map: SonarMap, path: Path) -> None:
+def _octomap_in(path: Path, config: Config) -> SonarMap:
+    data = path.read_bytes()
     try:
-        sonar_map.load_octomap(path.read_bytes())
+        stated = settings_of_octomap(data)
+        stated.pop("octree.voxel_resolution", None)  # which must be that of the settings
+        sonar_map = SonarMap(with_values(config, stated))
+        sonar_map.load_octomap(data)
     except MapError as error:
         raise MapError(f"{path}: {error}", error.reason) from error
+    return sonar_map
 
 
 def _located(sonar_map: SonarMap, path: Path, config: Config) -> LocalizationMap:
-    mapping = config.mapping
     queries = MapQueries(
         sonar_map.core,
-        occupied_threshold=mapping.occupied_threshold,
-        free_threshold=mapping.free_threshold,
+        occupied_threshold=sonar_map.config.occupied_threshold,
+        free_threshold=sonar_map.config.free_threshold,
     )
     free_m, occupied_m = (sonar_map.voxels(kind).centres_m for kind in ("free", "occupied"))
     if len(occupied_m) == 0:

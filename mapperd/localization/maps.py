@@ -246,18 +246,18 @@ def keep_boundaries(sonar_map: SonarMap) -> int:
     Returns:
         Number of voxels that stay occupied.
     """
-    mapping = sonar_map.config.mapping
+    config = sonar_map.config
     queries = MapQueries(
         sonar_map.core,
-        occupied_threshold=mapping.occupied_threshold,
-        free_threshold=mapping.free_threshold,
+        occupied_threshold=config.occupied_threshold,
+        free_threshold=config.free_threshold,
     )
     occupied_m = sonar_map.voxels("occupied").centres_m
     beside = np.zeros(len(occupied_m), dtype=np.bool_)
     for side in SIDES:
         beside |= queries.classify(occupied_m + sonar_map.resolution_m * side) == VOXEL_FREE
     behind_m = occupied_m[~beside]
-    limits = mapping.free_threshold, mapping.occupied_threshold
+    limits = config.free_threshold, config.occupied_threshold
     between = float(np.mean([log_odds_of(limit, "threshold") for limit in limits]))
     sonar_map.core.set_log_odds(behind_m, np.full(len(behind_m), between))
     return int(beside.sum())

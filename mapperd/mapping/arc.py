@@ -1,48 +1,37 @@
 """The arc rule: maps in which the level of an echo tells where on its arc it comes from.
 
-Experimental: for programs and studies; the daemon maps by IWLO. The core integrates levels relative
-to that of a surface on the beam's axis (`cpp/map/include/mapperd/map/arc_integrator.hpp` has the
-definition). `SurfaceLevel` estimates that level from the first returns of the pings so far, so
-that a replay gives the same estimates.
+The core integrates levels relative to that of a surface on the beam's axis
+(`cpp/map/include/mapperd/map/arc_integrator.hpp` has the definition). `SurfaceLevel` estimates that
+level from the first returns of the session's pings so far, so that a replay gives the same
+estimates.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mapperd import _core
+from mapperd.config.tree import Config
+from mapperd.geometry.motion import PingMotion
 from mapperd.imaging.ping_image import PingImage
+from mapperd.mapping.core_args import arc_params, core_motion, rule_params
 
-__all__ = ["ArcConfig", "ArcMap", "SurfaceLevel"]
+__all__ = ["ArcIntegrator", "SurfaceLevel", "SurfaceLevelState"]
 
 Floats = NDArray[np.float64]
 
 STEPS = 256
 
 
-@dataclass(frozen=True, slots=True)
-class ArcConfig:
-    """Settings of an `ArcMap`; levels are those of 8-bit images.
+class SurfaceLevelState(NamedTuple):
+    """State of a `SurfaceLevel`.
 
     Attributes:
-        prior: log-odds of an unobserved voxel.
-        occupied: evidence (log-odds less the prior) above which a voxel is occupied.
-        lowest, highest: log-odds at which voxels stop.
-        protected: part of a downward step that a voxel surely occupied takes.
-        carve_no_return: beams without a first return are free to their end.
-        level: of a surface on the axis; None estimates it.
-        params: those of `_core.ArcParams` that differ from its defaults.
+        counts: (256,) int64, first returns by level.
     """
 
-    prior: float = -2.944
-    occupied: float = 1.35
-    lowest: float = -6.0
-    highest: float = 6.0
-    protected: float = 0.3
-    carve_no_return: bool = False
-    level: float | None = None
-    params: tuple[tuple[str, float], ...] = ()
+    counts: NDArray[np.int64]
 
 
 class SurfaceLevel:
@@ -69,9 +58,14 @@ class SurfaceLevel:
         self._counts = np.zeros(STEPS, dtype=np.int64)
 
     @property
+    def returns(self) -> int:
+        """Number of first returns that the estimate rests on."""
+        return int(self._counts.sum())
+
+    @property
     def level(self) -> float:
         """The estimate; a default before the first return."""
-        total = int(self._counts.sum())
+        total = self.returns
         if total == 0:
             return self.DEFAULT
         middle = int(np.searchsorted(np.cumsum(self._counts), self.QUANTILE * total))
@@ -83,6 +77,8 @@ class SurfaceLevel:
         rows, beams = image.intensity.shape[0] // depth, image.intensity.shape[1] // 4
         pooled = image.intensity[: rows * depth, : beams * 4].reshape(rows, depth, beams, 4)
         levels = pooled.max(axis=(1, 3))[round(self.NEAREST_M / self._edge_m) :]
+        if levels.size == 0:
+            return
         heard = levels >= max(self.NOISE_FACTOR * noise, self.MIN_RETURN)
         first = heard.argmax(axis=0)
         beam = np.flatnonzero(heard.any(axis=0))
@@ -91,55 +87,81 @@ class SurfaceLevel:
         loudest = levels[row, beam].max(axis=0, initial=0.0)
         np.add.at(self._counts, loudest[loudest <= self.LOUDEST].astype(np.int64), 1)
 
+    def state(self) -> SurfaceLevelState:
+        """Return everything that `restore` needs to continue exactly."""
+        return SurfaceLevelState(self._counts.copy())
 
-@dataclass(frozen=True, slots=True)
-class _Occupied:
-    """Centres (N, 3) of the occupied voxels."""
+    def restore(self, state: SurfaceLevelState) -> None:
+        """Continue as the one of which `state` was taken, of voxels of the same edge.
 
-    centres_m: Floats
+        Raises:
+            ValueError: it is of no estimate.
+        """
+        if state.counts.shape != (STEPS,) or state.counts.dtype != np.int64:
+            raise ValueError("a histogram of another shape or type")
+        self._counts = state.counts.copy()
 
 
-class ArcMap:
-    """A map that the arc rule makes, with the reading side of `SonarMap`.
+class ArcIntegrator:
+    """Integrates pings into a map by the arc rule.
 
     Args:
-        edge_m: of a voxel.
-        config: the rule's settings.
+        config: the settings.
+
+    Raises:
+        ConfigError: the core refuses them.
+
+    Attributes:
+        surface: estimate of the session.
     """
 
-    def __init__(self, edge_m: float, config: ArcConfig) -> None:
-        self.config = config
-        params = _core.ArcParams(**dict(config.params))
-        rule = _core.IwloParams(
-            L_free=-params.free_step,
-            L_min=config.lowest - config.prior,
-            L_max=config.highest - config.prior,
-            decay_rate=1e-5,
-            min_alpha=0.999,
-            adaptive_max_ratio=config.protected,
-            adaptive_min_ratio=0.0,
-            prior=config.prior,
-        )
-        self.core = _core.VoxelMap(edge_m, rule)
-        self.surface = SurfaceLevel(edge_m)
-        self._model = _core.ArcModel(params, rule)
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._model = _core.ArcModel(arc_params(config), rule_params(config))
+        self.surface = SurfaceLevel(config.octree.voxel_resolution)
 
-    def integrate(self, image: PingImage, map_T_sonar: Floats) -> _core.PingStats:  # noqa: N803 frames are named
-        """Add a ping of 8-bit levels at a pose (4, 4)."""
-        noise = max(1.0, float(np.quantile(image.intensity[::4, ::4], 0.25)))
-        self.surface.add(image, noise)
-        level = np.float32(self.surface.level if self.config.level is None else self.config.level)
-        return self.core.integrate_arc(
+    def reconfigure(self, config: Config) -> None:
+        """Use other settings; the estimate stays."""
+        if config.arc != self._config.arc:
+            self._model = _core.ArcModel(arc_params(config), rule_params(config))
+        self._config = config
+
+    @property
+    def level(self) -> float:
+        """Level of a surface on the axis that the next ping takes."""
+        return self._config.arc.level or self.surface.level
+
+    def add_returns(self, image: PingImage) -> None:
+        """Add the first returns of a ping to the estimate."""
+        self.surface.add(image, _noise_of(image))
+
+    def integrate(
+        self,
+        core: _core.VoxelMap,
+        image: PingImage,
+        map_T_sonar: Floats,  # noqa: N803 frames are named
+        motion: PingMotion | None,
+    ) -> _core.PingStats:
+        """Integrate a ping whose returns were added.
+
+        Raises:
+            ValueError, IndexError: the core refuses it; the map is unchanged.
+        """
+        settings, level = self._config.mapping, np.float32(self.level)
+        return core.integrate_arc(
             self._model,
             image.intensity / level,
-            np.full(len(image.intensity), noise / level, dtype=np.float32),
+            np.full(len(image.intensity), _noise_of(image) / level, dtype=np.float32),
             image.bearings_rad,
             image.range_resolution_m,
             map_T_sonar,
-            carve_no_return=self.config.carve_no_return,
+            min_range_m=self._config.filtering.min_range,
+            carve_no_return=settings.carve_no_return,
+            threads=settings.threads,
+            motion=core_motion(motion if settings.within_ping_motion else None),
         )
 
-    def occupied(self) -> _Occupied:
-        """Voxels above the threshold of the settings."""
-        threshold = self.config.prior + self.config.occupied
-        return _Occupied(self.core.voxels(min_log_odds=threshold)[0])
+
+def _noise_of(image: PingImage) -> float:
+    """Return the median level of the noise."""
+    return max(1.0, float(np.quantile(image.intensity[::4, ::4], 0.25)))

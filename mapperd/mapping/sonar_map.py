@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,18 @@ from mapperd.geometry.frames import pose_from_rpy
 from mapperd.geometry.motion import PingMotion
 from mapperd.imaging.ping_image import PingImage
 from mapperd.io import atomic_file
-from mapperd.mapping.core_args import check_size, fan_arguments, load_map, refusals, save_map
+from mapperd.mapping.arc import ArcIntegrator, SurfaceLevel
+from mapperd.mapping.core_args import (
+    check_size,
+    fan_arguments,
+    fixed_settings,
+    load_map,
+    prior_log_odds,
+    refusals,
+    rule_params,
+    save_map,
+)
+from mapperd.mapping.file_headers import octomap_with_rule, settings_of_octomap
 
 __all__ = [
     "BLOCK_VOXELS",
@@ -29,7 +40,6 @@ __all__ = [
     "SonarMap",
     "Voxels",
     "fingerprint",
-    "iwlo_params",
     "mounting",
 ]
 
@@ -50,6 +60,8 @@ BLOCKS_AT_ONCE = 1024
 BLOCKS_OF_A_BATCH = 64
 """Blocks whose voxels are listed at once: at 12 bytes a voxel of a block and 100 of a listed one,
 30 MB at most."""
+
+OCTOMAP_HEADER_BYTES = 4096
 
 OCTOMAP_REACH_VOXELS = 32768
 """Range of OctoMap's 16-bit keys in voxels, to each side of the origin."""
@@ -110,23 +122,47 @@ class SonarMap:
 
     def __init__(self, config: Config) -> None:
         self.config = config
-        self._map = _core.VoxelMap(config.octree.voxel_resolution, iwlo_params(config))
+        self._map = _core.VoxelMap(config.octree.voxel_resolution, rule_params(config))
+        self._arc = ArcIntegrator(config) if config.mapping.rule == "arc" else None
         self._base_T_sonar = mounting(config)
 
     def reconfigure(self, config: Config) -> None:
         """Use other settings for the next pings; no other thread may integrate meanwhile.
 
         Raises:
-            ConfigError: they change the grid or the rule (except the intensity threshold). The old
-                settings stay.
+            ConfigError: they change the grid, the rule or its constants. The old settings stay.
         """
-        for section in ("octree", "iwlo", "adaptive"):
-            if getattr(config, section) != getattr(self.config, section):
-                path = f"$.{section}"
+        if config.mapping.rule != self.config.mapping.rule:
+            path = "$.mapping.rule"
+            raise ConfigError(f"{path}: cannot change in a map that is there", path)
+        before, after = fixed_settings(self.config), fixed_settings(config)
+        for name in before:
+            if before[name] != after[name]:
+                path = f"$.{name.partition('.')[0]}"
                 raise ConfigError(f"{path}: cannot change in a map that is there", path)
+        if self._arc is not None:
+            self._arc.reconfigure(config)
         self._map.set_intensity_threshold(config.filtering.intensity_threshold)
         self._base_T_sonar = mounting(config)
         self.config = config
+
+    def start_session(self) -> None:
+        """Forget what was learnt of an earlier session's sonar; the voxels stay."""
+        if self._arc is not None:
+            self._arc = ArcIntegrator(self.config)
+
+    @property
+    def surface(self) -> SurfaceLevel | None:
+        """Level of surfaces in this session, which the arc rule estimates; None by IWLO."""
+        return None if self._arc is None else self._arc.surface
+
+    def rule_facts(self) -> dict[str, Any]:
+        """Return the rule for people, and the level of surfaces that the arc rule takes."""
+        if self._arc is None:
+            return {"rule": "iwlo"}
+        is_set = self.config.arc.level > 0
+        returns = None if is_set else self._arc.surface.returns
+        return {"rule": "arc", "level": self._arc.level, "returns": returns}
 
     @property
     def core(self) -> _core.VoxelMap:
@@ -159,7 +195,7 @@ class SonarMap:
         map_T_sonar: Floats,  # noqa: N803 frames are named
         motion: PingMotion | None = None,
     ) -> PingStats:
-        """Integrate one ping with the integrator of the settings.
+        """Integrate one ping with the rule and the integrator of the settings.
 
         Args:
             echo: the ping's intensities and geometry.
@@ -172,8 +208,12 @@ class SonarMap:
                 map's range, or the motion is impossible (faster than a fiftieth of the speed of
                 sound, or more than a radian in one ping). The map is unchanged.
         """
+        self.skip(echo)
         check_size(echo, self.config)
         settings = self.config.mapping
+        if self._arc is not None:
+            with refusals():
+                return self._arc.integrate(self._map, echo, map_T_sonar, motion)
         ping = (echo.intensity, echo.bearings_rad, echo.range_resolution_m, map_T_sonar)
         with refusals():
             if settings.integrator == "rays":
@@ -190,6 +230,15 @@ class SonarMap:
                 detail=settings.detail,
                 threads=settings.threads,
             )
+
+    def skip(self, echo: PingImage) -> None:
+        """Learn what a ping tells of the session's sonar; `integrate` does it for its own pings.
+
+        Args:
+            echo: a ping that is in the map already, or refused by it.
+        """
+        if self._arc is not None:
+            self._arc.add_returns(echo)
 
     def blocks_of(
         self,
@@ -214,13 +263,14 @@ class SonarMap:
                 echo.range_resolution_m,
                 map_T_sonar,
                 **fan_arguments(self.config, motion),
-                carve_no_return=settings.integrator != "rays" and settings.carve_no_return,
+                carve_no_return=self._arc is not None
+                or (settings.integrator != "rays" and settings.carve_no_return),
             )
 
     def voxels(self, kind: Literal["occupied", "free"]) -> Voxels:
         """Return the observed voxels of one class.
 
-        Occupied: above `mapping.occupied_threshold`. Free: below `mapping.free_threshold`.
+        Occupied: above `Config.occupied_threshold`. Free: below `Config.free_threshold`.
         """
         limits = (
             {"min_log_odds": self._occupied_log_odds}
@@ -238,9 +288,10 @@ class SonarMap:
             if kind == "occupied"
             else (-math.inf, self._free_log_odds)
         )
+        prior = prior_log_odds(self.config)
         for begin in range(0, self._map.block_count, BLOCKS_OF_A_BATCH):
             keys, units, count = self._map.blocks(begin, BLOCKS_OF_A_BATCH)
-            log_odds = units * _core.LOG_ODDS_UNIT
+            log_odds = units * _core.LOG_ODDS_UNIT + prior
             block, voxel = np.nonzero((count > 0) & (log_odds > low) & (log_odds < high))
             places = np.stack(np.unravel_index(voxel, 3 * (BLOCK_VOXELS,))[::-1], axis=1)
             places += keys[block].astype(np.int64) * BLOCK_VOXELS
@@ -260,9 +311,9 @@ class SonarMap:
         """Return the fingerprint of the content; equal maps have equal ones on every machine.
 
         The hash runs over a header (name, version, resolution) and, for every block with an
-        observed voxel in order of its key: key as int32, log-odds in units of 2**-24 as int32,
-        counts as uint16, all little endian; unobserved voxels are zeros. No other thread may change
-        the map meanwhile.
+        observed voxel in order of its key: key as int32, log-odds less the prior in units of 2**-24
+        as int32, counts as uint16, all little endian; unobserved voxels are zeros. No other thread
+        may change the map meanwhile.
 
         Raises:
             MapError: the map is in tiles (`in_tiles`); this also holds for the files below.
@@ -273,7 +324,7 @@ class SonarMap:
     def parts(self) -> Iterator[_core.VoxelMap]:
         """Yield a copy of the map, for slow readers."""
         self.check_whole()
-        yield self._map.with_rule(iwlo_params(self.config))
+        yield self._map.with_rule(rule_params(self.config))
 
     @property
     def bricks_lost(self) -> int:
@@ -299,7 +350,7 @@ class SonarMap:
 
         Raises:
             MapError: the file cannot be read, is damaged, or was saved with another resolution,
-                other clamps or another learning rate. The map is unchanged.
+                rule or prior, other clamps or another learning rate. The map is unchanged.
         """
         self.check_whole()
         load_map(self._map, Path(path))
@@ -323,9 +374,10 @@ class SonarMap:
         """
         self.check_whole()
         try:
-            return self._map.octomap_bt(self._occupied_log_odds, self._free_log_odds)
+            data = self._map.octomap_bt(self._occupied_log_odds, self._free_log_odds)
         except (ValueError, IndexError, OverflowError) as error:
             raise MapError(str(error), "out_of_reach") from error
+        return octomap_with_rule(data, self.config)
 
     def octomap_ot(self) -> bytes:
         """Return the map as a full OctoMap tree: log-odds of all observed voxels, without counts.
@@ -335,9 +387,10 @@ class SonarMap:
         """
         self.check_whole()
         try:
-            return self._map.octomap_ot()
+            data = self._map.octomap_ot()
         except IndexError as error:
             raise MapError(str(error), "out_of_reach") from error
+        return octomap_with_rule(data, self.config)
 
     def load_octomap(self, data: bytes) -> None:
         """Replace the map's content by that of an OctoMap file, `.bt` or `.ot`.
@@ -346,10 +399,16 @@ class SonarMap:
         and occupied 3.5 (probabilities 0.12 and 0.97); more extreme thresholds make them unknown.
 
         Raises:
-            MapError: not a complete tree of this map's resolution, or too large; the text states
-                the cause and the byte. The map is unchanged.
+            MapError: not a complete tree of this map's resolution and rule, or too large; the text
+                states the cause and the byte. The map is unchanged.
         """
         self.check_whole()
+        stated, settings = settings_of_octomap(data[:OCTOMAP_HEADER_BYTES]), self.config
+        if stated["mapping.rule"] != settings.mapping.rule or (
+            stated.get("arc.prior", settings.arc.prior) != settings.arc.prior
+        ):
+            text = "OctoMap file: it is of another mapping.rule or arc.prior than the map"
+            raise MapError(text, "bad_octomap_file")
         try:
             self._map.load_octomap(data)
         except ValueError as error:
@@ -357,11 +416,11 @@ class SonarMap:
 
     @property
     def _occupied_log_odds(self) -> float:
-        return _log_odds(self.config.mapping.occupied_threshold)
+        return _log_odds(self.config.occupied_threshold)
 
     @property
     def _free_log_odds(self) -> float:
-        return _log_odds(self.config.mapping.free_threshold)
+        return _log_odds(self.config.free_threshold)
 
     def check_whole(self) -> None:
         """Refuse if only a part is in memory; `mapperd.store.stored_map` reads the whole.
@@ -392,34 +451,6 @@ def fingerprint(parts: Iterable[_core.VoxelMap], resolution_m: float) -> str:
     for part in parts:
         part.visit_blocks(add, BLOCKS_AT_ONCE)
     return digest.hexdigest()
-
-
-def iwlo_params(config: Config) -> _core.IwloParams:
-    """Return the constants of the update rule for the core.
-
-    Raises:
-        ConfigError: the core refuses them.
-    """
-    iwlo, adaptive = config.iwlo, config.adaptive
-    try:
-        return _core.IwloParams(
-            L_occ=iwlo.L_occ,
-            L_free=iwlo.L_free,
-            L_min=iwlo.L_min,
-            L_max=iwlo.L_max,
-            sharpness=iwlo.sharpness,
-            decay_rate=iwlo.decay_rate,
-            min_alpha=iwlo.min_alpha,
-            intensity_threshold=config.filtering.intensity_threshold,
-            intensity_max=iwlo.intensity_max,
-            adaptive_update=adaptive.update,
-            adaptive_threshold=adaptive.threshold,
-            adaptive_max_ratio=adaptive.max_ratio,
-            adaptive_min_ratio=adaptive.min_ratio,
-            protect_occupied=adaptive.protect_occupied,
-        )
-    except ValueError as error:
-        raise ConfigError(f"$.iwlo: {error}", "$.iwlo") from error
 
 
 def mounting(config: Config) -> Floats:

@@ -71,6 +71,7 @@ def build_pipeline(
     Raises:
         ConfigError: an enabled filter cannot run.
     """
+    sonar_map.start_session()
     counters = counters or PipelineCounters()
     repeat = remarks is not None
     decoder = SessionDecoder(

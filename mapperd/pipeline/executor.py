@@ -50,6 +50,7 @@ class PingExecutor:
         "mounting.orientation",
         "octree",
         "mapping",
+        "arc",
         "processing",
         "crosstalk",
         "terrain_detection",
@@ -98,7 +99,7 @@ class PingExecutor:
                 self.request(work)
 
     def skip(self, work: Work) -> None:
-        """Skip work that is already in the map; only localization repeats it."""
+        """Skip work that is in the map already; estimators of the pings' images repeat it."""
         match work:
             case PosedPing(number=number):
                 self.counters.pings_total -= 1  # the previous run counted it

@@ -92,10 +92,15 @@ def process_ping(posed: PosedPing, stages: Stages) -> PingResult:
 
 
 def skip_ping(posed: PosedPing, stages: Stages, config: Config) -> None:
-    """Repeat only localization, for a ping that is already in the map."""
-    if stages.localization is not None and not isinstance(posed.pose, Reject):
-        image, _ = filtered_image(posed.ping, config)
-        stages.correct(image, posed)
+    """Repeat what a ping that is in the map leaves behind besides: localization, level."""
+    if isinstance(posed.pose, Reject) or (
+        stages.localization is None and stages.map.surface is None
+    ):
+        return
+    image, _ = filtered_image(posed.ping, config)
+    pose = stages.correct(image, posed)
+    if not isinstance(pose, Reject) and not isinstance(image, Reject):
+        stages.map.skip(image)
 
 
 def filtered_image(ping: Ping, config: Config) -> tuple[PingImage | Reject, Robots]:

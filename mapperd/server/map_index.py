@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapperd import _core
 from mapperd.config.tree import Config
-from mapperd.mapping.sonar_map import iwlo_params
+from mapperd.mapping.core_args import rule_params
 from mapperd.store.database import open_reader, reading, translated
 from mapperd.store.metadata import lost_in
 from mapperd.store.tiles import COLUMNS, BrickRow, DamagedBrickError, Key, rows_of, unpack
@@ -133,7 +133,7 @@ class StoredBricks:
         self.quarantined: frozenset[Key] = frozenset()
         self._path = path
         self._unpacker = zstandard.ZstdDecompressor()
-        self._scratch = _core.VoxelMap(config.octree.voxel_resolution, iwlo_params(config))
+        self._scratch = _core.VoxelMap(config.octree.voxel_resolution, rule_params(config))
         with ExitStack() as opening:
             self._connection = open_reader(path)
             opening.callback(self._connection.close)

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapperd import _core
 from mapperd.errors import StoreError
+from mapperd.mapping.core_args import prior_log_odds
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.encoder import BlockEncoder
 from mapperd.server.map_index import BlockIndex, ChangedRows, StoredBricks, vector_of
@@ -328,21 +329,24 @@ class MapSource:
             one.restart()
 
     def _facts_now(self) -> MapFacts:
-        mapping = self._map.config.mapping
+        config = self._map.config
         resolution_m = self._map.resolution_m
-        occupied = _log_odds(mapping.occupied_threshold)
-        free = _log_odds(mapping.free_threshold)
+        occupied = _log_odds(config.occupied_threshold)
+        free = _log_odds(config.free_threshold)
         # Other facts are another map for a client that resumes.
-        way = zlib.crc32(repr((resolution_m, self._step, occupied, free)).encode())
+        prior = prior_log_odds(config)
+        values = (resolution_m, self._step, occupied, free, *((prior,) if prior else ()))
+        way = zlib.crc32(repr(values).encode())
         return MapFacts(
             id=f"{self._identity.map}-{way:08x}",
             resolution_m=resolution_m,
             log_odds_step=self._step,
             occupied_log_odds=occupied,
             free_log_odds=free,
-            frame=self._map.config.frames.map,
+            frame=config.frames.map,
             origin_deg=self._origin_deg(),
             bricks_lost=self._bricks_lost(),
+            prior_log_odds=prior,
         )
 
     def _why_not(self, resume: Resume, interest: Interest) -> str:

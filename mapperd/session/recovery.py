@@ -22,6 +22,7 @@ from mapperd.localization.session import (
     restored_session,
     saved_state,
 )
+from mapperd.mapping.arc import SurfaceLevelState
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.build import build_pipeline
 from mapperd.pipeline.counters import PipelineCounters
@@ -39,7 +40,7 @@ from mapperd.session.replay import Window, as_recorded
 from mapperd.session.store_session import SqlitePersistence
 from mapperd.session_log import Remarks, remarks_in, without_skipped
 from mapperd.store.checkpoint import decode_state, encode_state
-from mapperd.store.metadata import kind_of
+from mapperd.store.metadata import differences, kind_of
 from mapperd.store.position import Position, RecordingOffset, position_in
 from mapperd.store.tile_store import TileStore
 
@@ -103,6 +104,20 @@ def restore_decoder(decoder: SessionDecoder, position: Position) -> None:
     decoder.counters.pings_total += decoder.waiting  # what becomes of them is counted from here
 
 
+def restore_surface(sonar_map: SonarMap, position: Position) -> None:
+    """Restore the estimated level of surfaces of a position's checkpoint.
+
+    Raises:
+        CheckpointError: the checkpoint is damaged or of an unknown format.
+    """
+    if sonar_map.surface is None:
+        return
+    try:
+        sonar_map.surface.restore(decode_state(position.surface, SurfaceLevelState))
+    except ValueError as error:
+        raise CheckpointError(f"the checkpoint cannot be read: {error}") from error
+
+
 def _fresh_poses(position: Position, config: Config) -> FixedPose | OdometryPoses:
     return FixedPose(NOWHERE) if position.fixed else OdometryPoses(config)
 
@@ -117,6 +132,7 @@ def _restored(position: Position) -> tuple[Config, LocalizationSession | None]:
     poses = _fresh_poses(position, config)
     trial = SessionDecoder(config, poses, PipelineCounters(), confirm=False, obey=True)
     restore_decoder(trial, position)
+    restore_surface(SonarMap(config), position)
     if not position.localization:
         return config, None
     return config, restored_session(config, position.localization)
@@ -143,6 +159,7 @@ def _at_start(position: Position, files: dict[int, Path], damaged: DamagedData) 
         raise CheckpointError("the start of its recordings is missing")
     run = as_recorded(recorded)
     localization = poses_depend_on(run.localization)
+    surface = SonarMap(run.config).surface
     decoder = SessionDecoder(run.config, run.poses, PipelineCounters(), confirm=False, obey=True)
     at_start = msgspec.structs.replace(
         position,
@@ -151,6 +168,7 @@ def _at_start(position: Position, files: dict[int, Path], damaged: DamagedData) 
         fixed=isinstance(run.poses, FixedPose),
         checkpoint=encode_state(decoder.state()),
         localization=b"" if localization is None else saved_state(localization),
+        surface=b"" if surface is None else encode_state(surface.state()),
     )
     tail, done = Tail(files, RecordingOffset(), damaged), position.done
     for chunk in without_skipped(tail):
@@ -293,6 +311,7 @@ def map_rest(
     pipeline.executor.on_mapped = on_mapped
     if stored.position is not None:
         restore_decoder(pipeline.decoder, stored.position)
+        restore_surface(stored.sonar_map, stored.position)
     persistence.begin(pipeline.decoder, tail, lambda: None, localization)
     persistence.skip(stored.done)
     left, loss = stored.done, ""
@@ -386,10 +405,8 @@ def _problem_of(recorded: RecordedSession, config: Config) -> tuple[bool, str]:
         return False, "its map was kept in memory only"
     if theirs.outofcore.map_path != config.outofcore.map_path:
         return False, f"it belongs to another map file: {theirs.outofcore.map_path or 'default'}"
-    ours = kind_of(config)
-    for name, value in kind_of(theirs).items():
-        if value != ours[name]:
-            return False, f"it belongs to a map of other settings: {name} was {value}"
+    for name, value, _ in differences(kind_of(theirs), kind_of(config)):
+        return False, f"it belongs to a map of other settings: {name} was {value}"
     return True, ""
 
 

@@ -49,6 +49,7 @@ class _Point:
     fixed: bool
     checkpoint: bytes
     localization: bytes = b""
+    surface: bytes = b""
     place: RecordingOffset | None = None
 
 
@@ -149,6 +150,7 @@ class SqlitePersistence:
             self._point.place = self._resumed.place
             self._point.checkpoint = self._resumed.checkpoint
             self._point.localization = self._resumed.localization
+            self._point.surface = self._resumed.surface
         self._checked_s = time.monotonic()
         self._advance()
         if self._resumed is None:
@@ -406,7 +408,9 @@ class SqlitePersistence:
             self._next = None
 
     def _complete(self, point: _Point) -> None:
-        """Add the state of localization, which depends on the work before the checkpoint."""
+        """Add the states that depend on the work before the checkpoint."""
+        if self._map.surface is not None:
+            point.surface = encode_state(self._map.surface.state())
         if self._localization is not None:
             began_s = time.monotonic()
             point.localization = saved_state(self._localization)
@@ -433,6 +437,7 @@ class SqlitePersistence:
             checkpoint=point.checkpoint,
             origin_deg=self._origin_deg(),
             localization=point.localization,
+            surface=point.surface,
             emptied=self._emptied,
             incomplete=self._incomplete,
             unrecorded=self._unrecorded,

@@ -1,8 +1,9 @@
 """Maintains files of maps: verification, rebuilding of lost bricks, renaming of damaged files.
 
-The evidence of a ping does not depend on the map, and bricks are independent. To restore lost
-bricks bit by bit, the same pings are mapped again and only those bricks are kept. `Verification`
-checks a large file while pings are mapped into it.
+By IWLO the evidence of a ping does not depend on the map, and bricks are independent. To restore
+lost bricks bit by bit, the same pings are mapped again and only those bricks are kept. By the arc
+rule it depends on the bricks around, so all are mapped again and replaced. `Verification` checks a
+large file while pings are mapped into it.
 """
 
 import sqlite3
@@ -31,7 +32,7 @@ MapAgain = Callable[[SonarMap], bool]
 def rebuild_lost(store: TileStore, sonar_map: SonarMap, map_again: MapAgain) -> int:
     """Rebuild lost bricks before anything is mapped into the store.
 
-    Memory holds the lost bricks and one ping.
+    Memory holds the lost bricks and one ping, or by the arc rule the whole map.
 
     Args:
         store: just opened.
@@ -49,10 +50,13 @@ def rebuild_lost(store: TileStore, sonar_map: SonarMap, map_again: MapAgain) -> 
     if not lost:
         return 0
     scratch = SonarMap(sonar_map.config)
-    _keep_only(scratch, lost)
+    independent = scratch.surface is None
+    if independent:
+        _keep_only(scratch, lost)
     whole = map_again(scratch)
     _, found = scratch.core.bricks_since(0)
-    store.restore([(key, brick) for key, _, brick in found if key in lost], whole=whole)
+    every = whole and not independent
+    store.restore([(key, brick) for key, _, brick in found if every or key in lost], whole=whole)
     return len(lost)
 
 

@@ -1,8 +1,6 @@
 """Reads maps from files of any kind and settings."""
 
-import re
-import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -13,6 +11,7 @@ from mapperd.config.live import with_values
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, MapError, os_reason
 from mapperd.geometry.geodesy import Origin
+from mapperd.mapping.file_headers import settings_of_map, settings_of_octomap
 from mapperd.mapping.queries import MapContent
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.position import position_in
@@ -24,11 +23,7 @@ __all__ = ["SourcedMap", "holds_map", "map_in"]
 SQLITE = b"SQLite format 3\0"
 OCTOMAP = b"# Octomap OcTree"
 
-HEADER = struct.Struct("<Idii")
-"""Header of a `.map` after its magic: version, voxel edge, clamps in units of log-odds."""
-
-OCTOMAP_HEADER_BYTES = 4096
-OCTOMAP_RESOLUTION = re.compile(rb"^res\s+(\S+)\s*$", re.MULTILINE)
+HEADER_BYTES = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,11 +67,13 @@ def map_in(
     if begin.startswith(SQLITE):
         return _stored(path, config, values, allow_damaged=allow_damaged)
     if begin.startswith(_core.MAP_FILE_MAGIC):
-        sonar_map = SonarMap(_settings(path, config, _kind_of_map(path, begin), values))
+        stated = _stated(path, begin, settings_of_map)
+        sonar_map = SonarMap(_settings(path, config, stated, values))
         sonar_map.load(path)
         return SourcedMap(sonar_map, None)
     if begin.startswith(OCTOMAP):
-        sonar_map = SonarMap(_settings(path, config, _kind_of_octomap(path, begin), values))
+        stated = _stated(path, begin, settings_of_octomap)
+        sonar_map = SonarMap(_settings(path, config, stated, values))
         try:
             sonar_map.load_octomap(path.read_bytes())
         except MapError as error:
@@ -101,7 +98,7 @@ def _beginning(path: Path) -> bytes:
         if not path.is_file():  # a pipe would block
             raise MapError(f"{path}: there is no such file", "unreadable")
         with path.open("rb") as file:
-            return file.read(OCTOMAP_HEADER_BYTES)
+            return file.read(HEADER_BYTES)
     except OSError as error:
         raise MapError(f"{path}: cannot be read: {os_reason(error)}", "unreadable") from error
 
@@ -135,21 +132,10 @@ def _stored(
     return SourcedMap(stored, origin, lost, stored.has_checksum)
 
 
-def _kind_of_map(path: Path, begin: bytes) -> dict[str, Any]:
-    at = len(_core.MAP_FILE_MAGIC)
-    if len(begin) < at + HEADER.size:
-        raise MapError(f"{path}: map file: it ends too early", "bad_map_file")
-    _, resolution_m, low, high = HEADER.unpack_from(begin, at)
-    return {
-        "octree.voxel_resolution": resolution_m,
-        "iwlo.L_min": low * _core.LOG_ODDS_UNIT,
-        "iwlo.L_max": high * _core.LOG_ODDS_UNIT,
-    }
-
-
-def _kind_of_octomap(path: Path, begin: bytes) -> dict[str, Any]:
-    found = OCTOMAP_RESOLUTION.search(begin.partition(b"\ndata\n")[0])
+def _stated(
+    path: Path, begin: bytes, settings_of: Callable[[bytes], dict[str, Any]]
+) -> dict[str, Any]:
     try:
-        return {"octree.voxel_resolution": float(found[1])} if found else {}
-    except ValueError:
-        raise MapError(f"{path}: its resolution is not a number", "bad_octomap_file") from None
+        return settings_of(begin)
+    except MapError as error:
+        raise MapError(f"{path}: {error}", error.reason) from error

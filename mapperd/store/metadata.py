@@ -5,7 +5,7 @@ save, and the next session uses those revisions again. A session's revisions are
 only up to the revision that the file had when the next session started.
 
 The stored settings are those that the voxels depend on. They cannot change while the program runs,
-so that all voxels of a file follow one rule.
+so that all voxels of a file follow one rule. A file without `mapping.rule` is of IWLO.
 
 The row of the table `progress` holds a CRC-32 of the settings, the revision, the position and the
 keys of the lost bricks. Files of version 1 have none.
@@ -15,15 +15,17 @@ import json
 import secrets
 import sqlite3
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from mapperd.config.catalog import parameters
 from mapperd.config.tree import Config
 from mapperd.errors import StoreError
+from mapperd.mapping.core_args import fixed_settings
 
 __all__ = [
     "NAME",
@@ -32,6 +34,7 @@ __all__ = [
     "check_facts",
     "check_kind",
     "checksum_of",
+    "differences",
     "fresh",
     "kind_in",
     "kind_of",
@@ -117,16 +120,27 @@ def _random() -> str:
     return secrets.token_hex(8)
 
 
-SECTIONS = ("iwlo", "adaptive")
+RULE, IWLO = "mapping.rule", json.dumps("iwlo")
 
 
 def kind_of(config: Config) -> dict[str, str]:
     """Return the settings by full name, as JSON."""
-    facts = {"octree.voxel_resolution": json.dumps(config.octree.voxel_resolution)}
-    for section in SECTIONS:
-        for name, value in msgspec.to_builtins(getattr(config, section)).items():
-            facts[f"{section}.{name}"] = json.dumps(value)
-    return facts
+    return {name: json.dumps(value) for name, value in fixed_settings(config).items()}
+
+
+def differences(theirs: Mapping[str, str], ours: Mapping[str, str]) -> list[tuple[str, str, str]]:
+    """Return name and both values of settings that differ, of those that `theirs` has.
+
+    Of maps of different rules the rule alone differs.
+    """
+    rules = theirs.get(RULE, IWLO), ours.get(RULE, IWLO)
+    if rules[0] != rules[1]:
+        return [(RULE, *rules)]
+    return [
+        (name, value, ours.get(name, "unknown"))
+        for name, value in sorted(theirs.items())
+        if ours.get(name) != value
+    ]
 
 
 def write_kind(connection: sqlite3.Connection, config: Config) -> None:
@@ -140,10 +154,11 @@ def kind_in(connection: sqlite3.Connection, path: Path) -> dict[str, Any]:
     Raises:
         StoreError: one of them is damaged.
     """
-    known = kind_of(Config()).keys()
     rows = connection.execute("SELECT name, value FROM fact")
+    known = parameters()
     try:
-        return {name: json.loads(value) for name, value in rows if name in known}
+        found = {name: json.loads(value) for name, value in rows if name in known}
+        return {RULE: "iwlo"} | found
     except (TypeError, ValueError) as error:
         raise StoreError(f"{path}: is damaged: a setting in it: {error}", "damaged") from error
 
@@ -154,13 +169,10 @@ def check_kind(connection: sqlite3.Connection, path: Path, config: Config) -> No
     Raises:
         StoreError: some differ; the text names all of them.
     """
-    ours = kind_of(config)
+    stored = dict(connection.execute("SELECT name, value FROM fact WHERE name != ?", (NAME,)))
     differ = [
-        f"{name} is {value} in it, {ours.get(name, 'unknown')} in the settings"
-        for name, value in connection.execute(
-            "SELECT name, value FROM fact WHERE name != ? ORDER BY name", (NAME,)
-        )
-        if ours.get(name) != value
+        f"{name} is {value} in it, {ours} in the settings"
+        for name, value, ours in differences(stored, kind_of(config))
     ]
     if differ:
         raise StoreError(

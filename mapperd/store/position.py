@@ -64,6 +64,7 @@ class Position(Struct, frozen=True):
         checkpoint: state of the estimators.
         localization: state of localization at the checkpoint; empty if the map does not depend on
             it.
+        surface: state of the estimated level of surfaces at the checkpoint; empty by IWLO.
         origin_deg: latitude and longitude of the map's origin; None if unknown.
     """
 
@@ -77,6 +78,7 @@ class Position(Struct, frozen=True):
     checkpoint: bytes = b""
     origin_deg: tuple[float, float] | None = None
     localization: bytes = b""
+    surface: bytes = b""
     emptied: tuple[str, ...] = ()
     incomplete: dict[str, str] = {}
     unrecorded: tuple[str, ...] = ()

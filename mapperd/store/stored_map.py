@@ -22,6 +22,7 @@ from mapperd import _core
 from mapperd.config.tree import Config
 from mapperd.errors import ExportError, StoreError, os_reason
 from mapperd.io import atomic_file
+from mapperd.mapping.file_headers import map_header_bytes
 from mapperd.mapping.sonar_map import MapCounts, SonarMap, Voxels, fingerprint
 from mapperd.store.database import check_version, open_reader, reading, translated
 from mapperd.store.metadata import check_facts, check_kind, lost_in, progress_in
@@ -336,14 +337,14 @@ class _StoredVoxels:
 _BLOCKS = struct.Struct("<Q")
 """Number of blocks, at the end of the header of a `.map`."""
 
-_MAP_HEADER_BYTES = len(_core.MAP_FILE_MAGIC) + struct.calcsize("<IdiiH") + _BLOCKS.size
 _CRC_BYTES = 4
 
 
 def _map_file_parts(part: SonarMap) -> tuple[bytes, bytes]:
     """Return header and blocks of the `.map` file of a part."""
     data = part.core.encode_map()
-    return data[:_MAP_HEADER_BYTES], data[_MAP_HEADER_BYTES:-_CRC_BYTES]
+    begin = map_header_bytes(data)
+    return data[:begin], data[begin:-_CRC_BYTES]
 
 
 def _octomap_of(part: SonarMap, *, binary: bool) -> bytes:

@@ -365,7 +365,7 @@ class TileStore:
         """Write rebuilt bricks into the file; no tile may be in memory yet.
 
         Args:
-            bricks: those of `lost` that are not empty.
+            bricks: those of `lost` that are not empty; others replace those of the file.
             whole: they are complete up to `position`; otherwise they still count as lost.
 
         Raises:

@@ -227,6 +227,7 @@ class MapFacts(Struct, frozen=True):
         frame: name of the frame of all coordinates.
         origin_deg: latitude and longitude of its zero, x east and y north; None if unknown.
         bricks_lost: damaged bricks of the map file, whose space is unknown.
+        prior_log_odds: of an unobserved voxel by the arc rule; 0 by IWLO.
     """
 
     id: str
@@ -237,6 +238,7 @@ class MapFacts(Struct, frozen=True):
     frame: str = "map"
     origin_deg: tuple[float, float] | None = None
     bricks_lost: Count = 0
+    prior_log_odds: Annotated[float, Meta(ge=-7, le=0)] = 0.0
 
 
 class WelcomeMessage(WireMessage, frozen=True, kw_only=True):

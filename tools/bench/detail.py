@@ -80,8 +80,7 @@ def compare(pings_file: Path, resolution_m: float, budget_s: float) -> DetailDif
     """Compare the two on full images; begins no ping after the budget."""
     pings = load(pings_file)
     configs = [config_of("grid", resolution_m, detail=detail) for detail in (1.0, CONVERGED)]
-    mapping = configs[0].mapping
-    limits = np.array([mapping.free_threshold, mapping.occupied_threshold])
+    limits = np.array([configs[0].free_threshold, configs[0].occupied_threshold])
     difference = ClassDifference(*np.log(limits / (1.0 - limits)).tolist())
     began_s = time.perf_counter()
     for i in range(0, len(pings), EVERY):

@@ -154,9 +154,9 @@ def _compared(
     part = stored.box(low, high)
     if part is None:
         return
-    mapping = stored.config.mapping
-    limit = log_odds_of(mapping.occupied_threshold, "occupied_threshold")
-    free = log_odds_of(mapping.free_threshold, "free_threshold")
+    config = stored.config
+    limit = log_odds_of(config.occupied_threshold, "occupied_threshold")
+    free = log_odds_of(config.free_threshold, "free_threshold")
     for a, index in others.items():
         squares = comparison.squares(part, index, limit)
         centres_m = np.asarray((index + 0.5) * stored.resolution_m, dtype=np.float64)

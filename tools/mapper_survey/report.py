@@ -519,13 +519,13 @@ class _Comparing:
             if not len(self._coverage.by_dives):
                 raise SurveyError("no dive has an occupied voxel: there is nothing to report")
         self._compare(progress)
-        mapping = self._merged.config.mapping
+        config = self._merged.config
         report = report_of(
             self._comparison,
             self._coverage,
             self._ways,
             tolerance_m=self._tolerance_m,
-            thresholds=(mapping.occupied_threshold, mapping.free_threshold),
+            thresholds=(config.occupied_threshold, config.free_threshold),
         )
         with atomic_file(out_dir / REPORT) as file:
             plain = msgspec.to_builtins(report)

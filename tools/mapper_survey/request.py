@@ -215,6 +215,11 @@ def _settings_of(survey: Survey, folder: Path, path: Path) -> Config:
         config = with_values(load_files(files).config, _values_of(survey, path))
     except ConfigError as error:
         raise SurveySettingsError(f"{path}: {str(error).removeprefix(': ')}") from error
+    if config.mapping.rule != "iwlo":
+        raise SurveySettingsError(
+            f"{path}: mapping.rule {config.mapping.rule} cannot map the tiles of a survey one by "
+            "one, because its arcs cross them; allowed: iwlo"
+        )
     if survey.origin is None:
         return config
     zero = {"latitude": survey.origin.latitude, "longitude": survey.origin.longitude}

@@ -144,7 +144,7 @@ def _add_probability(command: argparse.ArgumentParser) -> None:
         "--min-probability",
         metavar="P",
         type=_probability,
-        help="minimum probability of occupied voxels; default: mapping.occupied_threshold",
+        help="minimum probability of occupied voxels; default: the rule's occupied_threshold",
     )
 
 

@@ -28,7 +28,7 @@ from mapperd.client import (
     StreamError,
     Want,
 )
-from mapperd.config.live import with_values
+from mapperd.config.live import occupied_above, with_values
 from mapperd.config.tree import Config
 from mapperd.errors import ExportError, MapError, os_reason
 from mapperd.export.calibration import ProbabilityCalibration, load_calibration
@@ -142,8 +142,7 @@ def _lost(client: MapClient) -> int:
 def _choose(sonar_map: SonarMap, min_probability: float | None) -> None:
     """Change the probability threshold of occupied voxels."""
     if min_probability is not None:
-        free = min(sonar_map.config.mapping.free_threshold, min_probability)
-        values = {"mapping.occupied_threshold": min_probability, "mapping.free_threshold": free}
+        values = occupied_above(sonar_map.config, min_probability)
         sonar_map.reconfigure(with_values(sonar_map.config, values))
 
 

@@ -19,6 +19,7 @@ from mapperd.cli.mapperctl.map_output import (
     origin_among,
     without_checksum,
 )
+from mapperd.config.live import occupied_above
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, ExportError, MapperdError
 from mapperd.export.calibration import ProbabilityCalibration, load_calibration
@@ -252,10 +253,7 @@ def _side(way: OneWayDifference, path: Path, edge_m: float) -> dict[str, Any]:
 def _values(args: argparse.Namespace, config: Config) -> dict[str, Any]:
     """Settings from the arguments."""
     min_probability = args.min_probability
-    if min_probability is None:
-        return {}
-    free = min(config.mapping.free_threshold, min_probability)
-    return {"mapping.occupied_threshold": min_probability, "mapping.free_threshold": free}
+    return {} if min_probability is None else occupied_above(config, min_probability)
 
 
 def _origin(args: argparse.Namespace) -> Origin | None:

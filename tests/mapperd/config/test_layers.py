@@ -194,3 +194,17 @@ def test_the_origin_of_a_relative_file_holds_in_every_folder(
     Path("dive.yaml").write_text("filtering: {min_range: 1}\n")
     layered = load_settings([Path("dive.yaml")], {}, tmp_path / "none")
     assert layered.origin_of("filtering.min_range") == str(tmp_path / "dive.yaml")
+
+
+@pytest.mark.parametrize(
+    ("rule", "unused"),
+    [("iwlo", ["arc.prior"]), ("arc", ["mapping.free_threshold", "mapping.detail", "iwlo.L_occ"])],
+)
+def test_settings_of_the_other_rule_are_named(tmp_path: Path, rule: str, unused: list[str]) -> None:
+    path = tmp_path / "rule.yaml"
+    path.write_text(
+        f"mapping: {{rule: {rule}, free_threshold: 0.4, detail: 2, threads: 2}}\n"
+        "arc: {prior: 0.1}\niwlo: {L_occ: 2}\nfiltering: {min_range: 1}\n"
+    )
+    notice = load_files([path]).notice
+    assert notice.endswith(f"by mapping.rule {rule}: {', '.join(unused)}")

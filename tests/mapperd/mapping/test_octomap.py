@@ -10,7 +10,8 @@ from mapperd import _core
 from mapperd.config.tree import Config, IwloConfig, MountingConfig, OctreeConfig, OrientationConfig
 from mapperd.errors import MapError
 from mapperd.imaging.ping_image import ping_image_of
-from mapperd.mapping.sonar_map import SonarMap, iwlo_params
+from mapperd.mapping.core_args import rule_params
+from mapperd.mapping.sonar_map import SonarMap
 from oculus_driver.ping import Ping
 
 COARSE = Config(
@@ -105,7 +106,7 @@ def test_a_bad_file_is_refused_and_changes_nothing(
 
 
 def test_limit_of_memory_can_be_set(sonar_map: SonarMap) -> None:
-    core = _core.VoxelMap(0.2, iwlo_params(COARSE))
+    core = _core.VoxelMap(0.2, rule_params(COARSE))
     with pytest.raises(ValueError, match="max_voxels"):
         core.load_octomap(sonar_map.octomap_bt(), max_voxels=1000)
     core.load_octomap(sonar_map.octomap_bt(), max_voxels=1_000_000)

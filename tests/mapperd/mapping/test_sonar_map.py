@@ -16,7 +16,8 @@ from mapperd.config.tree import (
 )
 from mapperd.errors import MapError
 from mapperd.imaging.ping_image import PingImage, ping_image_of
-from mapperd.mapping.sonar_map import SonarMap, iwlo_params
+from mapperd.mapping.core_args import rule_params
+from mapperd.mapping.sonar_map import SonarMap
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]
@@ -173,5 +174,5 @@ def test_every_allowed_extreme_of_the_rule_is_taken_by_the_core() -> None:
         IwloConfig(decay_rate=1000.0, min_alpha=1e-6),
         IwloConfig(intensity_max=1e-9),
     ):
-        assert iwlo_params(msgspec.structs.replace(Config(), iwlo=iwlo))
+        assert rule_params(msgspec.structs.replace(Config(), iwlo=iwlo))
     assert MappingConfig(free_threshold=0.7)

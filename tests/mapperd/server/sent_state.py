@@ -30,7 +30,7 @@ def expected(core: _core.VoxelMap, facts: MapFacts, interest: Interest) -> SentS
     local = np.stack(np.unravel_index(np.arange(edge**3), (edge,) * 3, order="F"), axis=-1)
     row, voxel = np.nonzero(counts)
     cell = (blocks[row].astype(np.int64) * edge + local[voxel]) >> interest.level
-    log_odds = units[row, voxel] * _core.LOG_ODDS_UNIT
+    log_odds = units[row, voxel] * _core.LOG_ODDS_UNIT + facts.prior_log_odds
     values = _values(np.asarray(log_odds, np.float64), facts, interest)
     keys, block_of = np.unique(cell // BLOCK_EDGE, axis=0, return_inverse=True)
     at = block_of.ravel(), (cell % BLOCK_EDGE) @ (1, BLOCK_EDGE, BLOCK_EDGE**2)

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from mapperd.config.live import with_values
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.wire.messages import Interest
 from tests.mapperd.server.sent_state import SECOND_NS, Client, assert_same, scatter, source_of
@@ -14,9 +15,10 @@ from tests.mapperd.store.dive import CONFIG, integrate, mapped
 DETAILS: tuple[Literal["classes", "log_odds", "counts"], ...] = ("classes", "log_odds", "counts")
 
 
+@pytest.mark.parametrize("rule", ["iwlo", "arc"])
 @pytest.mark.parametrize("level", range(4))
-def test_every_level_and_detail_ends_with_the_map(level: int) -> None:
-    sonar_map = SonarMap(CONFIG)
+def test_every_level_and_detail_ends_with_the_map(level: int, rule: str) -> None:
+    sonar_map = SonarMap(with_values(CONFIG, {"mapping.rule": rule}))
     source = source_of(sonar_map)
     clients = [Client(source, Interest(level=level, detail=detail)) for detail in DETAILS]
     for ping in range(3):
@@ -28,6 +30,17 @@ def test_every_level_and_detail_ends_with_the_map(level: int) -> None:
         assert_same(client, sonar_map)
         assert client.mirror.complete == source.revision == sonar_map.core.revision
         assert client.view.left == 0
+
+
+@pytest.mark.parametrize("rule", ["iwlo", "arc"])
+def test_facts_are_those_of_the_rule(rule: str) -> None:
+    config = with_values(CONFIG, {"mapping.rule": rule})
+    facts = source_of(SonarMap(config)).facts()
+    limits = np.array([config.free_threshold, config.occupied_threshold])
+    free, occupied = np.log(limits / (1 - limits))
+    assert (facts.free_log_odds, facts.occupied_log_odds) == pytest.approx((free, occupied))
+    prior = config.arc.prior_log_odds if rule == "arc" else 0.0
+    assert facts.prior_log_odds == prior
 
 
 def test_who_comes_late_is_reported_all_and_then_changes_alone() -> None:

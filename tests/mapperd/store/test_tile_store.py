@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mapperd import _core
+from mapperd.config.live import with_values
 from mapperd.config.tree import Config
 from mapperd.errors import MapError, StoreError
 from mapperd.mapping.sonar_map import SonarMap
@@ -55,6 +56,21 @@ def test_map_of_a_tiny_cache_equals_the_one_in_memory_to_the_bit(
     assert content == reference
     assert loaded.position == struct.pack("<Q", PINGS)
     assert loaded.lost == frozenset()
+
+
+def test_map_of_the_arc_rule_in_tiles_equals_the_one_in_memory(tmp_path: Path) -> None:
+    config = with_values(CONFIG, {"mapping.rule": "arc"})
+    path, whole, part = tmp_path / "dive.map", SonarMap(config), SonarMap(config)
+    with TileStore(path, part, tile_size_m=6.4, cache_tiles=1) as store:
+        dive_on(part, store, 0, 60)
+        assert store.counters.tiles_dropped > 5
+    for number in range(60):
+        integrate(whole, number)
+    assert whole.counts().occupied > 100
+    read = SonarMap(config)
+    with StoreReader(path) as reader:
+        reader.load(read)
+    assert read.sha256() == whole.sha256()
 
 
 @pytest.mark.slow

@@ -43,6 +43,12 @@ def test_settings_of_the_file_lie_below_those_of_the_survey(tmp_path: Path) -> N
     assert request.path_of(request.survey.dives[0]) == tmp_path / "a.mcap"
 
 
+def test_the_arc_rule_is_refused(tmp_path: Path) -> None:
+    reported = {"dives": DIVES, "settings": {"mapping": {"rule": "arc"}}}
+    with pytest.raises(SurveyError, match=r"survey\.yaml: mapping\.rule arc .* allowed: iwlo"):
+        read_survey(written(tmp_path, reported))
+
+
 def test_a_dive_on_a_known_map_is_mapped_where_it_is_localized(tmp_path: Path) -> None:
     (tmp_path / "known.db").touch()
     request = read_survey(

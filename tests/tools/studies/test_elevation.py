@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -31,10 +31,8 @@ from studies.elevation.run import Task, contender_config, map_dive, noisy_poses,
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 from mapperd.imaging.ping_image import PingImage
-from mapperd.mapping.arc import ArcConfig, ArcMap, SurfaceLevel
-
-if TYPE_CHECKING:
-    from mapperd.mapping.sonar_map import SonarMap
+from mapperd.mapping.arc import SurfaceLevel
+from mapperd.mapping.sonar_map import SonarMap
 
 EDGE_M = 0.1
 BOX = SolidBox((0.93, 0.02, -1.63), (0.52, 0.44, 0.86))
@@ -274,7 +272,7 @@ def test_the_level_of_surfaces_is_that_of_first_returns() -> None:
 
 
 def test_the_arc_rule_finds_a_wall_by_its_level_and_by_its_looks() -> None:
-    arc_map = ArcMap(0.1, ArcConfig(level=40.0))
+    arc_map = SonarMap(contender_config({"mapping.rule": "arc", "arc.level": 40.0}, 0.1))
     for pitch in np.radians((-10.0, 0.0, 10.0)):
         pose = np.eye(4)
         pose[:3, :3] = [

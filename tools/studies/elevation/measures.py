@@ -23,7 +23,6 @@ from scipy.ndimage import label, maximum_filter
 from scipy.spatial import cKDTree
 from sonar_sim import Scene
 
-from mapperd.mapping.arc import ArcMap
 from mapperd.mapping.sonar_map import SonarMap
 from studies.accuracy_cost.mapping.dives import once
 from studies.accuracy_cost.mapping.metrics import (
@@ -372,7 +371,7 @@ class ChangeWatch:
         self._before = 0
         self._shown_before = dict.fromkeys(self._places_m, math.nan)
 
-    def __call__(self, ping: int, sonar_map: SonarMap | ArcMap) -> None:
+    def __call__(self, ping: int, sonar_map: SonarMap) -> None:
         """Look at the map after a ping."""
         if ping < self._change.ping - 1:
             return
@@ -426,7 +425,7 @@ class ChangeWatch:
 
 
 def measure(
-    truth: TrueGrid, seen_m: Floats, sonar_map: SonarMap | ArcMap, common: Bools | None = None
+    truth: TrueGrid, seen_m: Floats, sonar_map: SonarMap, common: Bools | None = None
 ) -> dict[str, object]:
     """Compare a map with the truth.
 

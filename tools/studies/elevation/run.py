@@ -30,7 +30,6 @@ from tqdm import tqdm
 
 from mapperd.config.loader import config_of
 from mapperd.config.tree import Config
-from mapperd.mapping.arc import ArcConfig, ArcMap
 from mapperd.mapping.sonar_map import SonarMap
 from studies.accuracy_cost.mapping.dives import once
 from studies.elevation.dives import DIVES, DiveData, cache_of, load, simulate
@@ -48,17 +47,19 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-Contender = Mapping[str, object] | ArcConfig
+Contender = Mapping[str, object]
+
+ARC = {"mapping.rule": "arc"}
 
 CONTENDERS: dict[str, Contender] = {
     "iwlo": {},
-    "arc": ArcConfig(),
-    "arc, level 34": ArcConfig(level=34.0),
-    "arc, unprotected": ArcConfig(protected=1.0),
-    "arc, all levels": ArcConfig(params=(("broad_share", 0.99),)),
+    "arc": ARC,
+    "arc, level 34": ARC | {"arc.level": 34.0},
+    "arc, unprotected": ARC | {"arc.max_ratio": 1.0},
+    "arc, all levels": ARC | {"arc.broad_share": 0.99},
 }
-"""Settings of `Config` that differ from the defaults, by dotted name, or those of the arc rule. The
-first one is what others stand beside: its observed voxels are those of `..._common`."""
+"""Settings that differ from the defaults, by dotted name. The first contender is what others stand
+beside: its observed voxels are those of `..._common`."""
 
 FIGURES_VERSION = 3
 """Counts up when `measures` changes what a figure means."""
@@ -70,14 +71,12 @@ VOXEL_M = 0.1
 J = TypeVar("J")
 
 
-def contender_config(overrides: Contender, edge_m: float) -> Config | ArcConfig:
+def contender_config(overrides: Contender, edge_m: float) -> Config:
     """The settings of a contender for voxels of an edge.
 
     Raises:
         ConfigError: there is no such setting, or the value is not allowed.
     """
-    if isinstance(overrides, ArcConfig):
-        return overrides
     tree: dict[str, Any] = {"octree": {"voxel_resolution": edge_m}}
     for name, value in overrides.items():
         *sections, field = name.split(".")
@@ -97,16 +96,15 @@ class Mapped:
         cpu_ms: (N,) CPU time of each ping.
     """
 
-    map: SonarMap | ArcMap
+    map: SonarMap
     cpu_ms: Floats
 
 
 def map_dive(
     data: DiveData,
-    config: Config | ArcConfig,
+    config: Config,
     poses: Floats | None = None,
-    watch: Callable[[int, SonarMap | ArcMap], None] | None = None,
-    edge_m: float = VOXEL_M,
+    watch: Callable[[int, SonarMap], None] | None = None,
 ) -> Mapped:
     """Map a dive ping by ping.
 
@@ -115,10 +113,8 @@ def map_dive(
         config: the map's settings.
         poses: map_T_sonar to map with, (N, 4, 4); None takes the true ones.
         watch: called with number and map after each ping.
-        edge_m: of a voxel, for the arc rule; another's settings have it.
     """
-    sonar_map: SonarMap | ArcMap
-    sonar_map = ArcMap(edge_m, config) if isinstance(config, ArcConfig) else SonarMap(config)
+    sonar_map = SonarMap(config)
     cpu_ms = []
     for i, pose in enumerate(data.map_T_sonar if poses is None else poses):
         image = data.ping(i)
@@ -177,7 +173,7 @@ class Task:
         """Where it is kept which voxels the first contender observed."""
         return self.folder / f"common-{self.label}.npz"
 
-    def fingerprint(self, config: Config | ArcConfig) -> str:
+    def fingerprint(self, config: Config) -> str:
         """Of everything that the row depends on."""
         dive_file = _sha256(cache_of(DIVES[self.dive], self.seed, self.folder))
         parts = [msgspec.json.encode(config).decode(), _core_sha256(), dive_file]
@@ -214,7 +210,7 @@ def run_task(task: Task) -> list[str]:
         watch = None
         if dive.change is not None:
             watch = ChangeWatch(dive, data, task.edge_m, task.folder)
-        mapped = map_dive(data, configs[name], poses, watch, task.edge_m)
+        mapped = map_dive(data, configs[name], poses, watch)
         common = _common(task, mapped.map if name == first else None, truth)
         seen_m = data.seen_m if watch is None else watch.staying_m
         row: dict[str, object] = {
@@ -237,14 +233,14 @@ def run_task(task: Task) -> list[str]:
     return missing
 
 
-def _is_there(task: Task, name: str, config: Config | ArcConfig) -> bool:
+def _is_there(task: Task, name: str, config: Config) -> bool:
     path = task.row_file(name)
     if not path.exists():
         return False
     return bool(json.loads(path.read_text())["fingerprint"] == task.fingerprint(config))
 
 
-def _common(task: Task, first: SonarMap | ArcMap | None, truth: TrueGrid) -> NDArray[np.bool_]:
+def _common(task: Task, first: SonarMap | None, truth: TrueGrid) -> NDArray[np.bool_]:
     """Which voxels the first contender observed: of its map if it is at hand, else of its file."""
     if first is not None:
         observed = np.zeros(truth.solid.shape, dtype=np.bool_)

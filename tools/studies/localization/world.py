@@ -173,11 +173,11 @@ class DiveWorld:
     def known(self, max_distance_m: float) -> VolumeMap:
         """The map to be localized on; a vehicle can be wherever there is water at its height."""
         place, half_m = self.place, self.place.voxel_m / 2
-        mapping = self.true_map.config.mapping
+        config = self.true_map.config
         queries = MapQueries(
             self.true_map.core,
-            occupied_threshold=mapping.occupied_threshold,
-            free_threshold=mapping.free_threshold,
+            occupied_threshold=config.occupied_threshold,
+            free_threshold=config.free_threshold,
         )
         low, high = np.array(place.map_low_m, float), np.array(place.map_high_m, float)
         band_m = (self._layer_m - half_m, self._layer_m + half_m)

@@ -313,7 +313,7 @@ def _fleet(world: StreamWorld, dice: int, clients: int, seconds: float) -> subpr
 def _facts(world: StreamWorld) -> MapFacts:
     """Of the map as the stream sends them; what a digest depends on."""
     config = world.config()
-    occupied, free = config.mapping.occupied_threshold, config.mapping.free_threshold
+    occupied, free = config.occupied_threshold, config.free_threshold
     return MapFacts(
         "",
         RESOLUTION_M,

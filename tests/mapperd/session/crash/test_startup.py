@@ -8,12 +8,15 @@ from types import SimpleNamespace
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.errors import StoreError
 from mapperd.events import EventLog
+from mapperd.mapping.arc import SurfaceLevel, SurfaceLevelState
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import OdometryPoses
 from mapperd.session.recordings import Tail, files_of
@@ -31,16 +34,19 @@ from mapperd.session_log import (
     chunk_of,
     remarks_in,
 )
+from mapperd.store.checkpoint import decode_state
 from mapperd.store.metadata import write_checksum
 from mapperd.store.position import Position, RecordingOffset, position_in
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
 from oculus_driver.recording import OCULUS, RecordingWriter
-from tests.mapperd.conftest import START_NS, make_odometry, make_ping
+from tests.mapperd.conftest import BEAMS, ROWS, START_NS, WALL_ROW, make_odometry, make_ping
 
 pytestmark = pytest.mark.crash
 
 S = 1_000_000_000
+
+RULES = pytest.mark.parametrize("rule", ["", "mapping: {rule: arc}\n"], ids=["iwlo", "arc"])
 
 
 def config_of(folder: Path, more: str = "") -> Config:
@@ -49,6 +55,13 @@ def config_of(folder: Path, more: str = "") -> Config:
         f"outofcore: {{use: true, map_path: {folder}/dive.map, tile_size: 6.4, cache_size: 2}}\n"
         f"recording: {{folder: {folder}/recordings, free_floor: 0}}\n{more}"
     )
+
+
+def wall_of(config: Config, ping: int) -> NDArray[np.uint8]:
+    """A wall 3 m away; for the arc rule its level changes from ping to ping."""
+    image = np.zeros((ROWS, BEAMS), dtype=np.uint8)
+    image[WALL_ROW : WALL_ROW + 2] = 200 if config.mapping.rule == "iwlo" else 20 + 3 * (ping % 10)
+    return image
 
 
 def record(config: Config, number: int, session: str, pings: range, **decided: Any) -> Path:
@@ -74,7 +87,7 @@ def record(config: Config, number: int, session: str, pings: range, **decided: A
                 log(decided["what"], t_ns)
             odometry = make_odometry(p=(0.3 * k, 0.0, 0.0))
             writer.write(links["vehicle"], odometry, t_ns)
-            data = make_ping(k + 1)
+            data = make_ping(k + 1, image=wall_of(config, k))
             writer.write(links["sonar"], data[:1000], t_ns + S // 20)
             writer.write(links["sonar"], data[1000:], t_ns + S // 20 + 1000)
     return path
@@ -132,6 +145,7 @@ def content(config: Config) -> tuple[str, Position]:
     return sonar_map.sha256(), position
 
 
+@RULES
 @pytest.mark.parametrize("save_at", [0, 20, 55])
 @pytest.mark.parametrize(
     "what",
@@ -144,9 +158,9 @@ def content(config: Config) -> tuple[str, Position]:
     ],
 )
 def test_the_rest_of_a_session_is_mapped_with_what_was_decided(
-    tmp_path: Path, save_at: int, what: Any
+    tmp_path: Path, save_at: int, what: Any, rule: str
 ) -> None:
-    config = config_of(tmp_path)
+    config = config_of(tmp_path, rule)
     record(config, 1, "a", range(30), at=12, what=what)
     mapped(config, "a", chunks=60, save_at=save_at)
     assert not content(config)[1].whole
@@ -195,8 +209,9 @@ def test_a_session_of_an_earlier_version_goes_on(tmp_path: Path, what: Any) -> N
     assert content(config)[0] == reference(config, "a")
 
 
-def test_sessions_follow_each_other_in_one_map(tmp_path: Path) -> None:
-    config = config_of(tmp_path)
+@RULES
+def test_sessions_follow_each_other_in_one_map(tmp_path: Path, rule: str) -> None:
+    config = config_of(tmp_path, rule)
     record(config, 1, "a", range(10))
     record(config, 2, "b", range(20, 40))
     mapped(config, "a")
@@ -215,8 +230,9 @@ def spoil(path: Path, *, rows: int) -> None:
         )
 
 
-def test_damaged_bricks_are_rebuilt_from_all_sessions(tmp_path: Path) -> None:
-    config = config_of(tmp_path)
+@RULES
+def test_damaged_bricks_are_rebuilt_from_all_sessions(tmp_path: Path, rule: str) -> None:
+    config = config_of(tmp_path, rule)
     record(config, 1, "a", range(25))
     record(config, 2, "b", range(15, 40))
     mapped(config, "a")
@@ -294,10 +310,23 @@ def test_a_map_of_other_settings_is_refused_and_untouched(tmp_path: Path) -> Non
     record(config, 1, "a", range(10))
     mapped(config, "a")
     before = content(config)
-    with pytest.raises(StoreError, match=r"iwlo\.L_occ is") as refused:
-        opened(config_of(tmp_path, "iwlo: {L_occ: 1.5}\n"))
-    assert refused.value.reason == "other_parameters"
+    for other, stated in (
+        ("iwlo: {L_occ: 1.5}\n", r"iwlo\.L_occ is"),
+        ("mapping: {rule: arc}\n", 'mapping.rule is "iwlo" in it, "arc" in the settings'),
+    ):
+        with pytest.raises(StoreError, match=stated) as refused:
+            opened(config_of(tmp_path, other))
+        assert refused.value.reason == "other_parameters"
     assert content(config) == before
+
+
+def test_a_session_of_another_rule_is_not_mapped_into_the_file(tmp_path: Path) -> None:
+    arc = config_of(tmp_path, "mapping: {rule: arc}\n")
+    record(arc, 1, "a", range(10))
+    mapped(arc, "a")
+    record(config_of(tmp_path), 2, "b", range(10))
+    assert codes(opened(arc)) == ["sessions_not_mapped"]
+    assert content(arc)[0] == reference(arc, "a")
 
 
 def take_checkpoints_often(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -318,11 +347,12 @@ def spoil_checkpoint(config: Config, folder: Path) -> None:
         write_checksum(file)
 
 
+@RULES
 @pytest.mark.parametrize("what", [None, Reset(1, "test"), Settings({"filtering.min_range": 1.5})])
 def test_with_a_checkpoint_of_an_earlier_format_the_recording_is_read_from_its_start(
-    tmp_path: Path, what: Any, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, what: Any, rule: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = config_of(tmp_path)
+    config = config_of(tmp_path, rule)
     record(config, 1, "a", range(30), **({} if what is None else {"at": 12, "what": what}))
     take_checkpoints_often(monkeypatch)
     mapped(config, "a", chunks=60, save_at=40)
@@ -333,6 +363,24 @@ def test_with_a_checkpoint_of_an_earlier_format_the_recording_is_read_from_its_s
     assert "recording's start" in text
     assert "format 1" in text
     assert content(config)[0] == reference(config, "a")
+
+
+def test_the_level_of_surfaces_goes_on_from_the_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = config_of(tmp_path, "mapping: {rule: arc}\n")
+    record(config, 1, "a", range(40))
+    take_checkpoints_often(monkeypatch)
+    for chunks, save_at in ((100, 60), (100, 99)):
+        mapped(config, "a", chunks=chunks, save_at=save_at)
+        position = content(config)[1]
+        assert position.place > RecordingOffset()
+        surface = SurfaceLevel(config.octree.voxel_resolution)
+        surface.restore(decode_state(position.surface, SurfaceLevelState))
+        assert surface.returns > 0
+        assert codes(opened(config)) == ["recovered"]
+        assert content(config)[0] == reference(config, "a")
+        (tmp_path / "dive.map").unlink()
 
 
 def test_without_the_recordings_start_an_earlier_checkpoint_leaves_the_map(
