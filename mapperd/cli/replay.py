@@ -197,7 +197,7 @@ def _replayed(
         done_bytes += run.session.bytes_read
     bar.close(counters.pings_mapped)
     wall_s = time.perf_counter() - began_s
-    facts = recording_facts([run.session for run in runs])
+    facts = recording_facts([run.session for run in runs]) | sonar_map.rule_facts()
     if runs[-1].localization is not None:
         facts |= localization_summary(runs[-1].localization.stage.snapshot())
     return lambda whole: summary_of(facts, whole, runs[-1].poses, counters, wall_s)
@@ -215,7 +215,7 @@ def _stored(
         raise ReplayError("--store takes one recording at a time, and these are several sessions")
     began_s = time.perf_counter()
     [session] = sessions
-    whole, poses, counters = map_into_store(
+    whole, poses, counters, rule = map_into_store(
         session.paths,
         config,
         pose,
@@ -226,7 +226,8 @@ def _stored(
         on_mapped=trajectory.add,
     )
     wall_s = time.perf_counter() - began_s
-    return whole, summary_of(recording_facts(sessions), whole, poses, counters, wall_s)
+    facts = recording_facts(sessions) | rule
+    return whole, summary_of(facts, whole, poses, counters, wall_s)
 
 
 def _require_data(sessions: Sequence[RecordedSession], arguments: Arguments) -> None:

@@ -219,7 +219,8 @@ def summary_of(
     """Build the summary of a run; keys carry units.
 
     Args:
-        source: where pings and odometry came from, by its kind: `recording` or `live`.
+        source: where pings and odometry came from, by its kind: `recording` or `live`; and what
+            the rule learnt, `SonarMap.rule_facts`.
         sonar_map: the map.
         poses: where the poses came from.
         counters: what happened.
@@ -248,6 +249,7 @@ def summary_of(
         "ms_per_ping": counters.ms_per_ping(),
         "wall_s": wall_s,
         "integrator": sonar_map.config.mapping.integrator,
+        "rule": sonar_map.config.mapping.rule,
         "poses": _poses(poses),
         **source,
         "config": _plain(sonar_map.config),

@@ -195,6 +195,7 @@ async def _served(
         await daemon.run(_until(stop, run.duration_s))
         wall_s = time.perf_counter() - began_s
         source = {"live": _live_facts(daemon, stop_requested=stop.is_set())}
+        source |= opened.sonar_map.rule_facts()
         if (snapshot := live.mapping.snapshot.localization) is not None:
             source |= localization_summary(snapshot)
     return source, wall_s

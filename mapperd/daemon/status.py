@@ -45,6 +45,7 @@ def status_of(
             "memory_bytes": sonar_map.memory_bytes,
             "revision": sonar_map.core.revision,
             "resolution_m": sonar_map.resolution_m,
+            **facts.rule,
         },
         "robots": facts.robots,
         "servers": servers,

@@ -157,12 +157,14 @@ class SonarMap:
         return None if self._arc is None else self._arc.surface
 
     def rule_facts(self) -> dict[str, Any]:
-        """Return the rule for people, and the level of surfaces that the arc rule takes."""
+        """Return `rule` and, of the arc rule, `surface_level` and `surface_returns`.
+
+        The first returns that the level rests on are None where the settings set it.
+        """
         if self._arc is None:
             return {"rule": "iwlo"}
-        is_set = self.config.arc.level > 0
-        returns = None if is_set else self._arc.surface.returns
-        return {"rule": "arc", "level": self._arc.level, "returns": returns}
+        returns = self._arc.surface.returns if self.config.arc.level == 0 else None
+        return {"rule": "arc", "surface_level": self._arc.level, "surface_returns": returns}
 
     @property
     def core(self) -> _core.VoxelMap:

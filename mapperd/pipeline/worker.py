@@ -3,7 +3,7 @@
 import math
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from mapperd.errors import StoreError
@@ -42,6 +42,7 @@ class StatusSnapshot:
         clocks: how pings got their times.
         progress: finished pieces of work.
         localization: its status; None where it is off.
+        rule: as of `SonarMap.rule_facts`.
     """
 
     pings: dict[str, Any]
@@ -55,6 +56,7 @@ class StatusSnapshot:
     clocks: dict[str, Any]
     progress: int
     localization: LocalizationSnapshot | None = None
+    rule: dict[str, Any] = field(default_factory=dict)
 
 
 class MappingThread:
@@ -249,6 +251,7 @@ def snapshot_reader(clock: Callable[[], int]) -> Callable[[MappingThread], Statu
             clocks=_clocks(thread),
             progress=thread.progress,
             localization=None if localization is None else localization.snapshot(),
+            rule=thread.pipeline.executor.stages.map.rule_facts(),
         )
 
     return read

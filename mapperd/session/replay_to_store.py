@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from mapperd.config.tree import Config
 from mapperd.errors import ReplayError, StoreError
@@ -42,7 +43,7 @@ def map_into_store(
     damaged: DamagedData | None = None,
     odometry: OdometryFiles | None = None,
     on_mapped: Callable[[int | None, Pose], None] = lambda *_: None,
-) -> tuple[StoredMap, FixedPose | OdometryPoses, PipelineCounters]:
+) -> tuple[StoredMap, FixedPose | OdometryPoses, PipelineCounters, dict[str, Any]]:
     """Map a recording into a file, from its resume point; the file keeps its other content.
 
     Args:
@@ -56,7 +57,8 @@ def map_into_store(
         on_mapped: as of `PingExecutor`.
 
     Returns:
-        the whole map, which the caller closes, the poses, and the counters of this run.
+        the whole map, which the caller closes, the poses, the counters of this run, and what the
+        rule learnt in it, `SonarMap.rule_facts`.
 
     Raises:
         ReplayError: the file holds a part of another recording, or of this one with other settings.
@@ -111,7 +113,7 @@ def map_into_store(
         whole.close()
         text = f"{path}: {lost} bricks are damaged, and this recording does not restore them"
         raise StoreError(text, "bricks_lost")
-    return whole, poses, counters
+    return whole, poses, counters, sonar_map.rule_facts()
 
 
 def _open(path: Path, sonar_map: SonarMap) -> TileStore:

@@ -144,12 +144,23 @@ def _map(facts: Values, store: Values) -> Part:
     used = facts.get("memory_bytes")
     texts = [
         _with_unit(facts.get("resolution_m"), "m", "voxels of "),
+        _rule(facts),
         f"{used / MIB:.1f} MiB in memory" if isinstance(used, int) else "",
         f"kept in {store['path']}" if store.get("path") else "",
         f"{lost} bricks lost" if (lost := store.get("bricks_lost")) else "",
         str(store.get("reason") or ""),
     ]
     return texts, YELLOW if store.get("reason") or lost else ""
+
+
+def _rule(facts: Values) -> str:
+    """The rule and what it knows of surfaces; nothing of the default one."""
+    if facts.get("rule") in (None, "iwlo"):
+        return ""
+    level, returns = facts.get("surface_level"), facts.get("surface_returns")
+    source = "set" if returns is None else f"from {returns} first returns"
+    shown = f", surfaces at level {level:.1f} ({source})" if isinstance(level, float) else ""
+    return f"rule {facts['rule']}{shown}"
 
 
 def _recording(status: Values) -> Part:

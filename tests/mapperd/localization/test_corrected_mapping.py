@@ -142,7 +142,7 @@ def test_map_after_interruptions_is_that_of_the_whole(tmp_path: Path, recording:
     path = written(tmp_path, mapping="corrected")
     stored = "outofcore: {tile_size: 6.4}\nvisualization: {tile_save_interval: 0.01}\n"
     config = config_from_text(path.read_text("utf-8") + stored)
-    whole, _, counters = map_into_store([recording], config, None, tmp_path / "whole.map")
+    whole, _, counters, _ = map_into_store([recording], config, None, tmp_path / "whole.map")
     assert counters.pings_mapped > 110
     chance, store = Random(3), tmp_path / "cut.map"  # noqa: S311
     mid = cuts = 0
@@ -161,14 +161,14 @@ def test_map_after_interruptions_is_that_of_the_whole(tmp_path: Path, recording:
         except Interrupted:
             cuts += 1
             mid += passed_over(store) > 0
-    mapped, _, _ = map_into_store([recording], config, None, store)
+    mapped, *_ = map_into_store([recording], config, None, store)
     assert mapped.sha256() == whole.sha256()
     assert mid > 2
 
 
 def test_file_stays_empty_where_nothing_is_to_be_mapped(tmp_path: Path, recording: Path) -> None:
     config = config_from_text(written(tmp_path, mapping="off").read_text("utf-8"))
-    mapped, _, counters = map_into_store([recording], config, None, tmp_path / "cut.map")
+    mapped, _, counters, _ = map_into_store([recording], config, None, tmp_path / "cut.map")
     assert counters.pings_dropped == {"mapping_off": 120}
     assert mapped.counts().occupied == 0
 

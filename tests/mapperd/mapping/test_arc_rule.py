@@ -60,7 +60,7 @@ def arc_map() -> SonarMap:
 
 def fixed(sonar_map: SonarMap) -> float:
     """Level that the map took for its last ping."""
-    return float(sonar_map.rule_facts()["level"])
+    return float(sonar_map.rule_facts()["surface_level"])
 
 
 def test_threads_do_not_change_the_map(arc_map: SonarMap) -> None:
@@ -112,13 +112,17 @@ def test_iwlo_does_not_depend_on_the_section_of_the_arc_rule() -> None:
 def test_level_rests_on_the_pings_of_the_session(arc_map: SonarMap) -> None:
     facts = arc_map.rule_facts()
     assert facts["rule"] == "arc"
-    assert facts["returns"] > 50
+    assert facts["surface_returns"] > 50
     again = mapped(ARC)
     again.start_session()
-    assert again.rule_facts()["returns"] == 0
+    assert again.rule_facts()["surface_returns"] == 0
     assert again.sha256() == arc_map.sha256()  # the voxels stay
     set_to = mapped(with_values(ARC, {"arc.level": 33.0}))
-    assert set_to.rule_facts() == {"rule": "arc", "level": 33.0, "returns": None}
+    assert set_to.rule_facts() == {
+        "rule": "arc",
+        "surface_level": 33.0,
+        "surface_returns": None,
+    }
     assert SonarMap(IWLO).rule_facts() == {"rule": "iwlo"}
 
 
@@ -129,7 +133,7 @@ def test_a_refused_ping_counts_as_one_that_is_skipped() -> None:
         refusing.integrate(image_of(0), pose_of(0))
     skipping.skip(image_of(0))
     assert refusing.rule_facts() == skipping.rule_facts()
-    assert refusing.rule_facts()["returns"] > 0
+    assert refusing.rule_facts()["surface_returns"] > 0
     assert refusing.core.revision == 0
 
 

@@ -122,7 +122,7 @@ def test_a_store_resumes(
             if not left:
                 raise StopError
 
-        whole, _, _ = map_into_store([recording], config, None, path, count, odometry=odometry)
+        whole, *_ = map_into_store([recording], config, None, path, count, odometry=odometry)
         with closing(whole):
             return whole.sha256()
 

@@ -321,7 +321,7 @@ def test_a_finished_replay_into_a_store_still_lists_its_loss(tmp_path: Path) -> 
     flip(path, path.stat().st_size // 2)
     for _ in range(2):
         damaged = DamagedData()
-        whole, _, _ = map_into_store([path], config, None, tmp_path / "s.map", damaged=damaged)
+        whole, *_ = map_into_store([path], config, None, tmp_path / "s.map", damaged=damaged)
         whole.close()
         assert damaged.data_lost
 

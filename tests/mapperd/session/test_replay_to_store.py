@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -48,3 +49,32 @@ def test_counts_of_a_run_that_resumes_add_up(
     assert last.pings_total == last.pings_mapped + last.pings_dropped.total()
     assert last.pings_mapped < 30
     assert any(0 < run.pings_mapped < 30 for run in runs)
+
+
+def test_map_of_the_arc_rule_that_resumes_is_that_of_the_whole_recording(tmp_path: Path) -> None:
+    more = "mapping: {rule: arc}\nvisualization: {tile_save_interval: 0.0001}\n"
+    config = sessions.config_of(tmp_path, more)
+    recording = sessions.record(config, 1, "a", range(30))
+    whole, _, _, rule = map_into_store([recording], config, None, tmp_path / "whole.map")
+    with closing(whole):
+        truth = whole.sha256()
+    assert rule["surface_returns"] > 100
+    assert truth == sessions.reference(config, "a")
+    chunks = 0
+
+    def interrupt(_: PipelineCounters) -> None:
+        nonlocal chunks
+        chunks += 1
+        if chunks % 17 == 0:
+            raise StopError
+
+    for _ in range(20):
+        try:
+            found = map_into_store([recording], config, None, tmp_path / "cut.map", interrupt)
+        except StopError:
+            continue
+        break
+    assert chunks > 4 * 17
+    with closing(found[0]):
+        assert found[0].sha256() == truth
+    assert found[3] == rule

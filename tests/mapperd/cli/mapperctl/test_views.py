@@ -64,6 +64,15 @@ def test_one_screen_for_people() -> None:
     ]
 
 
+@pytest.mark.parametrize(("returns", "shown"), [(512, "(from 512 first returns)"), (None, "(set)")])
+def test_the_level_of_the_arc_rule_is_shown(returns: int | None, shown: str) -> None:
+    facts = STATUS["map"]
+    assert isinstance(facts, dict)
+    facts = facts | {"rule": "arc", "surface_level": 34.5, "surface_returns": returns}
+    text = " ".join(" ".join(status_lines(STATUS | {"map": facts}, None)).split())
+    assert f"rule arc, surfaces at level 34.5 {shown}" in text
+
+
 def test_a_heading_is_of_a_world_with_north() -> None:
     odometry = STATUS["odometry"]
     assert isinstance(odometry, dict)

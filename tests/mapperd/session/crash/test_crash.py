@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from mapperd.cli.replay import _mapped
@@ -31,6 +32,7 @@ from mapperd.session.startup import open_map
 from mapperd.store.position import position_in
 from mapperd.store.reader import StoreReader
 from oculus_driver import Faults
+from tests.mapperd.conftest import BEAMS, ROWS, WALL_ROW, make_ping
 from tests.mapperd.session.crash.client import ROOT, Daemons, World
 
 pytestmark = pytest.mark.crash
@@ -44,7 +46,8 @@ NOISY = Faults(cut=0.01, garbage=0.05, flip=0.05, piece_bytes=700)
 
 @pytest.fixture
 def world(request: pytest.FixtureRequest) -> Iterator[World]:
-    world = World(faults=getattr(request, "param", None))
+    asked = getattr(request, "param", None)
+    world = World(walls()) if asked == "arc" else World(faults=asked)
     yield world
     world.close()
 
@@ -56,8 +59,19 @@ def daemons(tmp_path: Path) -> Iterator[Daemons]:
     daemons.close()
 
 
-def settings_of(world: World, folder: Path) -> str:
+def walls() -> list[bytes]:
+    """Pings that see a wall whose level changes, as the arc rule looks at it."""
+    pings = []
+    for k in range(1, 200):
+        image = np.zeros((ROWS, BEAMS), dtype=np.uint8)
+        image[WALL_ROW : WALL_ROW + 2] = 20 + 3 * (k % 10)
+        pings.append(make_ping(k, start_time=100 + 0.02 * k, image=image))
+    return pings
+
+
+def settings_of(world: World, folder: Path, rule: str = "iwlo") -> str:
     return (
+        f"mapping: {{rule: {rule}}}\n"
         "octree: {voxel_resolution: 0.2}\nmounting: {orientation: {pitch: 0}}\n"
         f"device: {{address: 127.0.0.1, port: {world.sonar_port}, ping_rate: highest}}\n"
         f"odometry: {{sources: [{{link: 'udp://127.0.0.1:{world.odometry_port}'}}]}}\n"
@@ -151,20 +165,24 @@ def mid_session(path: Path) -> bool:
 
 
 @pytest.mark.parametrize(
-    "world",
-    [pytest.param(None, id="calm"), pytest.param(NOISY, id="noisy", marks=pytest.mark.slow)],
-    indirect=True,
+    ("world", "rule"),
+    [
+        pytest.param(None, "iwlo", id="calm"),
+        pytest.param(NOISY, "iwlo", id="noisy", marks=pytest.mark.slow),
+        pytest.param("arc", "arc", id="arc"),
+    ],
+    indirect=["world"],
 )
 @pytest.mark.timeout(1200)
 def test_map_after_a_kill_is_that_of_the_recordings(
-    tmp_path: Path, world: World, daemons: Daemons
+    tmp_path: Path, world: World, daemons: Daemons, rule: str
 ) -> None:
     chance = random.Random(11)  # noqa: S311 for the instants
     mid = folders = mapped = kills = 0
     while kills < KILLS:
         folder = tmp_path / str(kills)
         folder.mkdir()
-        text = settings_of(world, folder)
+        text = settings_of(world, folder, rule)
         (folder / "live.yaml").write_text(text, encoding="utf-8")
         config = config_from_text(text)
         for _ in range(chance.randint(1, 3)):
@@ -217,10 +235,13 @@ def test_a_session_killed_soon_after_its_start_needs_no_write_ahead_log(
         assert content(folder / "dive.map", config) == as_recorded(folder / "recordings")[0]
 
 
+@pytest.mark.parametrize(
+    ("world", "rule"), [(None, "iwlo"), ("arc", "arc")], indirect=["world"], ids=["iwlo", "arc"]
+)
 def test_who_is_reported_to_end_leaves_a_whole_map(
-    tmp_path: Path, world: World, daemons: Daemons
+    tmp_path: Path, world: World, daemons: Daemons, rule: str
 ) -> None:
-    text = settings_of(world, tmp_path)
+    text = settings_of(world, tmp_path, rule)
     (tmp_path / "live.yaml").write_text(text, encoding="utf-8")
     for _ in range(2):
         process = daemons.start("--config", tmp_path / "live.yaml", "--out", tmp_path / "out")
@@ -234,6 +255,10 @@ def test_who_is_reported_to_end_leaves_a_whole_map(
     assert not mid_session(tmp_path / "dive.map")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
     assert summary["map_sha256"] == reference
+    assert summary["rule"] == rule
+    if rule == "arc":
+        assert summary["surface_returns"] > 20
+        assert 20 < summary["surface_level"] < 80
     codes = [event.code for event in recovered(config).since(0)[0]]
     assert codes == ["map_continued"]  # and nothing was missing
 
