@@ -201,7 +201,7 @@ class Panel:
         )
         handles.threshold = gui.add_slider(
             "Probability",
-            min=0.5,
+            min=0.01,
             max=0.99,
             step=0.01,
             initial_value=0.7,
