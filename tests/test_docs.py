@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.shell_blocks import blocks_of, follow
+from tests.support import shell_blocks
+from tests.support.shell_blocks import Block, blocks_of, follow
 from tests.support.stages import STAGES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -63,9 +64,10 @@ def test_the_site_builds_strictly(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("page", MANUALS, ids=lambda page: page.relative_to(DOCS).as_posix())
-def test_blocks_that_do_not_run_have_a_reason(page: Path) -> None:
-    listed = [f"{block.reason}: {block.code}" for block in blocks_of(page) if block.reason]
-    assert len(listed) == page.read_text("utf-8").count("<!-- not run"), listed
+def test_every_block_of_commands_and_its_marker_are_found(page: Path) -> None:
+    text, blocks = page.read_text("utf-8"), blocks_of(page)
+    assert len(blocks) == len(re.findall(r"^\s*```(?:sh|bash|shell|console)\b", text, re.MULTILINE))
+    assert text.count("<!--") == sum(block != Block(block.code) for block in blocks)
 
 
 @pytest.mark.parametrize("page", MANUALS, ids=lambda page: page.relative_to(DOCS).as_posix())
@@ -78,8 +80,8 @@ def test_tests_that_run_blocks_of_a_page_read_it(page: Path) -> None:
             assert page.name in text, f"{file} does not read {page.name}"
 
 
-def test_a_marker_without_a_reason_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "page.md").write_text("<!-- not run -->\n```sh\ntrue\n```\n")
+def test_a_block_without_a_way_to_run_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "page.md").write_text("<!-- not run: needs a sonar -->\n```sh\ntrue\n```\n")
     with pytest.raises(ValueError, match="unknown marker"):
         blocks_of(tmp_path / "page.md")
 
@@ -98,6 +100,18 @@ def test_each_line_runs_until_a_command_succeeds(tmp_path: Path) -> None:
     follow(tmp_path / "page.md", tmp_path)
 
 
+def test_a_block_runs_before_what_shows_its_effect(tmp_path: Path) -> None:
+    (tmp_path / "page.md").write_text("<!-- then: test -s log -->\n```sh\necho up > log\n```\n")
+    follow(tmp_path / "page.md", tmp_path)
+
+
+def test_a_block_without_effect_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shell_blocks, "READY_TIMEOUT_S", 0.0)
+    (tmp_path / "page.md").write_text("<!-- then: test -s log -->\n```sh\ntrue\n```\n")
+    with pytest.raises(AssertionError, match="test -s log"):
+        follow(tmp_path / "page.md", tmp_path)
+
+
 def test_a_line_that_ends_by_itself_is_noticed(tmp_path: Path) -> None:
     (tmp_path / "page.md").write_text("<!-- until: test -s log -->\n```sh\ntrue\n```\n")
     with pytest.raises(AssertionError, match="true"):
@@ -114,11 +128,7 @@ def test_commands_of_the_installation_page_run(tmp_path: Path) -> None:
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(
     "page",
-    [
-        page
-        for page in MANUALS
-        if any(not block.reason and not block.tested for block in blocks_of(page))
-    ],
+    [page for page in MANUALS if any(not block.tested for block in blocks_of(page))],
     ids=lambda page: page.relative_to(DOCS).as_posix(),
 )
 def test_shell_blocks_of_a_page_run(page: Path, tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 import json
 import os
 import re
+import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -12,6 +14,7 @@ import pytest
 import yaml
 
 from mapperd import __version__
+from tests.support.machine import Machine, copy_of_this_machine
 from tests.support.shell_blocks import blocks_of, follow
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -38,6 +41,7 @@ def run(code: str, folder: Path) -> str:
         ["/bin/bash", "-euc", code],
         cwd=folder,
         env=environment,
+        stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
         check=False,
@@ -153,21 +157,90 @@ def test_the_first_dive_runs_from_a_fresh_clone(tmp_path: Path) -> None:
 
 @FROM_CLONE
 @pytest.mark.slow
-@pytest.mark.timeout(3600)
-def test_the_commands_of_the_service_install_it_in_an_empty_folder(tmp_path: Path) -> None:
-    page = PAGE.with_name("service.md")
+@pytest.mark.timeout(7200)
+def test_the_service_is_installed_and_runs(tmp_path: Path) -> None:
+    """With systemd as the first process of a copy of this machine."""
+    install, start = (block.code for block in blocks_of(PAGE.with_name("service.md")))
+    *lines, log = start.strip().splitlines()
+    assert log.startswith("journalctl")
+    with copy_of_this_machine(tmp_path) as machine:
+        home = tmp_path / "home"
+        require_packages(machine)
+        done = machine.run(f"cd {home}\n{install}", REPOSITORY=str(ROOT))
+        assert done.returncode == 0, done.stderr[-3000:]
+        with machine.booted():
+            done = machine.run("\n".join(lines))
+            assert done.returncode == 0, done.stdout + done.stderr
+            assert re.search(r"Active: active \(running\)", done.stdout)
+            followed = machine.run(f"timeout --signal=INT 10 {log} || test $? = 124")
+            assert "mapperd[" in followed.stdout, followed.stdout + followed.stderr
+            files = "stat --format %a /etc/mapperd/mapperd.yaml /etc/credstore/mapperd.server-token"
+            assert machine.run(files).stdout.split() == ["644", "600"]
+            asked = machine.run("/opt/mapperd/bin/mapperctl status --once")
+            assert asked.stdout.startswith(f"mapperd {__version__}"), asked.stdout + asked.stderr
+            stopped = "systemctl stop mapperd && systemctl show --property=Result mapperd"
+            assert machine.run(stopped).stdout == "Result=success\n"
+
+
+def require_packages(machine: Machine) -> None:
+    """Fetch the lists of packages where one of the page's is missing; skip without them."""
+    (line,) = (line for line in block_with("apt install").splitlines() if "apt" in line)
+    packages = line.partition("install ")[2]
+    if machine.run(f"dpkg --status {packages}").returncode == 0:
+        return
+    done = machine.run(f"apt-get update && apt-get install --dry-run {packages}")
+    if done.returncode != 0:
+        pytest.skip(f"apt cannot install {packages}: {done.stderr[-300:]}")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_the_packages_of_the_pages_are_installed(tmp_path: Path) -> None:
+    if shutil.which("apt") is None:
+        pytest.skip("apt exists only on Debian and its descendants")
+    code = block_with("apt install")
+    assert code in PAGE.with_name("service.md").read_text("utf-8")
+    with copy_of_this_machine(tmp_path) as machine:
+        require_packages(machine)
+        done = machine.run(code)
+        assert done.returncode == 0, done.stderr
+        tools = "git --version; g++ --version; make --version; python3-config --includes"
+        done = machine.run(f"{tools}; python3 -c 'import venv, ensurepip'")
+        assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_the_driver_is_installed_without_mapperd(tmp_path: Path) -> None:
+    page = PAGE.parents[1] / "guides" / "driver.md"
     (code,) = (block.code for block in blocks_of(page) if "pip install" in block.code)
-    kept = [line for line in code.splitlines() if "apt " not in line and "systemd" not in line]
-    moved = "\n".join(line for line in kept if "journalctl" not in line and "init" not in line)
-    moved = moved.replace("sudo ", "").replace("/opt/mapperd", f"{tmp_path}/opt/mapperd")
-    run(moved, tmp_path)
-    program = (
-        "import sys, pathlib; from mapperd.cli import init; "
-        f"init.SERVICE_SETTINGS = pathlib.Path('{tmp_path}/etc/mapperd.yaml'); "
-        f"init.SERVICE_TOKEN = pathlib.Path('{tmp_path}/etc/token'); "
-        "sys.exit(init.init(['--service', '--yes']))"
-    )
-    assert "mapperd init --service" in code
-    run(f'{tmp_path}/opt/mapperd/bin/python -c "{program}"', tmp_path)
-    assert (tmp_path / "etc" / "mapperd.yaml").is_file()
-    assert (tmp_path / "etc" / "token").stat().st_mode & 0o777 == 0o600
+    clone = 'git clone "$REPOSITORY" mapperd && cd mapperd && python3 -m venv ../venv'
+    check = "oculus --version; python -c 'import cv2'; ! python -c 'import mapperd' 2>/dev/null"
+    done = run(f"{clone} && . ../venv/bin/activate\n{code}\ncd ..; {check}", tmp_path)
+    assert f"oculus {__version__}" in done
+
+
+def docker(words: str) -> int:
+    """Run docker; return its exit code."""
+    return subprocess.run(["docker", *words.split()], capture_output=True, check=False).returncode  # noqa: S603, S607
+
+
+@pytest.mark.slow
+@pytest.mark.net
+@pytest.mark.timeout(7200)
+def test_the_image_is_built_and_answers(tmp_path: Path) -> None:
+    if shutil.which("docker") is None or docker("info") != 0:
+        pytest.skip("Docker is not installed, or its daemon does not answer")
+    if docker("container inspect mapperd") == 0 or Path("/var/lib/mapperd").exists():
+        pytest.skip("this machine has a container `mapperd`, or the folder of one")
+    *lines, status = block_with("docker build").strip().splitlines()
+    code = shlex.quote("set -eu\n" + "\n".join(lines))
+    terminal = f"printf '%20s' | tr ' ' '\\n' | script --quiet --return --command {code} typescript"
+    try:
+        assert "wrote /data" in run(terminal, tmp_path)
+        assert "mapperd" in run(
+            f"for i in $(seq 20); do sleep 5; {status} && break; done", tmp_path
+        )
+    finally:
+        docker("rm --force mapperd")
+        docker("run --rm --volume /var/lib:/host mapperd rm -rf /host/mapperd")

@@ -17,7 +17,7 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).resolve().parents[1]
 LOCKS = ROOT / "requirements"
 VEHICLE_EXTRAS = ("filters", "mavlink", "mqtt", "nmea", "serial")
-BY_DATE = {"dask", "distributed", "fsspec", "tifffile"}
+BY_DATE = {"dask", "distributed", "fsspec", "s3fs", "tifffile"}
 """Versions are dates: no number announces a break."""
 
 ENTRY = re.compile(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -59,30 +60,40 @@ class Block:
 
     Attributes:
         code: its commands.
-        reason: why the tests do not run it, or "".
         ready: command that succeeds once the block's program answers; only of programs that run
             in the background until the page ends.
         ended: the program in the background that Ctrl-C ends before, or "".
         until: command after whose success Ctrl-C ends each line, a program of its own, or "".
         tested: the test that runs it instead, as pytest names it, or "".
+        shown: command that succeeds soon after the block, and shows that it had an effect, or "".
     """
 
     code: str
-    reason: str = ""
     ready: str = ""
     ended: str = ""
     until: str = ""
     tested: str = ""
+    shown: str = ""
 
 
 def blocks_of(page: Path) -> list[Block]:
     """The shell blocks of a page, in order.
 
     Raises:
-        ValueError: a marker is not `not run: REASON`, `run by: TEST`, `background: COMMAND`,
-            `until: COMMAND` or `ctrl-c: PROGRAM`.
+        ValueError: a marker is not `run by: TEST`, `background: COMMAND`,
+            `until: COMMAND`, `then: COMMAND` or `ctrl-c: PROGRAM`.
     """
     return [_block(match) for match in _BLOCK.finditer(page.read_text("utf-8"))]
+
+
+_ATTRIBUTES = {
+    "background": "ready",
+    "ctrl-c": "ended",
+    "run by": "tested",
+    "then": "shown",
+    "until": "until",
+}
+"""By the kind of marker."""
 
 
 def _block(match: re.Match[str]) -> Block:
@@ -91,16 +102,8 @@ def _block(match: re.Match[str]) -> Block:
     code = re.sub(r"^\$ ", "", match["code"], flags=re.MULTILINE)
     if not marker:
         return Block(code)
-    if kind == "not run" and len(rest.split()) > 1:
-        return Block(code, reason=rest)
-    if kind == "background" and rest:
-        return Block(code, ready=rest)
-    if kind == "until" and rest:
-        return Block(code, until=rest)
-    if kind == "run by" and rest:
-        return Block(code, tested=rest)
-    if kind == "ctrl-c" and rest:
-        return Block(code, ended=rest)
+    if rest and kind in _ATTRIBUTES:
+        return Block(code, **{_ATTRIBUTES[kind]: rest})
     raise ValueError(f"unknown marker: {marker}")
 
 
@@ -117,14 +120,16 @@ sys.stdin.read()
 def own_network() -> Iterator[list[str]]:
     """The words before a command that run it in a network with nothing but a loopback.
 
-    So no other test meets a page's sonar. Empty if the system has no such networks.
+    So no other test meets a page's sonar. The commands are root there, and what they mount stays
+    there too. Empty if the system has no such networks.
     """
     unshare, nsenter = shutil.which("unshare"), shutil.which("nsenter")
     if unshare is None or nsenter is None:
         yield []
         return
+    apart = [unshare, "--user", "--map-root-user", "--net", "--mount"]
     with subprocess.Popen(  # noqa: S603 our own commands
-        [unshare, "--user", "--map-root-user", "--net", sys.executable, "-c", _LOOPBACK_UP],
+        [*apart, sys.executable, "-c", _LOOPBACK_UP],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -132,7 +137,7 @@ def own_network() -> Iterator[list[str]]:
     ) as holder:
         assert holder.stdin is not None
         assert holder.stdout is not None
-        words = [nsenter, "--preserve-credentials", "-U", "-n", "-t", str(holder.pid)]
+        words = [nsenter, "--preserve-credentials", "-U", "-n", "-m", "-t", str(holder.pid)]
         yield words if holder.stdout.readline() == "up\n" else []
         holder.stdin.close()
 
@@ -201,9 +206,9 @@ class Reader:
     def run(self, code: str) -> subprocess.CompletedProcess[str]:
         """Run commands; stop at the first that fails."""
         process = subprocess.Popen(  # noqa: S603 commands of our own pages
-            [*self._shell, "-euo", "pipefail", "-c", code],
-            cwd=self.folder,
+            self._words(code),
             env=self.environment,
+            stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -216,6 +221,25 @@ class Reader:
             out, err = process.communicate()
             raise AssertionError(f"still running after {TIMEOUT_S} s: {code}\n{out}{err}") from None
         return subprocess.CompletedProcess(code, process.returncode, out, err)
+
+    def _words(self, code: str) -> list[str]:
+        """The shell; entering a file system of one's own leads to its root."""
+        place = shlex.quote(str(self.folder))
+        return [*self._shell, "-euo", "pipefail", "-c", f"cd {place}\n{code}"]
+
+    def wait_for(self, command: str, alive: Callable[[], object] = lambda: None) -> None:
+        """Wait until a command succeeds; call `alive` between the attempts.
+
+        Raises:
+            AssertionError: it did not for `READY_TIMEOUT_S`.
+        """
+        end = time.monotonic() + READY_TIMEOUT_S
+        while (done := self.run(command)).returncode != 0:
+            alive()
+            assert time.monotonic() < end, (
+                f"{command} failed for {READY_TIMEOUT_S} s\n{done.stdout}{done.stderr}"
+            )
+            time.sleep(POLL_S)
 
     def end(self, program: str) -> None:
         """Press Ctrl-C in the terminal of a program in the background, and wait for its end."""
@@ -244,20 +268,18 @@ class Reader:
         output = self.folder / f"output-{time.monotonic_ns()}.log"
         with output.open("w") as log:
             process = subprocess.Popen(  # noqa: S603 commands of our own pages
-                [*self._shell, "-euo", "pipefail", "-c", "\n".join([*before, f"exec {last}"])],
-                cwd=self.folder,
+                self._words("\n".join([*before, f"exec {last}"])),
                 env=self.environment,
+                stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
             )
+
+        def runs() -> None:
+            assert process.poll() is None, f"{block.code}\n{output.read_text()}"
+
         try:
-            end = time.monotonic() + READY_TIMEOUT_S
-            while self.run(f"OUTPUT={output}; {block.ready}").returncode != 0:
-                assert process.poll() is None, f"{block.code}\n{output.read_text()}"
-                assert time.monotonic() < end, (
-                    f"{block.ready} failed for {READY_TIMEOUT_S} s\n{output.read_text()}"
-                )
-                time.sleep(POLL_S)
+            self.wait_for(f"OUTPUT={output}; {block.ready} || {{ cat $OUTPUT; false; }}", runs)
             earlier = self._programs.get(program)
             self._programs[program] = process
             yield
@@ -294,7 +316,7 @@ def follow(
     Raises:
         AssertionError: a block failed.
     """
-    blocks = [block for block in blocks_of(page) if not block.reason and not block.tested]
+    blocks = [block for block in blocks_of(page) if not block.tested]
     with ExitStack() as stack:
         runtime = stack.enter_context(tempfile.TemporaryDirectory(prefix="mapperd-docs-"))
         network = stack.enter_context(own_network())
@@ -333,3 +355,5 @@ def _follow_block(block: Block, reader: Reader, stack: ExitStack) -> None:
         reader.end(block.ended)
     done = reader.run(block.code)
     assert done.returncode == 0, f"{block.code}\n{done.stdout}\n{done.stderr}"
+    if block.shown:
+        reader.wait_for(block.shown)

@@ -217,6 +217,7 @@ class ReplayView:
         )
         self._updated_s = 0.0
         self._stop: Callable[[], object] = lambda: None
+        self._left = False
         with contextlib.ExitStack() as undo:
             self._server, self.line = undo.enter_context(_page(self._args))
             self._open = undo.pop_all()
@@ -227,7 +228,9 @@ class ReplayView:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stop()
+        self._left = True  # its loop may not run yet
+        with contextlib.suppress(RuntimeError):  # its loop has ended
+            self._stop()
         self._thread.join()
         self._open.close()
 
@@ -255,6 +258,8 @@ class ReplayView:
     async def _run(self) -> None:
         task = asyncio.ensure_future(_show(self._server, self._shown, self._args))
         self._stop = partial(asyncio.get_running_loop().call_soon_threadsafe, task.cancel)
+        if self._left:
+            task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await task
 

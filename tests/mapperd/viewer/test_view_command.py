@@ -16,7 +16,7 @@ import pytest
 from mapperd.cli.mapperctl.arguments import parser
 from mapperd.cli.mapperctl.command import main
 from mapperd.cli.mapperctl.connection import CtlError
-from mapperd.cli.mapperctl.view import _report_link, open_page, run_view, same_origin
+from mapperd.cli.mapperctl.view import ReplayView, _report_link, open_page, run_view, same_origin
 from mapperd.client import AskError, MapClient
 from mapperd.daemon.map_server import MapServer, saved_map
 from mapperd.mapping.queries import MapContent
@@ -268,3 +268,20 @@ def test_the_command_reports_each_outage_once(capsys: pytest.CaptureFixture[str]
         asyncio.run(work())
     expected = f"mapperctl: {address}: no daemon answers: Connection refused; trying again\n"
     assert capsys.readouterr().err == expected
+
+
+@pytest.mark.timeout(60)
+def test_the_page_of_a_replay_closes_even_before_its_thread_runs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("viser", reason="the extra `topside` is not installed")
+    left = threading.Event()
+    run = ReplayView._run
+
+    async def late(page: ReplayView) -> None:
+        left.wait()
+        await run(page)
+
+    monkeypatch.setattr(ReplayView, "_run", late)
+    with ReplayView(0, map_of([]), "dive.mcap"):
+        threading.Timer(0.5, left.set).start()
