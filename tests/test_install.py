@@ -215,7 +215,7 @@ def test_the_driver_is_installed_without_mapperd(tmp_path: Path) -> None:
     page = PAGE.parents[1] / "guides" / "driver.md"
     (code,) = (block.code for block in blocks_of(page) if "pip install" in block.code)
     clone = 'git clone "$REPOSITORY" mapperd && cd mapperd && python3 -m venv ../venv'
-    check = "oculus --version; python -c 'import cv2'; ! python -c 'import mapperd' 2>/dev/null"
+    check = "oculus --version; python -c 'import cv2'; ! python -I -c 'import mapperd' 2>/dev/null"
     done = run(f"{clone} && . ../venv/bin/activate\n{code}\ncd ..; {check}", tmp_path)
     assert f"oculus {__version__}" in done
 
