@@ -85,7 +85,7 @@ class ArcParams:
         missed_share: float = 0.1,
         first_return: float = 0.45,
         quiet: float = 3.0,
-        behind_scale: float = 0.3,
+        behind_scale: float = 0.6,
         min_step: float = 0.3,
         max_step: float = 6.0,
     ) -> None: ...

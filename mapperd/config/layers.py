@@ -125,6 +125,7 @@ OF_IWLO = (
     "mapping.integrator",
     "mapping.detail",
     "mapping.angular_cone_width",
+    "filtering.noise_factor",
 )
 """Beginnings of the names of settings that the arc rule does not use."""
 

@@ -112,6 +112,16 @@ class FilteringConfig(Struct, frozen=True, forbid_unknown_fields=True):
             le=255,
         ),
     ] = 35.0
+    noise_factor: Annotated[
+        float,
+        rule(
+            "Returns must also be above so many times the noise, which is measured in each image "
+            "by range; 7 suits most sonars, 0 is off. The arc rule always measures the noise.",
+            live=True,
+            ge=0,
+            le=100,
+        ),
+    ] = 0.0
 
 
 class PositionConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -287,7 +297,7 @@ class ArcConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.05
     occupied_threshold: Annotated[
         float, rule("Voxels above this probability are occupied.", live=True, gt=0, lt=1)
-    ] = 0.17
+    ] = 0.137
     free_threshold: Annotated[
         float,
         rule(

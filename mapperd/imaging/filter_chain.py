@@ -15,6 +15,7 @@ from mapperd.config.tree import Config, CrosstalkConfig, FilteringConfig, SonarC
 from mapperd.errors import ConfigError, MapError, missing_extra
 from mapperd.imaging.ping_image import PingImage, ping_image_of_array
 from mapperd.imaging.robots import Robot, find_robots, terrain_of
+from oculus_driver.noise import is_echo
 
 __all__ = ["CrosstalkFilter", "check_filters", "filter_ping_image"]
 
@@ -32,7 +33,7 @@ def check_filters(config: Config) -> None:
 
 
 def filter_ping_image(echo: PingImage, config: Config) -> tuple[PingImage, tuple[Robot, ...]]:
-    """Remove stripes from an image and separate robots from terrain.
+    """Remove stripes and noise from an image, and separate robots from terrain.
 
     Args:
         echo: intensities and geometry.
@@ -50,6 +51,9 @@ def filter_ping_image(echo: PingImage, config: Config) -> tuple[PingImage, tuple
             threshold = config.filtering.intensity_threshold
             image = without_stripes(image, echo.bearings_rad, crosstalk, threshold)
         image = notched(image, crosstalk) if crosstalk.fft_enabled else image
+    if config.filtering.noise_factor > 0 and config.mapping.rule == "iwlo":
+        echoes = is_echo(image, config.filtering.noise_factor)
+        image = np.where(echoes, image, np.float32(0.0))
     found: tuple[Robot, ...] = ()
     if robots.enabled:
         found = tuple(find_robots(image, echo.bearings_rad, echo.range_resolution_m, robots))

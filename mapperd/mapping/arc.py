@@ -1,7 +1,7 @@
 """The arc rule: maps in which the level of an echo tells where on its arc it comes from.
 
 The core integrates levels relative to that of a surface on the beam's axis
-(`cpp/map/include/mapperd/map/arc_integrator.hpp` has the definition). `SurfaceLevel` estimates that
+(`cpp/map/include/mapperd/map/arc_model.hpp` has the definition). `SurfaceLevel` estimates that
 level from the first returns of the session's pings so far, so that a replay gives the same
 estimates.
 """
@@ -16,29 +16,35 @@ from mapperd.config.tree import Config
 from mapperd.geometry.motion import PingMotion
 from mapperd.imaging.ping_image import PingImage
 from mapperd.mapping.core_args import arc_params, core_motion, rule_params
+from oculus_driver.noise import noise_by_range
 
 __all__ = ["ArcIntegrator", "SurfaceLevel", "SurfaceLevelState"]
 
 Floats = NDArray[np.float64]
 
-STEPS = 256
+STEPS = 41
+"""Of levels."""
 
 
 class SurfaceLevelState(NamedTuple):
     """State of a `SurfaceLevel`.
 
     Attributes:
-        counts: (256,) int64, first returns by level.
+        counts: (41,) int64, first returns of all pings by level.
+        recent: (K, 3) uint8, first returns of the last pings: age in pings, sector, level.
     """
 
     counts: NDArray[np.int64]
+    recent: NDArray[np.uint8]
 
 
 class SurfaceLevel:
-    """Level of a surface on the beam's axis, from the first returns of all pings so far.
+    """Level of a surface on the beam's axis, from the first returns of the pings so far.
 
-    A quantile of the loudest samples of the first returns: quieter ones lie off the axis, louder
-    ones than `LOUDEST` face the sonar and are left to the model's broad share.
+    A quantile of the loudest samples of the first returns: quieter ones lie off the axis, and much
+    louder ones, which face the sonar, are left to the model's broad share. Material and grazing
+    angle change along a dive and over a fan. So the first returns of the last pings refine the
+    estimate by bearing, the more of them the more.
 
     Args:
         edge_m: of a voxel; levels are pooled over voxels as the rule does.
@@ -46,16 +52,22 @@ class SurfaceLevel:
 
     QUANTILE = 0.75
     FACTOR = 1.3
-    LOUDEST = 60.0
-    DEFAULT, LEAST = 30.0, 12.0
+    LOUDEST = STEPS - 1
+    """Louder first returns do not count."""
+    DEFAULT, LEAST, LEAST_OF_SECTOR = 30.0, 12.0, 6.0
     RETURN_M = 0.5
     """Depth of a first return."""
     NEAREST_M = 0.6
     NOISE_FACTOR, MIN_RETURN = 5.0, 8.0
+    PINGS, SECTORS = 8, 16
+    """Number of the last pings, and of the parts of their fans."""
+    ENOUGH = 30
+    """Number of first returns of a sector that count as much as all pings."""
 
     def __init__(self, edge_m: float) -> None:
         self._edge_m = edge_m
         self._counts = np.zeros(STEPS, dtype=np.int64)
+        self._recent = np.zeros((0, 3), dtype=np.uint8)
 
     @property
     def returns(self) -> int:
@@ -64,32 +76,61 @@ class SurfaceLevel:
 
     @property
     def level(self) -> float:
-        """The estimate; a default before the first return."""
-        total = self.returns
-        if total == 0:
+        """The estimate over all pings; a default before the first return."""
+        if self.returns == 0:
             return self.DEFAULT
-        middle = int(np.searchsorted(np.cumsum(self._counts), self.QUANTILE * total))
-        return max(self.LEAST, self.FACTOR * middle)
+        return max(self.LEAST, self._of(self._counts))
 
-    def add(self, image: PingImage, noise: float) -> None:
-        """Add the first returns of a ping; `noise` is the median level of its noise."""
+    def by_beam(self, beams: int) -> NDArray[np.float32]:
+        """Return the estimates for the beams of a ping, (beams,)."""
+        counts = np.zeros((self.SECTORS + 2, STEPS), dtype=np.int64)
+        _, sector, level = self._recent.T.astype(np.intp)
+        for neighbour in range(3):
+            np.add.at(counts, (sector + neighbour, level), 1)
+        logarithms = []
+        for some in counts[1:-1]:
+            number = int(some.sum())
+            near = max(self.LEAST_OF_SECTOR, self._of(some)) if number else self.level
+            weight = number / (number + self.ENOUGH)
+            logarithms.append(weight * np.log(near) + (1 - weight) * np.log(self.level))
+        middles = (np.arange(self.SECTORS) + 0.5) / self.SECTORS
+        found = np.interp((np.arange(beams) + 0.5) / beams, middles, logarithms)
+        levels: NDArray[np.float32] = np.exp(found).astype(np.float32)
+        return levels
+
+    def add(self, image: PingImage, noise: NDArray[np.float32]) -> None:
+        """Add the first returns of a ping; `noise` is the level of its noise, (rows,)."""
+        self._recent = self._recent[self._recent[:, 0] < self.PINGS - 1]
+        self._recent[:, 0] += 1
         depth = max(1, round(self._edge_m / image.range_resolution_m))
-        rows, beams = image.intensity.shape[0] // depth, image.intensity.shape[1] // 4
-        pooled = image.intensity[: rows * depth, : beams * 4].reshape(rows, depth, beams, 4)
-        levels = pooled.max(axis=(1, 3))[round(self.NEAREST_M / self._edge_m) :]
+        rows, groups = image.intensity.shape[0] // depth, image.intensity.shape[1] // 4
+        pooled = image.intensity[: rows * depth, : groups * 4].reshape(rows, depth, groups, 4)
+        near = round(self.NEAREST_M / self._edge_m)
+        levels = pooled.max(axis=(1, 3))[near:]
         if levels.size == 0:
             return
-        heard = levels >= max(self.NOISE_FACTOR * noise, self.MIN_RETURN)
+        loudest_noise = noise[: rows * depth].reshape(rows, depth).max(axis=1)[near:, None]
+        heard = levels >= np.maximum(self.NOISE_FACTOR * loudest_noise, self.MIN_RETURN)
         first = heard.argmax(axis=0)
-        beam = np.flatnonzero(heard.any(axis=0))
+        group = np.flatnonzero(heard.any(axis=0))
         reach = round(self.RETURN_M / self._edge_m)
-        row = np.minimum(first[beam] + np.arange(reach)[:, None], len(levels) - 1)
-        loudest = levels[row, beam].max(axis=0, initial=0.0)
-        np.add.at(self._counts, loudest[loudest <= self.LOUDEST].astype(np.int64), 1)
+        row = np.minimum(first[group] + np.arange(reach)[:, None], len(levels) - 1)
+        loudest = levels[row, group].max(axis=0, initial=0.0)
+        group, loudest = group[loudest <= self.LOUDEST], loudest[loudest <= self.LOUDEST]
+        level = loudest.astype(np.uint8)
+        np.add.at(self._counts, level, 1)
+        sector = (group * self.SECTORS // groups).astype(np.uint8)
+        found = np.stack([np.zeros_like(sector), sector, level], axis=1)
+        self._recent = np.concatenate([self._recent, found])
+
+    def _of(self, counts: NDArray[np.int64]) -> float:
+        """Return the level by a histogram of first returns that is not empty."""
+        middle = np.searchsorted(np.cumsum(counts), self.QUANTILE * counts.sum())
+        return self.FACTOR * float(middle)
 
     def state(self) -> SurfaceLevelState:
         """Return everything that `restore` needs to continue exactly."""
-        return SurfaceLevelState(self._counts.copy())
+        return SurfaceLevelState(self._counts.copy(), self._recent.copy())
 
     def restore(self, state: SurfaceLevelState) -> None:
         """Continue as the one of which `state` was taken, of voxels of the same edge.
@@ -97,9 +138,14 @@ class SurfaceLevel:
         Raises:
             ValueError: it is of no estimate.
         """
-        if state.counts.shape != (STEPS,) or state.counts.dtype != np.int64:
+        counts, recent = state
+        if counts.shape != (STEPS,) or counts.dtype != np.int64:
             raise ValueError("a histogram of another shape or type")
-        self._counts = state.counts.copy()
+        if recent.shape != (len(recent), self._recent.shape[1]) or recent.dtype != np.uint8:
+            raise ValueError("first returns of another shape or type")
+        if (recent >= (self.PINGS, self.SECTORS, STEPS)).any():
+            raise ValueError("first returns of an unknown ping, sector or level")
+        self._counts, self._recent = counts.copy(), recent.copy()
 
 
 class ArcIntegrator:
@@ -128,7 +174,7 @@ class ArcIntegrator:
 
     @property
     def level(self) -> float:
-        """Level of a surface on the axis that the next ping takes."""
+        """Level of a surface on the axis, over all pings so far."""
         return self._config.arc.level or self.surface.level
 
     def add_returns(self, image: PingImage) -> None:
@@ -147,11 +193,14 @@ class ArcIntegrator:
         Raises:
             ValueError, IndexError: the core refuses it; the map is unchanged.
         """
-        settings, level = self._config.mapping, np.float32(self.level)
+        settings = self._config.mapping
+        level = self.surface.by_beam(image.intensity.shape[1])
+        if self._config.arc.level:
+            level[:] = self._config.arc.level
         return core.integrate_arc(
             self._model,
             image.intensity / level,
-            np.full(len(image.intensity), _noise_of(image) / level, dtype=np.float32),
+            _noise_of(image) / level.mean(),
             image.bearings_rad,
             image.range_resolution_m,
             map_T_sonar,
@@ -162,6 +211,12 @@ class ArcIntegrator:
         )
 
 
-def _noise_of(image: PingImage) -> float:
-    """Return the median level of the noise."""
-    return max(1.0, float(np.quantile(image.intensity[::4, ::4], 0.25)))
+NOISE_SHARE = 0.35
+"""Noise of the model over `noise_by_range`: distant floors fill whole bands, and count as noise."""
+
+
+def _noise_of(image: PingImage) -> NDArray[np.float32]:
+    """Return the level of the noise by row, (rows,); at least one step of an 8-bit image."""
+    noise = np.float32(NOISE_SHARE) * noise_by_range(image.intensity)
+    found: NDArray[np.float32] = np.maximum(np.float32(1.0), noise)
+    return found

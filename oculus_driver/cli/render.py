@@ -56,6 +56,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--colours", choices=("inferno", "viridis", "grey"), default="inferno")
     add("--gamma", type=positive, default=0.7, help="display exponent (default: %(default)s)")
     add("--keep-gains", action="store_true", help="do not divide by the rows' gain words")
+    add(
+        "--detections",
+        metavar="FACTOR",
+        type=positive,
+        nargs="?",
+        const=7.0,
+        default=0.0,
+        help="mark echoes: samples above FACTOR times the noise at their range (default: 7)",
+    )
     add("--bare", action="store_true", help="without rings, spokes and labels")
     add(
         "--fps",
@@ -90,7 +99,14 @@ def _painter(args: argparse.Namespace) -> Painter:
         text = "images need OpenCV: pip install opencv-contrib-python-headless"
         raise ExtraMissingError(text) from error
     return Painter(
-        Style(args.height, args.colours, args.gamma, not args.keep_gains, labels=not args.bare)
+        Style(
+            args.height,
+            args.colours,
+            args.gamma,
+            not args.keep_gains,
+            labels=not args.bare,
+            echo_factor=args.detections,
+        )
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from oculus_driver.errors import OculusError
 from oculus_driver.fan import FanGeometry, edges_rad, fit_fan, ring_ranges_m
+from oculus_driver.noise import is_echo
 from oculus_driver.ping import caption_lines
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ COLOURS: Final = {
 BACKGROUND: Final = (34, 26, 20)  # blue, green, red
 INK: Final = (222, 222, 214)
 LINE: Final = (150, 140, 128)
+MARK: Final = (60, 255, 60)
 _LINE_SHARE: Final = 0.35
 _MAX_BEAMS: Final = 4096
 _BRIGHT_PERCENT: Final = 99.8
@@ -44,6 +46,7 @@ class Style:
         gamma: display exponent; below 1 brightens dark areas.
         gains_removed: show sample / sqrt(gain word) if rows have gain words.
         labels: draw rings, spokes and captions.
+        echo_factor: mark samples above so many times the noise (`oculus_driver.noise`); 0: none.
     """
 
     height_px: int = 900
@@ -51,6 +54,7 @@ class Style:
     gamma: float = 0.7
     gains_removed: bool = True
     labels: bool = True
+    echo_factor: float = 0.0
 
 
 class Painter:
@@ -82,6 +86,10 @@ class Painter:
         fan = self._fan_for(ping, ping.bearings_rad[order])
         level = self._level(ping)[:, order]
         frame = self._coloured(warp_to_fan(level, fan), fan.outside)
+        if self.style.echo_factor > 0:
+            found = is_echo(ping.image, self.style.echo_factor)[:, order].astype(np.float32)
+            marked = (warp_to_fan(found, fan) > 0.5) & ~fan.outside  # noqa: PLR2004 the nearest
+            frame[marked] = frame[marked] // 2 + np.array(MARK, dtype=np.uint8) // 2
         if self.style.labels:
             self._draw_rings(frame, fan, ping)
             self._draw_spokes(frame, fan, ping)

@@ -5,147 +5,22 @@
 #include <cmath>
 #include <optional>
 #include <stdexcept>
-#include <string>
 
 #include "mapperd/common/fast_math.hpp"
 #include "mapperd/common/parallel.hpp"
+#include "mapperd/common/simd.hpp"
 #include "mapperd/map/fan_blocks.hpp"
 #include "mapperd/map/polar_grid.hpp"
 
 namespace mapperd::map {
 namespace {
 
-// Uncertainty of a pooled level: quantisation, and a sample that the neighbouring arc holds.
-constexpr double kLevelFactor = 1.15;
-constexpr double kLevelStep = 0.015;
-// Log-uniform levels of the broad share.
-constexpr double kBroadLow = 0.045;
-constexpr double kBroadHigh = 7.5;
-// The tail of pooled noise in open water, over its median.
-constexpr double kNoiseScale = 3.5;
-constexpr double kNoiseExponent = 1.82;
-constexpr double kNoiseStep = 0.5;  // of quantisation, in medians of the noise
-constexpr double kNoiseFirstReturn = 5.0;
-// The two-way pattern is taken at this part of the elevation: the voxels of an arc are not points.
-constexpr double kPatternScale = 0.9;
-constexpr double kHalfPowerSinc = 0.44295;
-
-constexpr int kLevelsPerOctave = 12;
-constexpr std::uint8_t kBehind = 128;  // added to the code of an echo behind the first return
-constexpr double kSumUnit = 0x1p-20;   // of sums of logarithms
-constexpr int kMaxGroup = 64;          // beams
-
-double gaussian_below(double z) { return 0.5 * std::erfc(-z / std::sqrt(2.0)); }
-
-void require(bool ok, const char* what) {
-  if (!ok) throw std::invalid_argument(what);
-}
-
-double noise_below(double level) {
-  return level <= kNoiseScale ? 0.0 : 1.0 - std::pow(level / kNoiseScale, -kNoiseExponent);
-}
-
-double level_of(int index) {
-  return std::exp2((index - ArcModel::kUnitLevel) / double{kLevelsPerOctave});
-}
-
-// Twelfths of an octave above the lowest level; noise may lie below that.
-int index_of_noise(float level) {
-  const float octaves = fast_log(std::max(level, 1e-6F)) * 1.44269504F;
-  return static_cast<int>(std::floor(octaves * kLevelsPerOctave + (ArcModel::kUnitLevel + 0.5F)));
-}
-
-int index_of_level(float level) {
-  return std::clamp(index_of_noise(level), 0, ArcModel::kLevels - 1);
-}
-
-double broad_below(double level) {
-  const double place =
-      std::log(std::max(level, 1e-6) / kBroadLow) / std::log(kBroadHigh / kBroadLow);
-  return std::clamp(place, 0.0, 1.0);
-}
-
-}  // namespace
-
-ArcModel::ArcModel(const ArcParams& params, const IwloRule& rule)
-    : params_(params), min_units_(rule.min_units()) {
-  require(params.half_aperture_rad > 0 && params.half_aperture_rad < 1.0,
-          "half_aperture_rad must lie between 0 and 1");
-  require(params.beam_width_rad > 0 && params.beam_width_rad < 2.0,
-          "beam_width_rad must lie between 0 and 2");
-  require(params.spread_below > 0 && params.spread_above > 0 && params.spread_above < 100 &&
-              params.spread_below < 100,
-          "spread_below and spread_above must lie between 0 and 100");
-  require(params.broad_share >= 0 && params.broad_share < 1, "broad_share must lie in [0, 1)");
-  require(params.missed_share > 0 && params.missed_share < 1, "missed_share must lie in (0, 1)");
-  require(params.first_return > 0 && params.quiet > 0 && std::isfinite(params.first_return) &&
-              std::isfinite(params.quiet),
-          "first_return and quiet must be positive numbers");
-  require(params.behind_scale >= 0 && params.behind_scale <= 1, "behind_scale must lie in [0, 1]");
-  require(params.min_step >= 0 && params.max_step > 0 && params.max_step <= kMaxLogOdds,
-          "min_step must be 0 or more, and max_step between 0 and 127");
-  const double sin_half = std::sin(params.half_aperture_rad);
-  upper_.resize(kLevels * kElevations);
-  lower_.resize(kLevels * kElevations);
-  for (int level = 0; level < kLevels; ++level) {
-    const double x = level_of(level);
-    const double upper = kLevelFactor * x + kLevelStep;
-    const double lower = std::max(x / kLevelFactor - kLevelStep, 1e-6);
-    for (int e = 0; e < kElevations; ++e) {
-      const double sine = (e + 0.5) / kElevations * sin_half;
-      upper_[place(level, e)] = static_cast<float>(below(upper, sine));
-      lower_[place(level, e)] = static_cast<float>(below(lower, sine));
-    }
-  }
-  for (int level = 0; level < kNoiseLevels; ++level) {
-    const double x = std::exp2(level / double{kLevelsPerOctave});
-    noise_upper_.push_back(static_cast<float>(noise_below(kLevelFactor * x + kNoiseStep)));
-    noise_lower_.push_back(static_cast<float>(noise_below(x / kLevelFactor - kNoiseStep)));
-  }
-  const int span = rule.max_units() - rule.min_units();
-  probability_.reserve(static_cast<std::size_t>(span) + 1);
-  for (int i = 0; i <= span; ++i) {
-    const double log_odds = rule.log_odds(static_cast<std::int16_t>(rule.min_units() + i));
-    probability_.push_back(static_cast<float>(1.0 / (1.0 + std::exp(-log_odds))));
-  }
-}
-
-double ArcModel::pattern(double sine) const {
-  const double stretch = kHalfPowerSinc / std::sin(params_.beam_width_rad / 2.0);
-  const double x = std::max(3.14159265358979323846 * stretch * kPatternScale * sine, 1e-9);
-  const double sinc = std::sin(x) / x;
-  return std::max(sinc * sinc, 1e-4);
-}
-
-double ArcModel::below(double level, double sine) const {
-  const double z = std::log(level / pattern(sine));
-  const double narrow = gaussian_below(z / (z < 0 ? params_.spread_below : params_.spread_above));
-  const double found =
-      (1 - params_.broad_share) * narrow + params_.broad_share * broad_below(level);
-  return params_.missed_share + (1 - params_.missed_share) * found;
-}
-
-// Of a quiet level far below that of a surface.
-double ArcModel::free_step(const ArcParams& params) {
-  constexpr double kQuietLevel = 0.1;
-  const double found = params.broad_share * broad_below(kQuietLevel);
-  return -std::log(params.missed_share + (1 - params.missed_share) * found);
-}
-
-double ArcModel::heard_up_to(double noise) const {
-  const double quiet = kLevelFactor * params_.quiet * noise + kLevelStep;
-  const double sin_half = std::sin(params_.half_aperture_rad);
-  const double most = params_.missed_share + 0.25;
-  double heard = 0.0;
-  for (int e = 0; e < kElevations; ++e) {
-    const double sine = (e + 0.5) / kElevations * sin_half;
-    if (below(quiet, sine) > most) break;
-    heard = (e + 1.0) / kElevations * sin_half;
-  }
-  return std::asin(heard);
-}
-
-namespace {
+constexpr double kNoiseFirstReturn = 5.0;  // over the median of the noise
+constexpr std::uint8_t kBehind = 128;      // added to the code of an echo behind the first return
+constexpr int kMaxGroup = 64;              // beams
+// Sums of logarithms, as whole numbers: of the upper and the lower level in one word.
+constexpr float kSumUnit = 0x1p-18F;
+constexpr float kMaxTerm = 0x1p12F;
 
 GridMemory& grid_memory() {
   static thread_local GridMemory memory;
@@ -169,7 +44,7 @@ class LevelGrid : public PolarGrid {
     constexpr int kRowsBeyond = 8;
     set_size(image_rows + kRowsBeyond, padded_beams(image.beams));
     std::fill(memory.codes.begin(), memory.codes.end(), kCodeNothing);
-    group_.resize(static_cast<std::size_t>(rows_), 1);
+    group_mask_.resize(static_cast<std::size_t>(rows_), -1);
     weight_.resize(static_cast<std::size_t>(rows_), 0.0F);
     noise_level_.resize(static_cast<std::size_t>(rows_), ArcModel::kUnitLevel);
     fill(levels, model, settings, image_rows);
@@ -179,28 +54,14 @@ class LevelGrid : public PolarGrid {
   }
 
   int beams() const { return beams_; }
+  std::ptrdiff_t rows() const { return rows_; }
   std::size_t size() const { return memory_.codes.size(); }
   double sin_free() const { return sin_free_; }
 
-  // Arc cell of a point, in voxels; its code. False beyond the grid.
-  struct Arc {
-    std::uint32_t cell;
-    std::uint8_t code;
-    int row;
-  };
-  bool find(float range, float sine, Arc& arc) const {
-    const auto row = static_cast<std::ptrdiff_t>(range);
-    const double place = is_irregular() ? column_of(sine) : binned_column_of(sine);
-    const auto column = static_cast<std::ptrdiff_t>(place);
-    if (row >= rows_ || column < kMarginBeams || column >= kMarginBeams + beams_) return false;
-    const int group = group_[static_cast<std::size_t>(row)];
-    const std::ptrdiff_t first = (column - kMarginBeams) / group * group + kMarginBeams;
-    arc.cell = static_cast<std::uint32_t>(row * stride_ + first);
-    // Echoes are the same over a group; free space ends at each beam's own first return.
-    arc.code = memory_.codes[static_cast<std::size_t>(row * stride_ + column)];
-    arc.row = static_cast<int>(row);
-    return true;
-  }
+  /// First column of the arc cells that a row's columns belong to: those columns and this mask.
+  const std::int32_t* group_masks() const { return group_mask_.data(); }
+  std::uint8_t code(std::size_t at) const { return memory_.codes[at]; }
+  double exact_column_of(double sine) const { return column_of(sine); }
   float weight(int row) const { return weight_[static_cast<std::size_t>(row)]; }
   int noise_level(int row) const { return noise_level_[static_cast<std::size_t>(row)]; }
 
@@ -233,9 +94,9 @@ class LevelGrid : public PolarGrid {
       const double width = beam * (row + 0.5);  // of a beam, in voxels
       while (group < kMaxGroup && 2 * group * width <= 1.0) group *= 2;
       const auto i = static_cast<std::size_t>(row);
-      group_[i] = group;
+      group_mask_[i] = ~(group - 1);
       weight_[i] = static_cast<float>(1.0 / std::max(group * width, 1e-3));
-      noise_level_[i] = index_of_noise(static_cast<float>(noise));
+      noise_level_[i] = ArcModel::index_of_noise(static_cast<float>(noise));
       if (!(far_m > min_range_)) continue;
       loudest_noise = std::max(loudest_noise, noise);
       const auto quiet = static_cast<float>(params.quiet * noise);
@@ -251,7 +112,7 @@ class LevelGrid : public PolarGrid {
           std::uint8_t& code =
               memory_.codes[i * static_cast<std::size_t>(stride_) + kMarginBeams + b];
           if (level > quiet) {
-            code = static_cast<std::uint8_t>(kCodeOccupied + index_of_level(level) +
+            code = static_cast<std::uint8_t>(kCodeOccupied + ArcModel::index_of_level(level) +
                                              (behind ? kBehind : 0));
             last_echo = row;
           } else if (!behind) {
@@ -294,20 +155,37 @@ class LevelGrid : public PolarGrid {
 
   int beams_ = 0;
   double sin_free_ = 0.0;
-  std::vector<int> group_;
+  std::vector<std::int32_t> group_mask_;
   std::vector<float> weight_;  // voxels of an arc cell's cross section, over those sampled
   std::vector<int> noise_level_;
 };
 
-// A voxel on an arc with an echo.
-struct Candidate {
-  std::uint32_t arc;
-  std::int16_t units;
-  std::uint8_t voxel;
-  std::uint8_t code;
-  std::uint8_t elevation;
-  std::int16_t noise_level;
-  float weight;
+// Voxels on arcs with an echo, an array a field; and what is computed for them.
+class Candidates {
+ public:
+  std::size_t count = 0;
+  std::vector<std::uint32_t> arc;
+  std::vector<std::uint8_t> voxel;  // of its cell; with kBehind
+  std::vector<std::uint8_t> noise;  // places in the model's tables
+  std::vector<std::uint16_t> place;
+  std::vector<std::int16_t> units;
+  std::vector<float> weight, upper, lower, sum_upper, sum_lower, step;
+
+  void make_room_for_a_cell() {
+    if (count + kCellVoxels <= arc.size()) return;
+    const std::size_t size = 2 * arc.size() + 4096;
+    arc.resize(size);
+    voxel.resize(size);
+    noise.resize(size);
+    place.resize(size);
+    units.resize(size);
+    for (auto* const numbers : {&weight, &upper, &lower, &sum_upper, &sum_lower, &step}) {
+      numbers->resize(size);
+    }
+  }
+  ArcModel::Voxels voxels(std::size_t first, std::size_t end) const {
+    return {end - first, &units[first], &place[first], &noise[first]};
+  }
 };
 
 struct ArcCell {
@@ -327,10 +205,86 @@ struct ArcBlock {
 struct CubeEvidence {
   std::vector<ArcBlock> blocks;
   std::vector<ArcCell> cells;
-  std::vector<Candidate> candidates;
+  Candidates candidates;
   PingStats stats;
   std::vector<Block> created;
+
+  void clear() {
+    blocks.clear();
+    cells.clear();
+    candidates.count = 0;
+    stats = {};
+    created.clear();
+  }
 };
+
+// Memory of a ping's cubes, reused for the next ping of the same thread.
+std::vector<CubeEvidence>& evidence_memory() {
+  static thread_local std::vector<CubeEvidence> memory;
+  return memory;
+}
+
+// Voxels of a cell in the sonar frame, in voxels, and in the grid.
+struct CellView {
+  alignas(32) float x[kCellVoxels], y[kCellVoxels], z[kCellVoxels];
+  alignas(32) float range[kCellVoxels], sine[kCellVoxels], height[kCellVoxels];  // a share of range
+  alignas(32) std::int32_t row[kCellVoxels], column[kCellVoxels], elevation[kCellVoxels];
+  alignas(32) std::int32_t inside[kCellVoxels];  // not 0: a place of the grid within the aperture
+};
+
+MAPPERD_VECTORISED void set_linear(const float* corner, const float (*step)[3], CellView& view) {
+  for (int v = 0; v < kCellVoxels; ++v) {
+    const auto i = static_cast<float>(v & 3), j = static_cast<float>(v >> 2 & 3);
+    const auto k = static_cast<float>(v >> 4);
+    view.x[v] = corner[0] + i * step[0][0] + j * step[1][0] + k * step[2][0];
+    view.y[v] = corner[1] + i * step[0][1] + j * step[1][1] + k * step[2][1];
+    view.z[v] = corner[2] + i * step[0][2] + j * step[1][2] + k * step[2][2];
+  }
+}
+
+MAPPERD_VECTORISED void set_polar(const CellsTask& task, CellView& view) {
+  for (int v = 0; v < kCellVoxels; ++v) {
+    const float flat = view.x[v] * view.x[v] + view.y[v] * view.y[v];
+    const float range = __builtin_sqrtf(flat + view.z[v] * view.z[v]);
+    const float sine = -view.y[v] / (__builtin_sqrtf(flat) + 1e-20F);
+    const float bin = (sine - task.sine_low) * task.bins_per_sine;
+    const float positive = bin > 0.0F ? bin : 0.0F;
+    const auto at = static_cast<std::int32_t>(positive < task.last_bin ? positive : task.last_bin);
+    view.range[v] = range;
+    view.sine[v] = sine;
+    view.height[v] = __builtin_fabsf(view.z[v]) / (range + 1e-20F);
+    view.column[v] = static_cast<std::int32_t>(task.bin_column[at] + task.bin_slope[at] * sine);
+  }
+}
+
+struct GridEnds {
+  std::int32_t rows, columns_end;
+  float min_range, sin_aperture, elevations_per_sine;
+};
+
+MAPPERD_VECTORISED void set_inside(const GridEnds& ends, CellView& view) {
+  for (int v = 0; v < kCellVoxels; ++v) {
+    const float far = static_cast<float>(ends.rows);
+    view.row[v] = static_cast<std::int32_t>(view.range[v] < far ? view.range[v] : far);
+    const float elevation = view.height[v] * ends.elevations_per_sine;
+    const float highest = static_cast<float>(ArcModel::kElevations - 1);
+    view.elevation[v] = static_cast<std::int32_t>(elevation < highest ? elevation : highest);
+    view.inside[v] = (view.x[v] > 0.0F) & (view.range[v] >= ends.min_range) &
+                     (view.height[v] < ends.sin_aperture) & (view.row[v] < ends.rows) &
+                     (view.column[v] >= kMarginBeams) & (view.column[v] < ends.columns_end);
+  }
+}
+
+MAPPERD_VECTORISED void to_words(std::size_t count, const float* weight, const float* upper,
+                                 const float* lower, std::uint32_t* high, std::uint32_t* low) {
+  for (std::size_t i = 0; i < count; ++i) {
+    const float scale = -weight[i] / kSumUnit;
+    const float u = upper[i] * scale, l = lower[i] * scale;
+    constexpr float kMost = kMaxTerm / kSumUnit;
+    high[i] = static_cast<std::uint32_t>(static_cast<std::int32_t>(u < kMost ? u : kMost));
+    low[i] = static_cast<std::uint32_t>(static_cast<std::int32_t>(l < kMost ? l : kMost));
+  }
+}
 
 class ArcUpdate {
  public:
@@ -341,28 +295,31 @@ class ArcUpdate {
         threads_(settings.threads),
         grid_(grid_memory(), levels, model, settings, map.resolution_m()),
         fan_(map, grid_, map_T_sonar, motion),
-        elevations_per_sine_(
-            static_cast<float>(ArcModel::kElevations / std::sin(model.params().half_aperture_rad))),
-        sin_aperture_(static_cast<float>(std::sin(model.params().half_aperture_rad))),
-        sin_free_(static_cast<float>(grid_.sin_free())),
-        min_range_(static_cast<float>(settings.min_range_m / map.resolution_m())) {}
+        sin_free_(static_cast<float>(grid_.sin_free())) {}
 
   PingStats run() {
     if (grid_.is_empty()) return {};
     cells_task_ = grid_.cells_task();
     grid_view_ = grid_.view();
+    const double sin_aperture = std::sin(model_.params().half_aperture_rad);
+    ends_ = {static_cast<std::int32_t>(grid_.rows()), kMarginBeams + grid_.beams(),
+             static_cast<float>(grid_.min_range_m() / grid_.edge_m()),
+             static_cast<float>(sin_aperture),
+             static_cast<float>(ArcModel::kElevations / sin_aperture)};
     const std::vector<BlockCube> cubes = fan_.cubes();
     fan_.fetch(map_, cubes);
     const WriteLock lock(map_);
     revision_ = map_.next_revision();
-    upper_.assign(grid_.size(), 0);
-    lower_.assign(grid_.size(), 0);
-    std::vector<CubeEvidence> found(cubes.size());
+    sums_.assign(grid_.size(), 0);
+    std::vector<CubeEvidence>& found = evidence_memory();
+    if (found.size() < cubes.size()) found.resize(cubes.size());
+    for (std::size_t i = 0; i < cubes.size(); ++i) found[i].clear();
     run_parallel(cubes.size(), threads_, [&](std::size_t i) { look(cubes[i], found[i]); });
     map_.pool().reserve(cubes.size() * kCubeBlocks * kCubeBlocks * kCubeBlocks * kBlockCells);
     run_parallel(cubes.size(), threads_, [&](std::size_t i) { apply(found[i]); });
     PingStats stats;
-    for (CubeEvidence& cube : found) {
+    for (std::size_t i = 0; i < cubes.size(); ++i) {
+      const CubeEvidence& cube = found[i];
       stats.occupied += cube.stats.occupied;
       stats.free += cube.stats.free;
       stats.blocks_visited += cube.stats.blocks_visited;
@@ -375,6 +332,24 @@ class ArcUpdate {
  private:
   void look(const BlockCube& cube, CubeEvidence& found) {
     fan_.visit(cube, [&](const BlockCube& block) { look_at_block(block, found); }, 1);
+    Candidates& all = found.candidates;
+    for (std::size_t first = 0; first < all.count; first += kBatch) {
+      const std::size_t end = std::min(all.count, first + kBatch);
+      model_.log_misses(all.voxels(first, end), &all.upper[first], &all.lower[first]);
+      std::uint32_t high[kBatch], low[kBatch];
+      to_words(end - first, &all.weight[first], &all.upper[first], &all.lower[first], high, low);
+      for (std::size_t i = first; i < end; ++i) {
+        add(sums_[all.arc[i]], std::uint64_t{high[i - first]} << 32 | low[i - first]);
+      }
+    }
+  }
+
+  void add(std::uint64_t& sum, std::uint64_t words) const {
+    if (threads_ == 1) {
+      sum += words;
+    } else {
+      __atomic_fetch_add(&sum, words, __ATOMIC_RELAXED);
+    }
   }
 
   void look_at_block(const BlockCube& at, CubeEvidence& found) {
@@ -424,131 +399,100 @@ class ArcUpdate {
   }
 
   void look_at_cell(const BlockView& view, const Block* block, int cell, CubeEvidence& found) {
-    std::array<float, kCellVoxels> x, y, z;
+    CellView at;
     if (view.is_linear) {
       const int corner = offset_of_cell(cell);
-      for (int v = 0; v < kCellVoxels; ++v) {
-        const int offset = corner + offset_in_cell(v);
-        const auto from_middle = [](int at) { return at - (kBlockEdge - 1) / 2.0; };
-        const Vec3 at = view.seen + from_middle(offset & 15) * view.step[0] +
-                        from_middle(offset >> 4 & 15) * view.step[1] +
-                        from_middle(offset >> 8) * view.step[2];
-        const auto i = static_cast<std::size_t>(v);
-        x[i] = static_cast<float>(at.x);
-        y[i] = static_cast<float>(at.y);
-        z[i] = static_cast<float>(at.z);
-      }
+      const auto from_middle = [](int i) { return i - (kBlockEdge - 1) / 2.0; };
+      const Vec3 first = view.seen + from_middle(corner & 15) * view.step[0] +
+                         from_middle(corner >> 4 & 15) * view.step[1] +
+                         from_middle(corner >> 8) * view.step[2];
+      float start[3], step[3][3];
+      set(start, first);
+      for (std::size_t i = 0; i < 3; ++i) set(step[i], view.step[i]);
+      set_linear(start, step, at);
     } else {
       CellPoints points;
       fan_.places_of(view, cell, points);
       const double scale = 1.0 / grid_.edge_m();
       for (std::size_t i = 0; i < kCellVoxels; ++i) {
-        x[i] = static_cast<float>(scale * points.x[i]);
-        y[i] = static_cast<float>(scale * points.y[i]);
-        z[i] = static_cast<float>(scale * points.z[i]);
+        at.x[i] = static_cast<float>(scale * points.x[i]);
+        at.y[i] = static_cast<float>(scale * points.y[i]);
+        at.z[i] = static_cast<float>(scale * points.z[i]);
       }
     }
-    std::array<float, kCellVoxels> range, sine, height;
-    for (std::size_t i = 0; i < kCellVoxels; ++i) {
-      const float flat = x[i] * x[i] + y[i] * y[i];
-      const float r = std::sqrt(flat + z[i] * z[i]);
-      range[i] = r;
-      sine[i] = -y[i] / (std::sqrt(flat) + 1e-20F);
-      height[i] = std::abs(z[i]) / (r + 1e-20F);
+    set_polar(cells_task_, at);
+    if (grid_.is_irregular()) {
+      for (int v = 0; v < kCellVoxels; ++v) {
+        const double column = grid_.exact_column_of(static_cast<double>(at.sine[v]));
+        at.column[v] = static_cast<std::int32_t>(std::clamp(column, -1e6, 1e6));
+      }
     }
-    ArcCell record{static_cast<std::uint8_t>(cell),
-                   0,
-                   static_cast<std::uint32_t>(found.candidates.size()),
-                   0,
-                   {}};
-    std::optional<DenseCell> voxels;
-    Voxel alike;
-    for (std::size_t i = 0; i < kCellVoxels; ++i) {
-      if (!(x[i] > 0) || range[i] < min_range_ || height[i] >= sin_aperture_) continue;
-      LevelGrid::Arc arc;
-      if (!grid_.find(range[i], sine[i], arc) || arc.code == kCodeNothing) continue;
-      if (arc.code == kCodeFree) {
-        if (height[i] < sin_free_) {
-          record.codes[i] = kCodeFree;
+    set_inside(ends_, at);
+    list_voxels(at, block, cell, found);
+  }
+
+  void list_voxels(const CellView& at, const Block* block, int cell, CubeEvidence& found) {
+    Candidates& all = found.candidates;
+    const std::size_t begin = all.count;
+    ArcCell record{static_cast<std::uint8_t>(cell), 0, static_cast<std::uint32_t>(begin), 0, {}};
+    all.make_room_for_a_cell();
+    for (int v = 0; v < kCellVoxels; ++v) {
+      if (at.inside[v] == 0) continue;
+      const auto row = static_cast<std::size_t>(at.row[v]);
+      const std::size_t line = row * static_cast<std::size_t>(grid_view_.stride);
+      // Echoes are the same over a group; free space ends at each beam's own first return.
+      const std::uint8_t code = grid_.code(line + static_cast<std::size_t>(at.column[v]));
+      if (code == kCodeNothing) continue;
+      if (code == kCodeFree) {
+        if (at.height[v] < sin_free_) {
+          record.codes[static_cast<std::size_t>(v)] = kCodeFree;
           ++record.free;
         }
         continue;
       }
-      if (record.begin == found.candidates.size() && !voxels) {
-        voxels.emplace();
-        read_cell(block, cell, *voxels, alike);
-      }
-      const int elevation =
-          std::min(static_cast<int>(height[i] * elevations_per_sine_), ArcModel::kElevations - 1);
-      const Candidate candidate{arc.cell,
-                                voxels->units[i],
-                                static_cast<std::uint8_t>(i),
-                                arc.code,
-                                static_cast<std::uint8_t>(elevation),
-                                static_cast<std::int16_t>(grid_.noise_level(arc.row)),
-                                grid_.weight(arc.row)};
-      add_to_sums(candidate);
-      found.candidates.push_back(candidate);
+      const std::size_t i = all.count++;
+      const int beam = at.column[v] - kMarginBeams;
+      const int level = (code & ~kBehind) - kCodeOccupied;
+      all.arc[i] = static_cast<std::uint32_t>(
+          line + static_cast<std::size_t>(kMarginBeams + (beam & grid_.group_masks()[row])));
+      all.voxel[i] = static_cast<std::uint8_t>(v | (code & kBehind));
+      all.place[i] = ArcModel::place(level, at.elevation[v]);
+      all.noise[i] = ArcModel::noise_place(level - grid_.noise_level(at.row[v]));
+      all.weight[i] = grid_.weight(at.row[v]);
     }
-    record.end = static_cast<std::uint32_t>(found.candidates.size());
+    if (all.count != begin) {
+      DenseCell voxels;
+      read_cell(block, cell, voxels);
+      for (std::size_t i = begin; i < all.count; ++i) {
+        all.units[i] = voxels.units[static_cast<std::size_t>(all.voxel[i] & ~kBehind)];
+      }
+    }
+    record.end = static_cast<std::uint32_t>(all.count);
     if (record.free != 0 || record.begin != record.end) found.cells.push_back(record);
   }
 
-  void read_cell(const Block* block, int cell, DenseCell& voxels, Voxel& alike) const {
+  void read_cell(const Block* block, int cell, DenseCell& voxels) const {
     if (block != nullptr && block->is_held(cell)) {
-      block->copy_held(map_.rule(), map_.pool(), cell, voxels);
-      return;
+      return block->copy_held(map_.rule(), map_.pool(), cell, voxels);
     }
-    alike = block != nullptr ? block->alike(map_.rule(), cell) : Voxel{};
-    voxels.units.fill(alike.units);
-    voxels.count.fill(alike.count);
+    voxels.units.fill(block != nullptr ? block->alike(map_.rule(), cell).units : Voxel{}.units);
   }
 
-  static int level_of_code(std::uint8_t code) { return (code & ~kBehind) - kCodeOccupied; }
-
-  // Logarithms of 1 - p (1 - F) at the upper and the lower level.
-  struct Terms {
-    float upper, lower;
-  };
-  Terms terms_of(const Candidate& at) const {
-    const float p = model_.probability(at.units);
-    const int level = level_of_code(at.code);
-    const float upper = 1.0F - p * (1.0F - model_.below_upper(level, at.elevation));
-    const float lower = 1.0F - p * (1.0F - model_.below_lower(level, at.elevation));
-    return {fast_log(upper), fast_log(lower)};
+  void find_steps(Candidates& all) const {
+    for (std::size_t first = 0; first < all.count; first += kBatch) {
+      const std::size_t end = std::min(all.count, first + kBatch);
+      for (std::size_t i = first; i < end; ++i) {
+        const std::uint64_t sum = sums_[all.arc[i]];
+        all.sum_upper[i] = -kSumUnit * static_cast<float>(sum >> 32);
+        all.sum_lower[i] = -kSumUnit * static_cast<float>(sum & 0xFFFFFFFFU);
+      }
+      model_.steps(all.voxels(first, end), &all.upper[first], &all.lower[first],
+                   &all.sum_upper[first], &all.sum_lower[first], &all.step[first]);
+    }
   }
-
-  void add_to_sums(const Candidate& at) {
-    const Terms terms = terms_of(at);
-    const auto whole = [&](float term) {
-      return static_cast<std::int64_t>(static_cast<double>(at.weight * term) / kSumUnit);
-    };
-    __atomic_fetch_add(&upper_[at.arc], whole(terms.upper), __ATOMIC_RELAXED);
-    __atomic_fetch_add(&lower_[at.arc], whole(terms.lower), __ATOMIC_RELAXED);
-  }
-
-  float step_of(const Candidate& at) const {
-    const int level = level_of_code(at.code);
-    const int over_noise = level - at.noise_level;
-    const Terms own = terms_of(at);
-    const auto rest = [&](std::int64_t sum, float term) {
-      const auto others = static_cast<float>(static_cast<double>(sum) * kSumUnit) - term;
-      return fast_exp2(1.44269504F * std::min(others, 0.0F));
-    };
-    const float upper = noise_upper(over_noise) * rest(upper_[at.arc], own.upper);
-    const float lower = noise_lower(over_noise) * rest(lower_[at.arc], own.lower);
-    const float occupied = model_.below_upper(level, at.elevation) * upper -
-                           model_.below_lower(level, at.elevation) * lower;
-    const float empty = upper - lower;
-    const auto most = static_cast<float>(model_.params().max_step);
-    constexpr float kLeast = 1e-12F;
-    if (empty < kLeast) return occupied > kLeast ? most : 0.0F;
-    return std::clamp(fast_log(std::max(occupied, kLeast)) - fast_log(empty), -most, most);
-  }
-  float noise_upper(int level) const { return model_.noise_upper(level); }
-  float noise_lower(int level) const { return model_.noise_lower(level); }
 
   void apply(CubeEvidence& cube) {
+    find_steps(cube.candidates);
     CellPool::Cache pool(map_.pool());
     const IwloRule& rule = map_.rule();
     for (const ArcBlock& at : cube.blocks) {
@@ -578,54 +522,56 @@ class ArcUpdate {
                                rule.count_bytes());
     }
     for (std::uint32_t i = at.begin; i < at.end; ++i) {
-      changed |= apply_candidate(cube.candidates[i], voxels, cube.stats);
+      changed |= apply_candidate(cube.candidates, i, voxels, cube.stats);
     }
     block.close(rule, pool, at.cell);
     return changed;
   }
 
-  bool apply_candidate(const Candidate& at, const CellVoxels& voxels, PingStats& stats) const {
+  bool apply_candidate(const Candidates& all, std::size_t i, const CellVoxels& voxels,
+                       PingStats& stats) const {
     const IwloRule& rule = map_.rule();
     const ArcParams& params = model_.params();
-    const bool behind = (at.code & kBehind) != 0;
-    std::uint16_t count = voxels.count(at.voxel);
-    float step = step_of(at);
+    const bool behind = (all.voxel[i] & kBehind) != 0;
+    const int voxel = all.voxel[i] & ~kBehind;
+    const std::int16_t before = all.units[i];
+    std::uint16_t count = voxels.count(voxel);
+    float step = all.step[i];
     if (behind && count == 0 && step < static_cast<float>(params.min_step)) return false;
     if (behind && step < 0) {
-      if (at.units <= 0) return false;
+      if (before <= 0) return false;
       step *= static_cast<float>(params.behind_scale);
     }
-    auto units =
-        static_cast<std::int64_t>(std::lround(std::ldexp(static_cast<double>(step), rule.shift())));
-    if (units < 0 && at.units > 0) {
-      units = -std::int64_t{rule.scaled_down(
-          at.units, static_cast<std::int16_t>(std::min<std::int64_t>(-units, 32767)))};
-      if (behind) units = std::max<std::int64_t>(units, -at.units);
+    const float scaled = step * static_cast<float>(1 << rule.shift());
+    auto units = static_cast<std::int32_t>(scaled + (scaled < 0.0F ? -0.5F : 0.5F));
+    if (units < 0 && before > 0) {
+      units = -std::int32_t{
+          rule.scaled_down(before, static_cast<std::int16_t>(std::min(-units, 32767)))};
+      if (behind) units = std::max(units, -std::int32_t{before});
     }
     ++stats.occupied;
-    std::int16_t value = at.units;
+    std::int16_t value = before;
     rule.add(units, value, count);
-    const bool changed = value != voxels.units()[at.voxel] || count != voxels.count(at.voxel);
-    voxels.units()[at.voxel] = value;
-    voxels.set_count(at.voxel, count);
+    const bool changed = value != voxels.units()[voxel] || count != voxels.count(voxel);
+    voxels.units()[voxel] = value;
+    voxels.set_count(voxel, count);
     return changed;
   }
+
+  static constexpr std::size_t kBatch = 1024;
 
   VoxelMap& map_;
   const ArcModel& model_;
   int threads_;
   LevelGrid grid_;
   FanBlocks fan_;
-  float elevations_per_sine_;
-  float sin_aperture_;
   float sin_free_;
-  float min_range_;
+  GridEnds ends_{};
   RuleTables tables_ = map_.rule().tables();
   const Kernels& kernels_ = kernels();
   GridView grid_view_{};
   CellsTask cells_task_{};
-  std::vector<std::int64_t> upper_;
-  std::vector<std::int64_t> lower_;
+  std::vector<std::uint64_t> sums_;  // by arc cell
   std::uint64_t revision_ = 0;
 };
 

@@ -15,7 +15,9 @@ from mapperd.geometry.motion import PingMotion
 from mapperd.imaging.ping_image import PingImage
 from mapperd.localization.known_map import load_known_map
 from mapperd.localization.maps import keep_boundaries
+from mapperd.mapping.arc import SurfaceLevel, SurfaceLevelState
 from mapperd.mapping.sonar_map import BLOCK_VOXELS, SonarMap
+from mapperd.store.checkpoint import decode_state, encode_state
 from mapperd.store.map_files import map_in
 from mapperd.store.reader import StoreReader
 from mapperd.store.stored_map import StoredMap
@@ -126,6 +128,71 @@ def test_level_rests_on_the_pings_of_the_session(arc_map: SonarMap) -> None:
     assert SonarMap(IWLO).rule_facts() == {"rule": "iwlo"}
 
 
+def first_returns(left: float, right: float) -> PingImage:
+    """A wall of two levels, and nothing else."""
+    intensity = np.zeros((200, 128), dtype=np.float32)
+    intensity[150:160, :64], intensity[150:160, 64:] = left, right
+    return PingImage(intensity, np.linspace(-0.6, 0.6, 128), 0.02)
+
+
+SILENCE = np.ones(200, dtype=np.float32)
+
+
+def test_level_follows_bearing_and_the_last_pings() -> None:
+    surface = SurfaceLevel(0.1)
+    assert surface.by_beam(4).tolist() == [SurfaceLevel.DEFAULT] * 4
+    for _ in range(40):
+        surface.add(first_returns(20.0, 20.0), SILENCE)
+    assert surface.level == pytest.approx(26.0)
+    assert surface.by_beam(128) == pytest.approx(26.0)
+    for _ in range(SurfaceLevel.PINGS):
+        surface.add(first_returns(10.0, 20.0), SILENCE)
+    levels = surface.by_beam(128)
+    assert surface.level == pytest.approx(26.0)
+    assert levels[:50].min() > 13.0
+    assert levels[:50].max() < 20.0
+    assert levels[90:] == pytest.approx(26.0)
+    for _ in range(SurfaceLevel.PINGS):
+        surface.add(first_returns(20.0, 20.0), SILENCE)
+    assert surface.by_beam(128) == pytest.approx(26.0)
+
+
+def test_returns_that_face_the_sonar_do_not_count() -> None:
+    surface = SurfaceLevel(0.1)
+    surface.add(first_returns(20.0, 200.0), SILENCE)
+    assert surface.returns == 16
+    assert surface.level == pytest.approx(26.0)
+
+
+def test_echoes_below_the_noise_are_no_returns() -> None:
+    surface = SurfaceLevel(0.1)
+    noise = SILENCE.copy()
+    noise[100:] = 5.0
+    surface.add(first_returns(20.0, 30.0), noise)
+    assert surface.returns == 16
+    assert surface.level == pytest.approx(39.0)
+
+
+def test_level_continues_from_its_state() -> None:
+    whole, part = SurfaceLevel(0.1), SurfaceLevel(0.1)
+    for number in range(20):
+        if number == 11:
+            rest, part = part, SurfaceLevel(0.1)
+            part.restore(decode_state(encode_state(rest.state()), SurfaceLevelState))
+        for surface in (whole, part):
+            surface.add(first_returns(10.0 + number, 30.0 - number), SILENCE)
+        assert part.by_beam(128).tolist() == whole.by_beam(128).tolist()
+    counts, recent = whole.state()
+    for wrong in (
+        SurfaceLevelState(counts[:-1], recent),
+        SurfaceLevelState(counts, recent[:, :2]),
+        SurfaceLevelState(counts, recent.astype(np.int64)),
+        SurfaceLevelState(counts, np.full((1, 3), 200, dtype=np.uint8)),
+    ):
+        with pytest.raises(ValueError, match=r"first returns|histogram"):
+            whole.restore(wrong)
+
+
 def test_a_refused_ping_counts_as_one_that_is_skipped() -> None:
     small = with_values(ARC, {"mapping.max_swath_voxels": 1000})
     refusing, skipping = SonarMap(small), SonarMap(small)
@@ -232,7 +299,7 @@ def test_a_clients_copy_is_of_the_rule_of_the_daemons_map() -> None:
     log_odds = np.array([PLATE, -5.0, 14.0], dtype=np.float32)
     some = np.ones(3, dtype=np.uint16)
     cells = Cells(centres_m, log_odds, log_odds, some, some.astype(np.int64))
-    limits = (math.log(0.17 / 0.83), math.log(0.03 / 0.97))
+    limits = (math.log(0.137 / 0.863), math.log(0.03 / 0.97))
     facts = MapFacts("id", 0.1, 0.1, *limits, prior_log_odds=ARC.arc.prior_log_odds)
     copy = map_of(cells, 0.1, facts, Config())
     assert copy.config.mapping.rule == "arc"

@@ -35,6 +35,17 @@ def test_one_ping_becomes_one_picture(oculus: Oculus, capture_path: Path, tmp_pa
     assert oculus("render", capture_path, out, "--ping", "7").code == 1
 
 
+def test_detections_are_marked(oculus: Oculus, capture_path: Path, tmp_path: Path) -> None:
+    plain, some, most = (tmp_path / name for name in ("plain.png", "some.png", "most.png"))
+    oculus("render", capture_path, plain, "--bare")
+    assert oculus("render", capture_path, some, "--bare", "--detections").code == 0
+    assert oculus("render", capture_path, most, "--bare", "--detections", "4").code == 0
+    before = cv2.imread(str(plain))
+    marked = [(cv2.imread(str(path)) != before).any(axis=2).sum() for path in (some, most)]
+    assert 0 < marked[0] < marked[1]
+    assert oculus("render", capture_path, some, "--detections", "0").code == 2
+
+
 def test_a_film_runs_as_fast_as_it_was_recorded(
     oculus: Oculus, capture: bytes, tmp_path: Path
 ) -> None:

@@ -132,7 +132,9 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "the arc rule's levels, in steps of half a decibel; test_arc.cpp compares with doubles": (
         "cpp/map/include/mapperd/map/arc_integrator.hpp",
+        "cpp/map/include/mapperd/map/arc_model.hpp",
         "cpp/map/src/arc_integrator.cpp",
+        "cpp/map/src/arc_model.cpp",
         "mapperd/mapping/arc.py",
     ),
     "checks of the simulator, which run beside it": _in(

@@ -1,29 +1,5 @@
 /// \file
-/// \brief The arc rule: the level of an echo tells which voxels of its arc it may come from.
-///
-/// An imaging sonar measures range and bearing, and not elevation: an echo may come from anywhere
-/// on an arc. Its level is that of the loudest surface on the arc, and the beam's vertical pattern
-/// is known. So a loud echo comes from near the beam's axis, and a quiet one excludes a surface
-/// there. Voxels that other pings hold to be occupied explain an echo, and leave little of it to
-/// the rest of the arc.
-///
-/// The definition. Arc cells are one voxel deep and the largest power of two of beams wide that a
-/// voxel holds, one beam at least. The level x of an arc cell is its largest sample, relative to
-/// the level of a surface on the axis. A surface at elevation e returns at most x with probability
-///
-///   F_e(x) = m + (1 - m) [(1 - b) Phi(ln(x / P(e)) / s) + b U(x)],
-///
-/// with the share m of surfaces that return nothing, the two-way amplitude pattern P, the spread s
-/// (smaller below than above), and a log-uniform share b. Noise of median n returns at most x with
-/// F_0(x) = 1 - (x / (3.5 n))^-1.82. The cell's level is the largest of independent sources, so
-/// with the probabilities p_v of the arc's voxels before the ping
-///
-///   C(x) = F_0(x) prod_v (1 - p_v (1 - F_v(x)))^w,
-///
-/// w the voxels that the cell's share of the arc stands for; C_v leaves out voxel v. An observed
-/// level between l and u changes the log-odds of a voxel by
-///
-///   ln [F_v(u) C_v(u) - F_v(l) C_v(l)] / [C_v(u) - C_v(l)].
+/// \brief Integrates pings by the arc rule (arc_model.hpp).
 ///
 /// Silence before the first return of a beam is one constant free step, where a surface would be
 /// heard above the noise. Behind the first return, where shadows lie, nothing becomes free.
@@ -32,74 +8,11 @@
 /// does not depend on the number of threads.
 #pragma once
 
-#include <cstdint>
-#include <vector>
-
+#include "mapperd/map/arc_model.hpp"
 #include "mapperd/map/ping.hpp"
 #include "mapperd/map/voxel_map.hpp"
 
 namespace mapperd::map {
-
-struct ArcParams {
-  double half_aperture_rad = 0.2617993877991494;  ///< elevation up to which echoes are heard
-  double beam_width_rad = 0.349065850398866;      ///< vertical, one way, -3 dB, full
-  double spread_below = 0.45;                     ///< of the logarithm of a surface's level
-  double spread_above = 1.0;
-  double broad_share = 0.3;    ///< of surfaces of any level
-  double missed_share = 0.1;   ///< of surfaces that return nothing
-  double first_return = 0.45;  ///< smallest level of a first return
-  double quiet = 3.0;          ///< levels up to so many times the noise are silence
-  double behind_scale = 0.3;   ///< of steps downwards behind the first return
-  double min_step = 0.3;       ///< behind the first return, smaller steps leave a voxel unobserved
-  double max_step = 6.0;
-};
-
-/// Tables of a rule. \throws std::invalid_argument, naming the parameter, for values out of range.
-class ArcModel {
- public:
-  static constexpr int kLevels = 112;       ///< a twelfth of an octave each
-  static constexpr int kUnitLevel = 60;     ///< index of level 1
-  static constexpr int kNoiseLevels = 256;  ///< relative to the noise, from its median on
-  static constexpr int kElevations = 64;    ///< uniform in sine
-
-  ArcModel(const ArcParams& params, const IwloRule& rule);
-
-  const ArcParams& params() const { return params_; }
-
-  /// Log-odds by which silence lowers a voxel; what IwloParams::L_free of the map must be.
-  static double free_step(const ArcParams& params);
-  /// Elevation up to which a surface would be heard above the noise of this median.
-  double heard_up_to(double noise) const;
-
-  float below_upper(int level, int elevation) const { return upper_[place(level, elevation)]; }
-  float below_lower(int level, int elevation) const { return lower_[place(level, elevation)]; }
-  /// The same of noise; `level` in twelfths of an octave above its median.
-  float noise_upper(int level) const { return noise_upper_[noise_place(level)]; }
-  float noise_lower(int level) const { return noise_lower_[noise_place(level)]; }
-  /// Probability of a voxel from its units.
-  float probability(std::int16_t units) const {
-    return probability_[static_cast<std::size_t>(units - min_units_)];
-  }
-
- private:
-  static std::size_t place(int level, int elevation) {
-    return static_cast<std::size_t>(level * kElevations + elevation);
-  }
-  static std::size_t noise_place(int level) {
-    return static_cast<std::size_t>(level < 0 ? 0
-                                              : (level < kNoiseLevels ? level : kNoiseLevels - 1));
-  }
-  double pattern(double sine) const;
-  double below(double level, double sine) const;
-
-  ArcParams params_;
-  std::int16_t min_units_;
-  std::vector<float> upper_;
-  std::vector<float> lower_;
-  std::vector<float> noise_upper_;
-  std::vector<float> noise_lower_;
-  std::vector<float> probability_;
-};
 
 /// Levels of a ping: amplitudes relative to that of a surface on the beam's axis.
 struct ArcImage {
