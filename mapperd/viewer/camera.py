@@ -50,7 +50,10 @@ class Cameras:
             self._begin(client, mode, np.asarray(vehicle_m, np.float64), yaw)
 
     def follow(self, clients: list["ClientHandle"], vehicle_m: ArrayLike, yaw: float) -> None:
-        """Move following cameras with the vehicle; they keep their orientation."""
+        """Move following cameras with the vehicle; they keep direction and distance.
+
+        The position of a slow browser is that of some time ago.
+        """
         vehicle = np.asarray(vehicle_m, np.float64)
         for client in clients:
             mode = self.mode(client)
@@ -59,11 +62,10 @@ class Cameras:
             before = self._at.get(client.client_id)
             if before is None:
                 self._begin(client, mode, vehicle, yaw)
-                continue
-            moved = vehicle - before
-            if float(np.linalg.norm(moved)) > MOVED_M:
-                client.camera.position = client.camera.position + moved
+            elif float(np.linalg.norm(vehicle - before)) > MOVED_M:
+                offset = client.camera.position - client.camera.look_at
                 self._at[client.client_id] = vehicle
+                _place(client, vehicle, offset)
 
     def forget(self, client_id: int) -> None:
         """Remove a browser."""
@@ -82,8 +84,16 @@ class Cameras:
             offset = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ BEHIND_M
         with client.atomic():
             client.camera.up_direction = up
-            client.camera.position = vehicle + offset
-            client.camera.look_at = vehicle
+            _place(client, vehicle, offset)
+
+
+def _place(
+    client: "ClientHandle", vehicle: NDArray[np.float64], offset: NDArray[np.float64]
+) -> None:
+    """Have the camera look at the vehicle from an offset."""
+    with client.atomic():
+        client.camera.position = vehicle + offset
+        client.camera.look_at = vehicle
 
 
 def whole_view(
