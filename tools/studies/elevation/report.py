@@ -266,7 +266,8 @@ def write_report(folder: Path, contenders: Sequence[str] = (), *, write: bool) -
         _save(slices, pictures / "elevation-slices.png")
     print("\n\n".join(text))
     if write:
-        links = [f"![{name}](../images/elevation-{name}.png)" for name in ("f1", "reliability")]
+        drawn = ("f1", "reliability") if slices is None else ("f1", "slices", "reliability")
+        links = [f"![{name}](../images/elevation-{name}.png)" for name in drawn]
         page, command = PAGES["accuracy-cost"], "python -m studies elevation report --write"
         write_section(page, "elevation", "\n\n".join([*text, *links]), command)
 
