@@ -17,7 +17,7 @@ CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLi
 # Programs and tests start hundreds of Pythons, which must not compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives localization-certainty second-pass localization-soak soak store-soak map-size crash-soak power-cuts chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study from-clone fuzz docs check tidy cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install lock sdist wheels prerequisites test-prerequisites clean
+.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives localization-certainty second-pass localization-soak soak store-soak map-size crash-soak power-cuts chaos stream-study mutations accuracy-cost elevation-study numerical-growth survey-dives survey-study from-clone fuzz docs check tidy cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install lock sdist wheels prerequisites test-prerequisites clean
 
 demo: $(STAMP)
 	$(TOOL) demo --out out/demo

@@ -17,9 +17,9 @@ ROWS, BEAMS, STEP_M = 400, 96, 0.02
 def loud_noise() -> PingImage:
     """A wall, and noise that the gain over time raises beyond the fixed threshold."""
     scale = 2.0 + 30.0 * np.linspace(0, 1, ROWS) ** 2
-    image = np.random.default_rng(8).rayleigh(scale[:, None], (ROWS, BEAMS))
-    image[round(WALL_M / STEP_M) :][:12] = 220.0
-    image = np.minimum(image, 255).astype(np.float32)
+    noise = np.random.default_rng(8).rayleigh(scale[:, None], (ROWS, BEAMS))
+    noise[round(WALL_M / STEP_M) :][:12] = 220.0
+    image = np.minimum(noise, 255).astype(np.float32)
     image.setflags(write=False)
     return PingImage(image, np.linspace(-0.6, 0.6, BEAMS), STEP_M)
 

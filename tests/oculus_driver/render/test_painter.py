@@ -244,9 +244,10 @@ def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
 def test_detections_are_marked_where_they_are(ping_of: Callable[..., Ping]) -> None:
     image = np.random.default_rng(3).integers(1, 5, (ROWS, BEAMS)).astype(np.uint8)
     image[140:161, 120:137] = 250
-    style = {"height_px": 600, "colours": "grey", "labels": False}
     ping = ping_of(image, bearings_cdeg=bearing_table_cdeg(BEAMS, np.radians(65)))
-    plain, marked = (Painter(Style(**style, echo_factor=factor)) for factor in (0.0, 5.0))
+    plain, marked = (
+        Painter(Style(600, "grey", labels=False, echo_factor=factor)) for factor in (0.0, 5.0)
+    )
     changed = (plain.paint(ping) != marked.paint(ping)).any(axis=2)
     fan = fit_fan(ping.bearings_rad, ping.max_range_m, (changed.shape[1], 600), (0, 0, 0, 0))
     row, beam = fan.row_share * ROWS, fan.beam

@@ -260,14 +260,14 @@ def floor_image(level: float, noise: float = 1.0) -> PingImage:
 
 def test_the_level_of_surfaces_is_that_of_first_returns() -> None:
     surface = SurfaceLevel(0.1)
-    default = surface.level
-    surface.add(floor_image(4.0), 1.0)
+    default, noise = surface.level, np.ones(250, dtype=np.float32)
+    surface.add(floor_image(4.0), noise)
     assert surface.level == default  # nothing stands out of the noise
     for level in (20.0, 20.0, 250.0, 250.0):
-        surface.add(floor_image(level), 1.0)
+        surface.add(floor_image(level), noise)
     assert surface.level == pytest.approx(1.3 * 20.0)
     for _ in range(12):
-        surface.add(floor_image(40.0), 1.0)
+        surface.add(floor_image(40.0), noise)
     assert surface.level == pytest.approx(1.3 * 40.0)
 
 
