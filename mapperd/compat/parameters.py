@@ -322,6 +322,7 @@ class UpdateHandlers:
 
     update_min_range = _update_of("filtering.min_range")
     update_intensity = _update_of("filtering.intensity_threshold")
+    update_filtering_noise_factor = _update_of("filtering.noise_factor")
     update_mounting_orientation_roll = _update_of("mounting.orientation.roll")
     update_mounting_orientation_pitch = _update_of("mounting.orientation.pitch")
     update_mounting_orientation_yaw = _update_of("mounting.orientation.yaw")
