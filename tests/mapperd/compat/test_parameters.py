@@ -41,6 +41,9 @@ class Mapper:
             raise ValueError("too high for me")
         self.reported.append(("intensity", value))
 
+    def update_filtering_noise_factor(self, value: float) -> None:
+        self.reported.append(("noise_factor", value))
+
 
 def following() -> tuple[ParameterNode, ConfigStore, Mapper]:
     store, mapper = ConfigStore(Layered()), Mapper()
