@@ -42,6 +42,7 @@ def test_origin_is_the_last_file_that_reports_it(
     assert capsys.readouterr().out.splitlines() == [
         f"filtering.min_range = 1.0 m  # {low}",
         "filtering.intensity_threshold = 35.0  # default",
+        "filtering.noise_factor = 0.0  # default",
         f"octree.voxel_resolution = 0.3 m  # {high}",
     ]
 
