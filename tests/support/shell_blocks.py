@@ -26,6 +26,8 @@ TIMEOUT_S = 900.0
 READY_TIMEOUT_S = 240.0
 STOP_TIMEOUT_S = 60.0
 POLL_S = 0.2
+SERVICE_FOLDERS = ("STATE_DIRECTORY", "LOGS_DIRECTORY", "RUNTIME_DIRECTORY")
+"""Variables that systemd sets for a service; the shell of a reader has none of them."""
 
 _BLOCK = re.compile(
     r"^(?:<!-- (?P<marker>[^\n]*?) -->\n)?^```(?:sh|console)\n(?P<code>.*?)^```$",
@@ -174,7 +176,8 @@ class Reader:
             commands.mkdir()
             self._install(commands)
         parts = () if installed else (".", "tools")
-        self.environment = os.environ | {
+        usual = {name: text for name, text in os.environ.items() if name not in SERVICE_FOLDERS}
+        self.environment = usual | {
             "PATH": f"{commands}{os.pathsep}{os.environ['PATH']}",
             "HOME": str(folder),
             "XDG_STATE_HOME": str(folder / ".local" / "state"),

@@ -83,7 +83,7 @@ def _draw_row(left: Axes, middle: Axes, right: Axes, panel: ScenePanel) -> None:
     colours = mpl.colormaps["RdYlGn_r"](np.repeat(share, 12))[:, :3]
     boxes = cubes(panel.voxels.centres_m, panel.voxels.edge_m)
     right.imshow(render(boxes, colours, camera, WATER))
-    right.set_title(panel.caption, color=INK, fontsize=8)
+    right.set_title(panel.caption, color=INK)
     for axes in (left, middle, right):
         axes.set_axis_off()
 
@@ -241,8 +241,8 @@ def _panel(made: SceneMap, out: Path) -> ScenePanel:
         voxels=made.voxels,
         error_m=made.error_m,
         ping=read_ping(out / "capture.bin", pings // 3),
-        caption=f"{accuracy.occupied_voxels} voxels: {accuracy.median_m:.2f} m median, "
-        f"{accuracy.p95_m:.2f} m 95 %; {accuracy.coverage:.0%} of what was seen is mapped",
+        caption=f"{accuracy.median_m:.2f} m median, {accuracy.p95_m:.2f} m 95 %; "
+        f"{accuracy.coverage:.0%} mapped",
     )
 
 

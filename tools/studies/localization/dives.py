@@ -41,6 +41,9 @@ MINUTE_S = 60.0
 NEAR_M = 0.5
 """Above and below the vehicle's height: surfaces drawn as the map."""
 
+COLUMNS = 3
+"""Instants side by side."""
+
 
 def draw_errors(path: Path, moments: list[FilterUpdate], title: str) -> None:
     """Place and heading of the best mode, against the odometry alone."""
@@ -64,22 +67,25 @@ def draw_errors(path: Path, moments: list[FilterUpdate], title: str) -> None:
 def draw_clouds(path: Path, known: VolumeMap, moments: list[FilterUpdate], title: str) -> None:
     """Particles on the map at some instants, the true place a cross."""
     shown = [m for m in moments if m.particles is not None]
-    picture, panels = plt.subplots(1, len(shown), figsize=(3.4 * len(shown), 3.2), squeeze=False)
+    rows = -(-len(shown) // COLUMNS)
+    picture, panels = plt.subplots(rows, COLUMNS, figsize=(9, 2.3 * rows), squeeze=False)
     first, edge_m = known.first_centre_m, known.resolution_m
     nearest = known.distances_m.min(axis=2).T
-    rows, columns = nearest.shape
-    extent = (first[0], first[0] + columns * edge_m, first[1], first[1] + rows * edge_m)
+    high, wide = nearest.shape
+    extent = (first[0], first[0] + wide * edge_m, first[1], first[1] + high * edge_m)
     wall = (known.distances_m < edge_m).sum(axis=2).T * edge_m > NEAR_M
-    for panel, moment in zip(panels[0], shown, strict=True):
+    for panel in panels.flat[len(shown) :]:
+        panel.set_axis_off()
+    for panel, moment in zip(panels.flat, shown, strict=False):
         panel.imshow(wall, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=1.5)
         particles = moment.particles
         if particles is not None:
-            panel.scatter(particles[:, 0], particles[:, 1], s=1, color="#d62728", lw=0)
+            panel.scatter(particles[:, 0], particles[:, 1], s=2, color="#d62728", lw=0)
         panel.plot(*moment.true[:2], "x", color="#1f77b4")
         panel.set(xlim=extent[:2], ylim=extent[2:])
         seconds, minutes = moment.time_s, moment.time_s / MINUTE_S
         at = f"{seconds:.0f} s" if seconds < MINUTE_S else f"{minutes:.0f} min"
-        panel.set_title(f"{title}, {at}, {moment.way_m:.1f} m", fontsize=8)
+        panel.set_title(f"{title}, {at}, {moment.way_m:.1f} m", fontsize=10)
     picture.tight_layout()
     picture.savefig(path, dpi=90)
     plt.close(picture)
