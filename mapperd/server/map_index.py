@@ -37,6 +37,10 @@ LEAVE = 1.1
 """A sent block is removed beyond this many times the radius: blocks at its edge do not flicker."""
 
 
+DISTANCES_AT_ONCE = 1 << 14
+"""Blocks whose distances are computed at once; each takes 100 bytes meanwhile."""
+
+
 def vector_of(position_m: ArrayLike | None) -> Vector | None:
     """Convert a position (3,) to floats."""
     if position_m is None:
@@ -53,9 +57,12 @@ def distances_m(keys: NDArray[np.int32], block_m: float, position_m: Vector) -> 
         block_m: edge of a block.
         position_m: map frame.
     """
-    away = np.abs((keys + 0.5) * block_m - np.asarray(position_m)) - block_m / 2
-    outside: NDArray[np.float64] = np.linalg.norm(np.maximum(away, 0.0), axis=1)
-    return outside
+    found = np.empty(len(keys))
+    for begin in range(0, len(keys), DISTANCES_AT_ONCE):
+        part = slice(begin, begin + DISTANCES_AT_ONCE)
+        away = np.abs((keys[part] + 0.5) * block_m - np.asarray(position_m)) - block_m / 2
+        found[part] = np.linalg.norm(np.maximum(away, 0.0), axis=1)
+    return found
 
 
 def in_box(keys: NDArray[np.int32], block_m: float, interest: Interest) -> NDArray[np.bool_]:

@@ -139,17 +139,19 @@ class BlockQueue:
     def _choose_front(self, position: NDArray[np.float64]) -> None:
         """Choose the nearest of all waiting blocks as the front."""
         self.flags[self._front] &= np.uint8(~IN_FRONT & 0xFF)
-        waiting = np.flatnonzero(self.flags & WAITING).astype(np.int64)
-        away_m = distances_m(self._keys_of(waiting), self._block_m, tuple(position))
         self._reach_m = np.inf
-        if len(waiting) > FRONT:
-            order = np.argpartition(away_m, FRONT)
-            self._reach_m = float(away_m[order[FRONT]])
-            waiting = waiting[order[:FRONT]]
-        turns = self._turns_of(waiting)
-        self._front, self._front_turns = waiting, turns
-        self._front_keys = self._keys_of(waiting)
-        self.flags[waiting] |= IN_FRONT
+        front, away_m = np.zeros(0, np.int64), np.zeros(0)
+        for begin in range(0, len(self.flags), FRONT):
+            some = begin + np.flatnonzero(self.flags[begin : begin + FRONT] & WAITING)
+            some_m = distances_m(self._keys_of(some), self._block_m, tuple(position))
+            front, away_m = np.concatenate([front, some]), np.concatenate([away_m, some_m])
+            if len(front) > FRONT:
+                order = np.argpartition(away_m, FRONT)
+                self._reach_m = min(self._reach_m, float(away_m[order[FRONT]]))
+                front, away_m = front[order[:FRONT]], away_m[order[:FRONT]]
+        self._front_turns = self._turns_of(front)
+        self._front, self._front_keys = front, self._keys_of(front)
+        self.flags[front] |= IN_FRONT
         self._ordered_at = position
 
     def _turns_of(self, numbers: Numbers) -> NDArray[np.float64]:

@@ -1,6 +1,7 @@
 """The order in which blocks wait, against sorting all of them."""
 
-from collections.abc import Iterable
+import tracemalloc
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import pytest
@@ -185,3 +186,27 @@ def test_what_was_reported_goes_later_than_it_came() -> None:
         assert within(keys, 1.0, Interest(radius_m=radius_m), here, held).tolist() == sent
     beyond = Interest(radius_m=away_m / LEAVE - 0.1)
     assert within(keys, 1.0, beyond, here, held).tolist() == [False, False]
+
+
+MANY, SOME_BYTES = 1 << 18, 4 << 20
+
+
+def most_bytes(work: Callable[[], object]) -> int:
+    """Return the memory that a piece of work takes at most."""
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_the_nearest_of_many_are_found_in_little_memory(random: np.random.Generator) -> None:
+    every = Queue(random.integers(-500, 500, (MANY, 3)).astype(np.int32))
+    every.queue.add(np.arange(MANY), 1)
+    assert most_bytes(lambda: every.nearest(100)) < SOME_BYTES
+
+
+def test_distances_take_little_memory_beside_themselves(random: np.random.Generator) -> None:
+    keys = random.integers(-500, 500, (MANY, 3)).astype(np.int32)
+    assert most_bytes(lambda: distances_m(keys, 1.0, (0.0, 0.0, 0.0))) < 8 * MANY + SOME_BYTES
