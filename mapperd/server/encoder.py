@@ -1,5 +1,6 @@
 """Encodes blocks as messages, once for all clients that get the same ones."""
 
+from array import array
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -49,8 +50,7 @@ class RevisionTimes:
     """Times of the map's revisions, with less resolution for earlier ones."""
 
     def __init__(self) -> None:
-        self._revisions: list[int] = []
-        self._ns: list[int] = []
+        self._revisions, self._ns = array("Q"), array("q")
 
     def note(self, revision: int, now_ns: int) -> None:
         """Note the current revision."""
@@ -65,8 +65,8 @@ class RevisionTimes:
 
     def of(self, revisions: NDArray[np.uint64]) -> NDArray[np.int64]:
         """Return the Unix times (N,) when the map had reached the revisions (N,)."""
-        at = np.searchsorted(np.array(self._revisions, np.uint64), revisions)
-        return np.array(self._ns, np.int64)[np.minimum(at, len(self._ns) - 1)]
+        at = np.searchsorted(np.array(self._revisions), revisions)
+        return np.array(self._ns)[np.minimum(at, len(self._ns) - 1)]
 
 
 class BlockEncoder:
