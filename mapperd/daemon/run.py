@@ -22,6 +22,7 @@ from mapperd.daemon.daemon import Daemon
 from mapperd.daemon.journal import Journal, goes_to_journal
 from mapperd.daemon.localization_service import PoseKeeper
 from mapperd.daemon.map_folder import localization_summary, summary_of
+from mapperd.daemon.memory import free_memory, return_free_memory
 from mapperd.daemon.servers import serving, stream_server
 from mapperd.daemon.session import Live, host_clock
 from mapperd.daemon.supervisor import is_main_thread, supervised
@@ -130,6 +131,7 @@ async def _map(run: LiveRun) -> tuple[MapContent, dict[str, Any]]:
         source, wall_s = await _served(run, opened, live, events, clock)
     finally:
         opened.close()
+    return_free_memory()  # of all threads, before this one makes the results
     with run.notifier.patience(process_progress):
         whole = opened.persistence.whole()
         if (stored := opened.persistence.status()) is not None:
@@ -188,7 +190,7 @@ async def _served(
         )
         await stack.enter_async_context(feeding)
         live.mapping.pipeline.executor.on_mapped = run.trajectory.add
-        for task in (_print_status(live, run.print_line), _keep_trajectory(run.trajectory)):
+        for task in (_print_status(live, run.print_line), free_memory(run.trajectory)):
             stack.callback(asyncio.create_task(task).cancel)
         await stack.enter_async_context(_poses_kept(run.settings, live, events, clock))
         began_s = time.perf_counter()
@@ -314,13 +316,6 @@ def _same(one: Path, other: Path) -> bool:
     return one.absolute() == other.absolute() or (
         one.exists() and other.exists() and one.samefile(other)
     )
-
-
-async def _keep_trajectory(trajectory: TrajectoryWriter) -> NoReturn:
-    """Move the poses out of memory now and then."""
-    while True:
-        await asyncio.sleep(STATUS_PERIOD_S)
-        await asyncio.to_thread(trajectory.flush)
 
 
 async def _print_status(live: Live, print_line: Printer) -> None:

@@ -1,7 +1,6 @@
 """The status of a session in plain values, and events about its changes."""
 
 import asyncio
-import ctypes
 import re
 import time
 from typing import Any, NoReturn
@@ -179,16 +178,6 @@ class LocalizationWatch:
         self._events.add(severity, "localization_std", text, level=self._level)
 
 
-def return_free_memory() -> None:
-    """Return the memory of a backlog to the system, which glibc does not do by itself.
-
-    Free pieces between used ones stay with the process: 170 MB after a backlog of 100 MB.
-    """
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
-
-
 LOOK_S = 1.0
 """Period of looks at what sends no notification."""
 
@@ -228,7 +217,6 @@ class Watch:
         dropped, self._dropped = behind["dropped"] - self._dropped, behind["dropped"]
         text = f"mapping has caught up; {dropped} pings were dropped"
         self._events.add(Severity.NOTICE, "caught_up", text, pings_dropped=dropped)
-        return_free_memory()
 
     def _look_at_refused(self, pings: int) -> None:
         """Report pings that are too much work, each time that they have doubled."""
