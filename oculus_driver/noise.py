@@ -44,13 +44,12 @@ def noise_by_range(image: ArrayLike) -> NDArray[np.float32]:
     return found
 
 
-def is_echo(image: ArrayLike, factor: float, least: float = 0.0) -> NDArray[np.bool_]:
-    """Find the samples that are echoes: above `factor` times the noise, and above `least`.
+def is_echo(image: ArrayLike, factor: float) -> NDArray[np.bool_]:
+    """Find the samples that are echoes: above `factor` times the noise of `noise_by_range`.
 
     Args:
         image: (rows, beams) amplitudes, row 0 nearest.
-        factor: times the noise of `noise_by_range`.
-        least: in the unit of the image.
+        factor: 7 finds one false echo in a million samples of Rayleigh noise.
 
     Returns:
         (rows, beams).
@@ -58,7 +57,5 @@ def is_echo(image: ArrayLike, factor: float, least: float = 0.0) -> NDArray[np.b
     Raises:
         ValueError: as `noise_by_range`.
     """
-    found: NDArray[np.bool_] = np.asarray(image) > np.maximum(
-        factor * noise_by_range(image), least
-    ).reshape(-1, 1)
+    found: NDArray[np.bool_] = np.asarray(image) > factor * noise_by_range(image)[:, np.newaxis]
     return found

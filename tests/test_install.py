@@ -170,7 +170,9 @@ def test_the_service_is_installed_and_runs(tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr[-3000:]
         with machine.booted():
             done = machine.run("\n".join(lines))
-            assert done.returncode == 0, done.stdout + done.stderr
+            if done.returncode != 0:
+                journal = machine.run("journalctl --no-pager --unit mapperd").stdout
+                raise AssertionError(done.stdout + done.stderr + journal)
             assert re.search(r"Active: active \(running\)", done.stdout)
             followed = machine.run(f"timeout --signal=INT 10 {log} || test $? = 124")
             assert "mapperd[" in followed.stdout, followed.stdout + followed.stderr

@@ -79,7 +79,7 @@ class SurfaceLevel:
         """The estimate over all pings; a default before the first return."""
         if self.returns == 0:
             return self.DEFAULT
-        return max(self.LEAST, self._of(self._counts))
+        return max(self.LEAST, self._level_of(self._counts))
 
     def by_beam(self, beams: int) -> NDArray[np.float32]:
         """Return the estimates for the beams of a ping, (beams,)."""
@@ -87,12 +87,12 @@ class SurfaceLevel:
         _, sector, level = self._recent.T.astype(np.intp)
         for neighbour in range(3):
             np.add.at(counts, (sector + neighbour, level), 1)
-        logarithms = []
+        level_of_all, logarithms = self.level, []
         for some in counts[1:-1]:
             number = int(some.sum())
-            near = max(self.LEAST_OF_SECTOR, self._of(some)) if number else self.level
+            near = max(self.LEAST_OF_SECTOR, self._level_of(some)) if number else level_of_all
             weight = number / (number + self.ENOUGH)
-            logarithms.append(weight * np.log(near) + (1 - weight) * np.log(self.level))
+            logarithms.append(weight * np.log(near) + (1 - weight) * np.log(level_of_all))
         middles = (np.arange(self.SECTORS) + 0.5) / self.SECTORS
         found = np.interp((np.arange(beams) + 0.5) / beams, middles, logarithms)
         levels: NDArray[np.float32] = np.exp(found).astype(np.float32)
@@ -123,7 +123,7 @@ class SurfaceLevel:
         found = np.stack([np.zeros_like(sector), sector, level], axis=1)
         self._recent = np.concatenate([self._recent, found])
 
-    def _of(self, counts: NDArray[np.int64]) -> float:
+    def _level_of(self, counts: NDArray[np.int64]) -> float:
         """Return the level by a histogram of first returns that is not empty."""
         middle = np.searchsorted(np.cumsum(counts), self.QUANTILE * counts.sum())
         return self.FACTOR * float(middle)
@@ -165,6 +165,7 @@ class ArcIntegrator:
         self._config = config
         self._model = _core.ArcModel(arc_params(config), rule_params(config))
         self.surface = SurfaceLevel(config.octree.voxel_resolution)
+        self._noise = np.ones(0, dtype=np.float32)
 
     def reconfigure(self, config: Config) -> None:
         """Use other settings; the estimate stays."""
@@ -178,8 +179,9 @@ class ArcIntegrator:
         return self._config.arc.level or self.surface.level
 
     def add_returns(self, image: PingImage) -> None:
-        """Add the first returns of a ping to the estimate."""
-        self.surface.add(image, _noise_of(image))
+        """Measure the noise of a ping, and add its first returns to the estimate."""
+        self._noise = _noise_of(image)
+        self.surface.add(image, self._noise)
 
     def integrate(
         self,
@@ -188,7 +190,7 @@ class ArcIntegrator:
         map_T_sonar: Floats,  # noqa: N803 frames are named
         motion: PingMotion | None,
     ) -> _core.PingStats:
-        """Integrate a ping whose returns were added.
+        """Integrate the ping whose returns were added last.
 
         Raises:
             ValueError, IndexError: the core refuses it; the map is unchanged.
@@ -200,7 +202,7 @@ class ArcIntegrator:
         return core.integrate_arc(
             self._model,
             image.intensity / level,
-            _noise_of(image) / level.mean(),
+            self._noise / level.mean(),
             image.bearings_rad,
             image.range_resolution_m,
             map_T_sonar,

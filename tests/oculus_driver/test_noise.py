@@ -38,10 +38,11 @@ def test_surfaces_do_not_count_as_noise() -> None:
     assert found[~walls].mean() < 0.01
 
 
-def test_least_level_of_an_echo_holds_in_silence() -> None:
-    image = np.zeros((20, 8))
-    image[5, 3], image[6, 3] = 10.0, 20.0
-    assert np.argwhere(is_echo(image, 5.0, least=15.0)).tolist() == [[6, 3]]
+def test_false_echoes_are_as_rare_as_rayleigh_noise_makes_them() -> None:
+    image = np.random.default_rng(6).rayleigh(10.0, (4000, 1000))
+    for factor in (3.0, 4.0, 5.0):
+        expected = image.size * np.exp(-((factor * QUARTILE) ** 2) / 2)
+        assert is_echo(image, factor).sum() == pytest.approx(expected, rel=0.15)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 2), (17, 5), (1000, 1)])

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.daemon import memory
+from mapperd.daemon import run as daemon_run
 from mapperd.export.trajectory import TrajectoryWriter
 from tests.support.process import resident_bytes
 
@@ -13,7 +13,7 @@ from tests.support.process import resident_bytes
 def test_free_memory_between_used_pieces_is_returned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(memory, "PERIOD_S", 0.0)
+    monkeypatch.setattr(daemon_run, "STATUS_PERIOD_S", 0.0)
     pieces = [bytes([n % 251]) * 40_000 for n in range(2500)]  # 100 MB, with what stays between
     kept = pieces[::50]
     before = resident_bytes()
@@ -25,7 +25,7 @@ def test_free_memory_between_used_pieces_is_returned(
 
     async def run() -> None:
         with closing(TrajectoryWriter(tmp_path)) as trajectory:
-            freeing = asyncio.create_task(memory.free_memory(trajectory))
+            freeing = asyncio.create_task(daemon_run.free_memory(trajectory))
             async with asyncio.timeout(20):
                 await until_returned()
             freeing.cancel()

@@ -403,3 +403,23 @@ def test_file_of_the_daemon_states_the_rule(tmp_path: Path, arc_map: SonarMap) -
     found.close()
     with StoreReader(path) as reader:
         assert reader.kind()["mapping.rule"] == "arc"
+
+
+def test_each_beam_is_compared_with_its_own_level(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two halves that return the same part of their levels make mirror images."""
+
+    def halves(_: SurfaceLevel, beams: int) -> np.ndarray:
+        return np.repeat(np.array([15.0, 30.0], dtype=np.float32), beams // 2)
+
+    monkeypatch.setattr(SurfaceLevel, "by_beam", halves)
+    sonar_map = SonarMap(ARC)
+    for pitch in (-0.15, 0.0, 0.15):
+        pose = np.eye(4)
+        pose[0, 0] = pose[2, 2] = math.cos(pitch)
+        pose[0, 2], pose[2, 0] = math.sin(pitch), -math.sin(pitch)
+        sonar_map.integrate(first_returns(15.0, 30.0), pose)
+    port, _, counts = sonar_map.core.voxels()
+    log_odds, observed = sonar_map.core.query(port * (1, -1, 1))
+    assert (counts > 0).sum() > 1000
+    assert np.mean(np.abs(log_odds - sonar_map.core.query(port)[0]) < 1e-3) > 0.99
+    assert observed.mean() > 0.99
