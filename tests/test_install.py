@@ -179,7 +179,8 @@ def test_the_service_is_installed_and_runs(tmp_path: Path) -> None:
             files = "stat --format %a /etc/mapperd/mapperd.yaml /etc/credstore/mapperd.server-token"
             assert machine.run(files).stdout.split() == ["644", "600"]
             asked = machine.run("/opt/mapperd/bin/mapperctl status --once")
-            assert asked.stdout.startswith(f"mapperd {__version__}"), asked.stdout + asked.stderr
+            assert asked.stdout.startswith("! no sonar"), asked.stdout + asked.stderr
+            assert f"\nmapperd {__version__} " in asked.stdout
             stopped = "systemctl stop mapperd && systemctl show --property=Result mapperd"
             assert machine.run(stopped).stdout == "Result=success\n"
 

@@ -92,12 +92,20 @@ IPV6_SITE = 64
 
 
 def token_file(setting: str, environ: Mapping[str, str]) -> Path | None:
-    """Return the token's file: `server.token_file`, else a credential of systemd, else None."""
+    """Return the token's file: `server.token_file`, else a credential of systemd, else None.
+
+    Raises:
+        ConfigError: the folder of the credentials cannot be read.
+    """
     if setting:
         return Path(setting)
     folder = environ.get("CREDENTIALS_DIRECTORY", "")
     paths = [Path(folder, name) for name in CREDENTIALS] if folder else []
-    return next(filter(Path.exists, paths), None)
+    try:
+        return next(filter(Path.exists, paths), None)
+    except OSError as error:
+        text = f"{folder}: credentials cannot be read: {os_reason(error)}"
+        raise ConfigError(text, "$.server.token_file") from error
 
 
 def read_token(path: Path, place: str = "$.server.token_file") -> bytes:

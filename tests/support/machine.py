@@ -73,6 +73,7 @@ else
     mount -t cgroup -o none,name=systemd cgroup /sys/fs/cgroup/systemd
 fi
 mount -o bind,remount,ro /sys
+mount --make-rshared / # systemd's own work on real machines; credentials need it
 export container=test PATH=/usr/sbin:/usr/bin:/sbin:/bin
 exec /lib/systemd/systemd --unit=basic.target
 """

@@ -168,6 +168,8 @@ def test_token_is_found_among_the_credentials(tmp_path: Path) -> None:
         assert token_file("", environ) == tmp_path / name
     assert read_token(tmp_path / CREDENTIALS[0]) == TOKEN
     assert token_file("/given", environ) == Path("/given")
+    with pytest.raises(ConfigError, match="credentials cannot be read"):
+        token_file("", {"CREDENTIALS_DIRECTORY": "/x" * 5000})
     with pytest.raises(ConfigError, match="cannot be read"):
         read_token(tmp_path / "none")
 
