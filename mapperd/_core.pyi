@@ -1,7 +1,7 @@
 """The C++ map core. Arrays are C-contiguous; every call over a millisecond releases the GIL."""
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import TypeAlias, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,6 +102,23 @@ class ArcModel:
 
     def __init__(self, params: ArcParams, rule: IwloParams) -> None: ...
 
+class ArcChanges:
+    """What the echoes of a ping changed in a map.
+
+    Args:
+        counts: (C,) uint32, number of the steps by part of the fan.
+        steps: (N,) int16, of each voxel on an arc with an echo, in units of the map.
+    """
+
+    @overload
+    def __init__(self) -> None: ...
+    @overload
+    def __init__(self, counts: NDArray[np.uint32], steps: NDArray[np.int16]) -> None: ...
+    @property
+    def counts(self) -> NDArray[np.uint32]: ...
+    @property
+    def steps(self) -> NDArray[np.int16]: ...
+
 class PingMotion:
     """How the sonar moves while its ping is in the water.
 
@@ -183,14 +200,41 @@ class VoxelMap:
         carve_no_return: bool = False,
         threads: int = 1,
         motion: PingMotion = ...,
+        changes: ArcChanges | None = None,
     ) -> PingStats:
-        """Add one ping's evidence by the arc rule: the level of an echo tells its elevation.
+        """Add one ping's evidence by the arc rule: the level of an echo shows its elevation.
 
         `model` is that of the map's own rule. `levels`, (rows, beams), are relative to the level of
-        a surface on the beam's axis; so is `noise`, (rows,), its median level, above 0.
+        a surface on the beam's axis; so is `noise`, (rows,), its median level, above 0. `changes`
+        receives what the echoes changed.
 
         Raises:
             ValueError, IndexError: as `integrate_evidence_grid`.
+            RuntimeError: the map is limited to a part.
+        """
+
+    def refine_arc(
+        self,
+        model: ArcModel,
+        levels: NDArray[np.float32],
+        noise: NDArray[np.float32],
+        bearings_rad: NDArray[np.float64],
+        range_resolution_m: float,
+        map_T_sonar: NDArray[np.float64],  # noqa: N803 frames are named
+        *,
+        changes: ArcChanges,
+        min_range_m: float = 0.5,
+        carve_no_return: bool = False,
+        threads: int = 1,
+        motion: PingMotion = ...,
+    ) -> PingStats:
+        """Integrate the echoes of a ping again that the map holds already.
+
+        Each voxel on their arcs gets the step that follows from all other pings, the later ones
+        too; `changes` is what the same arguments changed before, and receives the new changes.
+
+        Raises:
+            ValueError, IndexError: as `integrate_arc`, and for changes of another ping.
             RuntimeError: the map is limited to a part.
         """
 

@@ -69,23 +69,57 @@ ArcParams arc_params(double half_aperture_rad, double beam_width_rad, double spr
           first_return,      quiet,          behind_scale, min_step,     max_step};
 }
 
-PingStats arc(VoxelMap& map, const ArcModel& model, const py::object& levels,
-              const py::object& noise_object, const py::object& bearings, double range_resolution_m,
-              const py::object& map_T_sonar, double min_range_m, bool carve_no_return, int threads,
-              const PingMotion& motion) {
-  const Ping ping(levels, bearings, range_resolution_m);
-  const Array<float> noise = checked<float>(noise_object, "noise", 1);
-  if (static_cast<std::size_t>(noise.shape(0)) != ping.image.rows) {
-    throw std::invalid_argument("noise must have one entry a row of levels");
-  }
-  const Transform pose = transform_of(map_T_sonar, "map_T_sonar");
+// The arguments of a ping of the arc rule.
+struct ArcPing {
+  Ping ping;
+  Array<float> noise;
+  Transform map_T_sonar;
   PingParams settings;
-  settings.vertical_aperture_rad = 2 * model.params().half_aperture_rad;
-  settings.min_range_m = min_range_m;
-  settings.carve_no_return = carve_no_return;
-  settings.threads = threads;
+
+  ArcPing(const ArcModel& model, const py::object& levels, const py::object& noise_object,
+          const py::object& bearings, double range_resolution_m, const py::object& pose,
+          double min_range_m, bool carve_no_return, int threads)
+      : ping(levels, bearings, range_resolution_m),
+        noise(checked<float>(noise_object, "noise", 1)),
+        map_T_sonar(transform_of(pose, "map_T_sonar")) {
+    if (static_cast<std::size_t>(noise.shape(0)) != ping.image.rows) {
+      throw std::invalid_argument("noise must have one entry a row of levels");
+    }
+    settings.vertical_aperture_rad = 2 * model.params().half_aperture_rad;
+    settings.min_range_m = min_range_m;
+    settings.carve_no_return = carve_no_return;
+    settings.threads = threads;
+  }
+  ArcImage image() const { return {ping.image, noise.data()}; }
+};
+
+PingStats arc(VoxelMap& map, const ArcModel& model, const py::object& levels,
+              const py::object& noise, const py::object& bearings, double range_resolution_m,
+              const py::object& map_T_sonar, double min_range_m, bool carve_no_return, int threads,
+              const PingMotion& motion, ArcChanges* changes) {
+  const ArcPing ping(model, levels, noise, bearings, range_resolution_m, map_T_sonar, min_range_m,
+                     carve_no_return, threads);
+  const ArcImage image = ping.image();
   const py::gil_scoped_release release;
-  return integrate_arc(map, model, {ping.image, noise.data()}, pose, settings, motion);
+  return integrate_arc(map, model, image, ping.map_T_sonar, ping.settings, motion, changes);
+}
+
+PingStats arc_again(VoxelMap& map, const ArcModel& model, const py::object& levels,
+                    const py::object& noise, const py::object& bearings, double range_resolution_m,
+                    const py::object& map_T_sonar, ArcChanges& changes, double min_range_m,
+                    bool carve_no_return, int threads, const PingMotion& motion) {
+  const ArcPing ping(model, levels, noise, bearings, range_resolution_m, map_T_sonar, min_range_m,
+                     carve_no_return, threads);
+  const ArcImage image = ping.image();
+  const py::gil_scoped_release release;
+  return refine_arc(map, model, image, ping.map_T_sonar, ping.settings, motion, changes);
+}
+
+ArcChanges arc_changes(const py::object& counts, const py::object& steps) {
+  const auto some_counts = checked<std::uint32_t>(counts, "counts", 1);
+  const auto some_steps = checked<std::int16_t>(steps, "steps", 1);
+  return {{some_counts.data(), some_counts.data() + some_counts.size()},
+          {some_steps.data(), some_steps.data() + some_steps.size()}};
 }
 
 PingStats rays(VoxelMap& map, const py::object& intensity, const py::object& bearings,
@@ -230,6 +264,19 @@ void bind_map(py::module_& module) {
            "min_step"_a = arcs.min_step, "max_step"_a = arcs.max_step)
       .def_property_readonly("free_step",
                              [](const ArcParams& params) { return ArcModel::free_step(params); });
+  py::class_<ArcChanges>(module, "ArcChanges")
+      .def(py::init<>())
+      .def(py::init(&arc_changes), "counts"_a, "steps"_a)
+      .def_property_readonly("counts",
+                             [](const ArcChanges& changes) {
+                               return py::array_t<std::uint32_t>(
+                                   static_cast<py::ssize_t>(changes.counts.size()),
+                                   changes.counts.data());
+                             })
+      .def_property_readonly("steps", [](const ArcChanges& changes) {
+        return py::array_t<std::int16_t>(static_cast<py::ssize_t>(changes.steps.size()),
+                                         changes.steps.data());
+      });
   py::class_<ArcModel>(module, "ArcModel")
       .def(py::init([](const ArcParams& params, const IwloParams& rule) {
              return ArcModel(params, IwloRule(rule));
@@ -251,6 +298,10 @@ void bind_map(py::module_& module) {
            "motion"_a = still)
       .def("integrate_arc", &arc, "model"_a, "levels"_a, "noise"_a, "bearings_rad"_a,
            "range_resolution_m"_a, "map_T_sonar"_a, py::kw_only(),
+           "min_range_m"_a = fan.min_range_m, "carve_no_return"_a = fan.carve_no_return,
+           "threads"_a = fan.threads, "motion"_a = still, "changes"_a = nullptr)
+      .def("refine_arc", &arc_again, "model"_a, "levels"_a, "noise"_a, "bearings_rad"_a,
+           "range_resolution_m"_a, "map_T_sonar"_a, py::kw_only(), "changes"_a,
            "min_range_m"_a = fan.min_range_m, "carve_no_return"_a = fan.carve_no_return,
            "threads"_a = fan.threads, "motion"_a = still)
       .def("integrate_rays", &rays, "intensity"_a, "bearings_rad"_a, "range_resolution_m"_a,

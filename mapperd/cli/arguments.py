@@ -52,6 +52,7 @@ class Arguments:
         allow_damaged: map data that fail their checksum, too.
         odometry: files that replace the recorded odometry; None uses that.
         view_port: port of the page that shows the replay; None shows none.
+        refine: integrate all echoes once more at the end.
     """
 
     replay: tuple[Path, ...]
@@ -66,6 +67,7 @@ class Arguments:
     allow_damaged: bool = False
     view_port: int | None = None
     odometry: OdometryOptions | None = None
+    refine: bool = False
 
 
 VIEW_PORT = 8080
@@ -98,6 +100,8 @@ def parse_arguments(
         parser.error("--view cannot be combined with --store; mapperctl view MAP follows the file")
     if args.store is not None and (not args.replay or args.start or args.duration):
         parser.error("--store needs --replay, without --start and --duration")
+    if args.refine and (not args.replay or args.store is not None):
+        parser.error("--refine needs --replay, without --store")
     if args.allow_damaged and not args.replay:
         parser.error("--allow-damaged needs --replay")
     if problem := _bad_odometry(args):
@@ -117,6 +121,7 @@ def parse_arguments(
         allow_damaged=args.allow_damaged,
         view_port=args.view,
         odometry=_odometry(args),
+        refine=args.refine,
     )
 
 
@@ -240,6 +245,12 @@ def _parser(commands: Sequence[Callable[[], CommandParser]] = ()) -> CommandPars
         type=_seconds,
         default=0.0,
         help="skip the first S seconds",
+    )
+    replay(
+        "--refine",
+        action="store_true",
+        help="then map all echoes again, the last ping first, by what the other pings have found "
+        "(needs mapping.rule: arc)",
     )
     replay(
         "--view",

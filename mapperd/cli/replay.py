@@ -127,6 +127,7 @@ def map_recordings(
     if arguments.store is not None:
         return _stored(sessions, sonar_map.config, arguments.pose, arguments.store, trajectory)
     window = Window(arguments.start_s, arguments.duration_s)
+    _keep_pings(arguments, sonar_map)
     if sonar_map.config.outofcore.use:
         if arguments.view_port is not None:
             raise ReplayError(
@@ -135,6 +136,17 @@ def map_recordings(
             )
         return _mapped_on_disk(runs, sonar_map, window, arguments.out, trajectory)
     return sonar_map, _mapped(runs, sonar_map, window, trajectory, show(sonar_map))
+
+
+def _keep_pings(arguments: Arguments, sonar_map: SonarMap) -> None:
+    """Keep the pings if they are to be refined."""
+    if not arguments.refine:
+        return
+    if sonar_map.config.outofcore.use:
+        raise ReplayError("--refine needs the whole map in memory, and outofcore.use is set")
+    if sonar_map.config.mapping.rule != "arc":
+        raise ReplayError("--refine needs mapping.rule: arc, and the rule is iwlo")
+    sonar_map.keep_pings(arguments.out)
 
 
 def _mapped_on_disk(
@@ -196,11 +208,27 @@ def _replayed(
             bar.show((done_bytes + run.session.bytes_read) / size_bytes, counters.pings_mapped)
         done_bytes += run.session.bytes_read
     bar.close(counters.pings_mapped)
+    refined = _refine(sonar_map)
+    if page is not None and refined:
+        page.update(counters, None)
     wall_s = time.perf_counter() - began_s
     facts = recording_facts([run.session for run in runs]) | sonar_map.rule_facts()
+    if refined:
+        facts["pings_refined"] = refined
     if runs[-1].localization is not None:
         facts |= localization_summary(runs[-1].localization.stage.snapshot())
     return lambda whole: summary_of(facts, whole, runs[-1].poses, counters, wall_s)
+
+
+def _refine(sonar_map: SonarMap) -> int:
+    """Integrate all kept pings again; return their number."""
+    bar = ProgressBar(sys.stderr, time.perf_counter, "mapperd: refining")
+    kept = done = sonar_map.kept_pings
+    for done in sonar_map.refine():
+        bar.show(done / kept, done)
+    if kept:
+        bar.close(kept)
+    return done
 
 
 def _stored(

@@ -297,7 +297,7 @@ class ArcConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.05
     occupied_threshold: Annotated[
         float, rule("Voxels above this probability are occupied.", live=True, gt=0, lt=1)
-    ] = 0.137
+    ] = 0.12
     free_threshold: Annotated[
         float,
         rule(

@@ -6,7 +6,9 @@ level from the first returns of the session's pings so far, so that a replay giv
 estimates.
 """
 
-from typing import NamedTuple
+import contextlib
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ from mapperd.config.tree import Config
 from mapperd.geometry.motion import PingMotion
 from mapperd.imaging.ping_image import PingImage
 from mapperd.mapping.core_args import arc_params, core_motion, rule_params
+from mapperd.mapping.ping_log import ArcPing, PingLog
 from oculus_driver.noise import noise_by_range
 
 __all__ = ["ArcIntegrator", "SurfaceLevel", "SurfaceLevelState"]
@@ -159,9 +162,11 @@ class ArcIntegrator:
 
     Attributes:
         surface: estimate of the session.
+        log: receives the integrated pings, for `refine`; None keeps none.
     """
 
     def __init__(self, config: Config) -> None:
+        self.log: PingLog | None = None
         self._config = config
         self._model = _core.ArcModel(arc_params(config), rule_params(config))
         self.surface = SurfaceLevel(config.octree.voxel_resolution)
@@ -194,23 +199,65 @@ class ArcIntegrator:
 
         Raises:
             ValueError, IndexError: the core refuses it; the map is unchanged.
+            ExportError: the log cannot be written.
         """
         settings = self._config.mapping
         level = self.surface.by_beam(image.intensity.shape[1])
         if self._config.arc.level:
             level[:] = self._config.arc.level
-        return core.integrate_arc(
-            self._model,
-            image.intensity / level,
-            self._noise / level.mean(),
+        ping = ArcPing(
+            image.intensity,
+            level,
+            self._noise,
             image.bearings_rad,
             image.range_resolution_m,
             map_T_sonar,
-            min_range_m=self._config.filtering.min_range,
-            carve_no_return=settings.carve_no_return,
-            threads=settings.threads,
-            motion=core_motion(motion if settings.within_ping_motion else None),
+            motion if settings.within_ping_motion else None,
+            self._config.filtering.min_range,
+            settings.carve_no_return,
+            self._model,
         )
+        changes = None if self.log is None else _core.ArcChanges()
+        stats = core.integrate_arc(*_data_of(ping), **self._options_of(ping), changes=changes)
+        if self.log is not None and changes is not None:
+            self.log.add(ping, changes)
+        return stats
+
+    def refine(self, core: _core.VoxelMap) -> Iterator[None]:
+        """Integrate the pings of the log again, the last one first, and close the log.
+
+        Yields after each ping.
+
+        Raises:
+            ExportError: the log cannot be read.
+        """
+        if self.log is None:
+            return
+        with contextlib.closing(self.log) as log:
+            self.log = None
+            for ping, changes in log.from_last():
+                core.refine_arc(*_data_of(ping), **self._options_of(ping), changes=changes)
+                yield
+
+    def _options_of(self, ping: ArcPing) -> dict[str, Any]:
+        return {
+            "min_range_m": ping.min_range_m,
+            "carve_no_return": ping.carve_no_return,
+            "threads": self._config.mapping.threads,
+            "motion": core_motion(ping.motion),
+        }
+
+
+def _data_of(ping: ArcPing) -> tuple[Any, ...]:
+    """Return the positional arguments of the core."""
+    return (
+        ping.model,
+        ping.intensity / ping.level,
+        ping.noise / ping.level.mean(),
+        ping.bearings_rad,
+        ping.range_resolution_m,
+        ping.map_T_sonar,
+    )
 
 
 NOISE_SHARE = 0.35

@@ -31,6 +31,7 @@ from mapperd.mapping.core_args import (
     save_map,
 )
 from mapperd.mapping.file_headers import octomap_with_rule, settings_of_octomap
+from mapperd.mapping.ping_log import PingLog
 
 __all__ = [
     "BLOCK_VOXELS",
@@ -149,7 +150,48 @@ class SonarMap:
     def start_session(self) -> None:
         """Forget what was learnt of an earlier session's sonar; the voxels stay."""
         if self._arc is not None:
-            self._arc = ArcIntegrator(self.config)
+            log, self._arc = self._arc.log, ArcIntegrator(self.config)
+            self._arc.log = log
+
+    def clear(self) -> None:
+        """Empty the map."""
+        self._map.clear()
+        if self._arc is not None and self._arc.log is not None:
+            self._arc.log.clear()
+
+    def keep_pings(self, folder: Path) -> None:
+        """Keep the pings from here on in a temporary file of a folder, for `refine`.
+
+        Raises:
+            ConfigError: the map does not follow the arc rule.
+            ExportError: the file cannot be made; `integrate` raises it if it cannot be written.
+        """
+        if self._arc is None:
+            path = "$.mapping.rule"
+            raise ConfigError(f"{path}: only a map of the rule arc can be refined", path)
+        self._arc.log = PingLog(folder)
+
+    @property
+    def kept_pings(self) -> int:
+        """Number of pings that `refine` will integrate again."""
+        return 0 if self._arc is None or self._arc.log is None else len(self._arc.log)
+
+    def refine(self) -> Iterator[int]:
+        """Integrate the echoes of all kept pings once more, the last ping first.
+
+        When the pings were integrated, the map did not hold the later ones, and early echoes were
+        spread over their arcs. Now each is explained by all other pings. Afterwards `integrate`
+        continues as before, and the log is empty.
+
+        Yields:
+            the number of pings done, after each.
+
+        Raises:
+            ExportError: the temporary file cannot be read.
+        """
+        if self._arc is not None:
+            for done, _ in enumerate(self._arc.refine(self._map), start=1):
+                yield done
 
     @property
     def surface(self) -> SurfaceLevel | None:
@@ -334,7 +376,10 @@ class SonarMap:
         return 0
 
     def close(self) -> None:
-        """Do nothing: there is no file."""
+        """Forget the pings that were kept for `refine`."""
+        if self._arc is not None and self._arc.log is not None:
+            self._arc.log.close()
+            self._arc.log = None
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the map to a file (`.map`), atomically and without loss.

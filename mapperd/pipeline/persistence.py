@@ -119,7 +119,7 @@ class MemoryPersistence:
 
     def reset(self) -> None:
         """Empty the map."""
-        self._map.core.clear()
+        self._map.clear()
 
     def save(self) -> int | None:
         """Return None: there is no file."""

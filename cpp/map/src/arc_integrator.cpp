@@ -169,6 +169,7 @@ class Candidates {
   std::vector<std::uint8_t> noise;  // places in the model's tables
   std::vector<std::uint16_t> place;
   std::vector<std::int16_t> units;
+  std::vector<std::int16_t> change;  // of the map's units, by this ping
   std::vector<float> weight, upper, lower, sum_upper, sum_lower, step;
 
   void make_room_for_a_cell() {
@@ -179,6 +180,7 @@ class Candidates {
     noise.resize(size);
     place.resize(size);
     units.resize(size);
+    change.resize(size);
     for (auto* const numbers : {&weight, &upper, &lower, &sum_upper, &sum_lower, &step}) {
       numbers->resize(size);
     }
@@ -208,6 +210,8 @@ struct CubeEvidence {
   Candidates candidates;
   PingStats stats;
   std::vector<Block> created;
+  const std::int16_t* earlier = nullptr;  // changes that this ping made before
+  std::size_t earlier_count = 0;
 
   void clear() {
     blocks.clear();
@@ -215,6 +219,8 @@ struct CubeEvidence {
     candidates.count = 0;
     stats = {};
     created.clear();
+    earlier = nullptr;
+    earlier_count = 0;
   }
 };
 
@@ -289,16 +295,22 @@ MAPPERD_VECTORISED void to_words(std::size_t count, const float* weight, const f
 class ArcUpdate {
  public:
   ArcUpdate(VoxelMap& map, const ArcModel& model, const ArcImage& levels,
-            const Transform& map_T_sonar, const PingParams& settings, const PingMotion& motion)
+            const Transform& map_T_sonar, const PingParams& settings, const PingMotion& motion,
+            ArcChanges* changes, bool refines)
       : map_(map),
         model_(model),
+        changes_(changes),
+        refines_(refines),
         threads_(settings.threads),
         grid_(grid_memory(), levels, model, settings, map.resolution_m()),
         fan_(map, grid_, map_T_sonar, motion),
         sin_free_(static_cast<float>(grid_.sin_free())) {}
 
   PingStats run() {
-    if (grid_.is_empty()) return {};
+    if (grid_.is_empty()) {
+      if (changes_ != nullptr) *changes_ = {};
+      return {};
+    }
     cells_task_ = grid_.cells_task();
     grid_view_ = grid_.view();
     const double sin_aperture = std::sin(model_.params().half_aperture_rad);
@@ -314,7 +326,9 @@ class ArcUpdate {
     std::vector<CubeEvidence>& found = evidence_memory();
     if (found.size() < cubes.size()) found.resize(cubes.size());
     for (std::size_t i = 0; i < cubes.size(); ++i) found[i].clear();
+    if (refines_) share_changes(cubes.size(), found);
     run_parallel(cubes.size(), threads_, [&](std::size_t i) { look(cubes[i], found[i]); });
+    if (refines_) check_changes(cubes.size(), found);
     map_.pool().reserve(cubes.size() * kCubeBlocks * kCubeBlocks * kCubeBlocks * kBlockCells);
     run_parallel(cubes.size(), threads_, [&](std::size_t i) { apply(found[i]); });
     PingStats stats;
@@ -326,10 +340,44 @@ class ArcUpdate {
       stats.blocks_created += cube.created.size();
       for (const Block& block : cube.created) map_.insert(block);
     }
+    if (changes_ != nullptr) collect_changes(cubes.size(), found);
     return stats;
   }
 
  private:
+  void share_changes(std::size_t cubes, std::vector<CubeEvidence>& found) const {
+    std::size_t total = 0;
+    for (const std::uint32_t count : changes_->counts) total += count;
+    if (changes_->counts.size() != cubes || total != changes_->steps.size()) refuse_changes();
+    const std::int16_t* from = changes_->steps.data();
+    for (std::size_t i = 0; i < cubes; ++i) {
+      found[i].earlier = from;
+      found[i].earlier_count = changes_->counts[i];
+      from += changes_->counts[i];
+    }
+  }
+
+  static void check_changes(std::size_t cubes, const std::vector<CubeEvidence>& found) {
+    for (std::size_t i = 0; i < cubes; ++i) {
+      if (found[i].candidates.count != found[i].earlier_count) refuse_changes();
+    }
+  }
+
+  [[noreturn]] static void refuse_changes() {
+    throw std::invalid_argument("the changes are those of another ping");
+  }
+
+  void collect_changes(std::size_t cubes, const std::vector<CubeEvidence>& found) const {
+    changes_->counts.clear();
+    changes_->steps.clear();
+    for (std::size_t i = 0; i < cubes; ++i) {
+      const Candidates& all = found[i].candidates;
+      changes_->counts.push_back(static_cast<std::uint32_t>(all.count));
+      const auto end = all.change.begin() + static_cast<std::ptrdiff_t>(all.count);
+      changes_->steps.insert(changes_->steps.end(), all.change.begin(), end);
+    }
+  }
+
   void look(const BlockCube& cube, CubeEvidence& found) {
     fan_.visit(cube, [&](const BlockCube& block) { look_at_block(block, found); }, 1);
     Candidates& all = found.candidates;
@@ -465,6 +513,11 @@ class ArcUpdate {
       read_cell(block, cell, voxels);
       for (std::size_t i = begin; i < all.count; ++i) {
         all.units[i] = voxels.units[static_cast<std::size_t>(all.voxel[i] & ~kBehind)];
+        all.change[i] = 0;
+        if (i < found.earlier_count) {
+          all.change[i] = found.earlier[i];
+          all.units[i] = map_.rule().clamped(std::int64_t{all.units[i]} - all.change[i]);
+        }
       }
     }
     record.end = static_cast<std::uint32_t>(all.count);
@@ -503,9 +556,11 @@ class ArcUpdate {
       for (std::uint32_t i = at.begin; i < at.end; ++i) {
         changed |= apply_cell(cube.cells[i], cube, block, pool);
       }
-      cube.stats.free +=
-          static_cast<std::size_t>(__builtin_popcountll(at.free_cells)) * kCellVoxels;
-      changed |= block.add_free(rule, pool, at.free_cells);
+      if (!refines_) {
+        cube.stats.free +=
+            static_cast<std::size_t>(__builtin_popcountll(at.free_cells)) * kCellVoxels;
+        changed |= block.add_free(rule, pool, at.free_cells);
+      }
       if (changed) block.revision = revision_;
       if (fresh && changed) cube.created.push_back(*fresh);
     }
@@ -513,10 +568,12 @@ class ArcUpdate {
 
   bool apply_cell(const ArcCell& at, CubeEvidence& cube, Block& block, CellPool::Cache& pool) {
     const IwloRule& rule = map_.rule();
-    if (at.begin == at.end && (block.at_floor() & cell_bit(at.cell)) != 0) return false;
+    if (at.begin == at.end && (refines_ || (block.at_floor() & cell_bit(at.cell)) != 0)) {
+      return false;
+    }
     const CellVoxels voxels = block.open(rule, pool, at.cell);
     bool changed = false;
-    if (at.free != 0) {
+    if (at.free != 0 && !refines_) {
       cube.stats.free += at.free;
       changed = kernels_.apply(tables_, at.codes.data(), nullptr, voxels.units(), voxels.counts(),
                                rule.count_bytes());
@@ -528,18 +585,36 @@ class ArcUpdate {
     return changed;
   }
 
-  bool apply_candidate(const Candidates& all, std::size_t i, const CellVoxels& voxels,
+  bool apply_candidate(Candidates& all, std::size_t i, const CellVoxels& voxels,
                        PingStats& stats) const {
+    const int voxel = all.voxel[i] & ~kBehind;
+    const std::int16_t before = all.units[i];  // without this ping
+    std::int16_t value = before;
+    std::uint16_t count = voxels.count(voxel);
+    if (const std::optional<std::int32_t> step = step_of(all, i, count)) {
+      ++stats.occupied;
+      const bool is_counted = all.change[i] != 0;
+      map_.rule().add(*step, value, count);
+      if (is_counted) count = voxels.count(voxel);
+    }
+    all.change[i] = static_cast<std::int16_t>(value - before);
+    const bool changed = value != voxels.units()[voxel] || count != voxels.count(voxel);
+    voxels.units()[voxel] = value;
+    voxels.set_count(voxel, count);
+    return changed;
+  }
+
+  // In units of the map; nothing where the ping says nothing of a voxel.
+  std::optional<std::int32_t> step_of(const Candidates& all, std::size_t i,
+                                      std::uint16_t count) const {
     const IwloRule& rule = map_.rule();
     const ArcParams& params = model_.params();
     const bool behind = (all.voxel[i] & kBehind) != 0;
-    const int voxel = all.voxel[i] & ~kBehind;
     const std::int16_t before = all.units[i];
-    std::uint16_t count = voxels.count(voxel);
     float step = all.step[i];
-    if (behind && count == 0 && step < static_cast<float>(params.min_step)) return false;
+    if (behind && count == 0 && step < static_cast<float>(params.min_step)) return {};
     if (behind && step < 0) {
-      if (before <= 0) return false;
+      if (before <= 0) return {};
       step *= static_cast<float>(params.behind_scale);
     }
     const float scaled = step * static_cast<float>(1 << rule.shift());
@@ -549,19 +624,15 @@ class ArcUpdate {
           rule.scaled_down(before, static_cast<std::int16_t>(std::min(-units, 32767)))};
       if (behind) units = std::max(units, -std::int32_t{before});
     }
-    ++stats.occupied;
-    std::int16_t value = before;
-    rule.add(units, value, count);
-    const bool changed = value != voxels.units()[voxel] || count != voxels.count(voxel);
-    voxels.units()[voxel] = value;
-    voxels.set_count(voxel, count);
-    return changed;
+    return units;
   }
 
   static constexpr std::size_t kBatch = 1024;
 
   VoxelMap& map_;
   const ArcModel& model_;
+  ArcChanges* changes_;
+  bool refines_;
   int threads_;
   LevelGrid grid_;
   FanBlocks fan_;
@@ -575,11 +646,9 @@ class ArcUpdate {
   std::uint64_t revision_ = 0;
 };
 
-}  // namespace
-
-PingStats integrate_arc(VoxelMap& map, const ArcModel& model, const ArcImage& levels,
-                        const Transform& map_T_sonar, const PingParams& settings,
-                        const PingMotion& motion) {
+PingStats update(VoxelMap& map, const ArcModel& model, const ArcImage& levels,
+                 const Transform& map_T_sonar, const PingParams& settings, const PingMotion& motion,
+                 ArcChanges* changes, bool refines) {
   check_ping(levels.image, settings);
   const BlockBox all;
   if (!map.limit().holds(all.first) || !map.limit().holds(all.last)) {
@@ -591,7 +660,21 @@ PingStats integrate_arc(VoxelMap& map, const ArcModel& model, const ArcImage& le
     }
   }
   check_reach(map, map_T_sonar, levels.image.max_range_m(), motion);
-  return ArcUpdate(map, model, levels, map_T_sonar, settings, motion).run();
+  return ArcUpdate(map, model, levels, map_T_sonar, settings, motion, changes, refines).run();
+}
+
+}  // namespace
+
+PingStats integrate_arc(VoxelMap& map, const ArcModel& model, const ArcImage& levels,
+                        const Transform& map_T_sonar, const PingParams& settings,
+                        const PingMotion& motion, ArcChanges* changes) {
+  return update(map, model, levels, map_T_sonar, settings, motion, changes, false);
+}
+
+PingStats refine_arc(VoxelMap& map, const ArcModel& model, const ArcImage& levels,
+                     const Transform& map_T_sonar, const PingParams& settings,
+                     const PingMotion& motion, ArcChanges& changes) {
+  return update(map, model, levels, map_T_sonar, settings, motion, &changes, true);
 }
 
 }  // namespace mapperd::map

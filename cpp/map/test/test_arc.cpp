@@ -312,6 +312,113 @@ TEST_CASE("nothing behind a first return becomes free") {
   CHECK(behind == 0);
 }
 
+// Pings of two poses, mapped into a map, and what each changed.
+struct TwoPings {
+  ArcParams params;
+  IwloParams rule = rule_of(params);
+  ArcModel model{params, IwloRule(rule)};
+  std::vector<Levels> levels;
+  std::vector<mapperd::Transform> poses;
+  std::vector<mapperd::map::ArcChanges> changes{2};
+  PingParams settings;
+
+  explicit TwoPings(std::uint64_t seed) {
+    scenes::Random random(seed);
+    for (int ping = 0; ping < 2; ++ping) {
+      levels.push_back(random_levels(random));
+      poses.push_back(scenes::rotation_zyx(0.1 * ping, 0.2 * ping, 0.1));
+    }
+  }
+  void integrate(VoxelMap& map, std::size_t ping) {
+    integrate_arc(map, model, levels[ping].image(), poses[ping], settings, {}, &changes[ping]);
+  }
+  void refine(VoxelMap& map, std::size_t ping) {
+    refine_arc(map, model, levels[ping].image(), poses[ping], settings, {}, changes[ping]);
+  }
+};
+
+TEST_CASE("a single ping is refined to what it was") {
+  TwoPings pings(75);
+  VoxelMap map(kEdge, pings.rule);
+  pings.integrate(map, 0);
+  const auto before = encode_map(map);
+  CHECK(pings.changes[0].steps.size() > 1000);
+  pings.refine(map, 0);
+  CHECK(encode_map(map) == before);
+}
+
+// Its earlier evidence is taken out of the voxels on its arcs, and the ping integrated into that.
+TEST_CASE("a refined ping is integrated as if it were the last") {
+  for (const std::uint64_t seed : {76U, 77U, 78U}) {
+    TwoPings pings(seed);
+    VoxelMap map(kEdge, pings.rule), without(kEdge, pings.rule);
+    pings.integrate(map, 0);
+    std::map<Place, double> by_echoes;
+    map.for_each_known([&](const VoxelIndex& at, const VoxelState& state) {
+      const double step = double{state.log_odds} - kPrior;
+      if (std::abs(step + ArcModel::free_step(pings.params)) < 1e-3) return;
+      by_echoes[{static_cast<int>(at.x), static_cast<int>(at.y), static_cast<int>(at.z)}] = step;
+    });
+    pings.integrate(map, 1);
+    load_map(encode_map(map), without);
+    for (const auto& [place, step] : by_echoes) {
+      const auto& [x, y, z] = place;
+      const Vec3 centre = map.centre_of(VoxelIndex{x, y, z});
+      const double value = double{map.at(VoxelIndex{x, y, z}).log_odds} - step;
+      const double xyz[] = {centre.x, centre.y, centre.z};
+      mapperd::map::set_log_odds(without, {xyz, 1}, &value);
+    }
+    const auto changes = pings.changes[0];
+    pings.integrate(without, 0);
+    pings.changes[0] = changes;
+    const auto before = encode_map(map);
+    pings.refine(map, 0);
+    CHECK(encode_map(map) != before);
+    CHECK(by_echoes.size() > 300);
+    std::size_t off = 0;
+    for (const auto& [place, step] : by_echoes) {
+      const auto& [x, y, z] = place;
+      const VoxelIndex at{x, y, z};
+      off += std::abs(map.at(at).log_odds - without.at(at).log_odds) > 2e-3F ? 1 : 0;
+    }
+    CHECK(off == 0);
+  }
+}
+
+TEST_CASE("refining gives the same bits on any number of threads") {
+  const auto refined = [](int threads) {
+    TwoPings pings(79);
+    pings.settings.threads = threads;
+    VoxelMap map(kEdge, pings.rule);
+    for (const std::size_t ping : {0U, 1U}) pings.integrate(map, ping);
+    for (const std::size_t ping : {1U, 0U}) pings.refine(map, ping);
+    return encode_map(map);
+  };
+  const auto one = refined(1);
+  CHECK(refined(2) == one);
+  CHECK(refined(5) == one);
+}
+
+TEST_CASE("changes of another ping are refused, and the map stays") {
+  TwoPings pings(80);
+  VoxelMap map(kEdge, pings.rule);
+  for (const std::size_t ping : {0U, 1U}) pings.integrate(map, ping);
+  const auto before = encode_map(map);
+  const mapperd::map::ArcChanges good = pings.changes[0];
+  mapperd::map::ArcChanges one_less = good, moved = good, no_counts = good;
+  one_less.steps.pop_back();
+  no_counts.counts.clear();
+  const auto some = std::find_if(moved.counts.begin(), moved.counts.end() - 1,
+                                 [](std::uint32_t count) { return count > 0; });
+  --some[0];
+  ++some[1];
+  for (const auto& wrong : {one_less, moved, no_counts, pings.changes[1]}) {
+    pings.changes[0] = wrong;
+    CHECK_THROWS_AS(pings.refine(map, 0), std::invalid_argument);
+    CHECK(encode_map(map) == before);
+  }
+}
+
 TEST_CASE("bad levels, noise and parameters are refused") {
   const ArcParams params;
   const IwloParams rule = rule_of(params);

@@ -82,6 +82,36 @@ def test_recording_becomes_a_folder_of_results(
     assert "mapped 5 of 5 pings" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("no_picture")
+def test_replay_refines_the_map_on_request(
+    recording: Path, quick_config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = quick_config.read_text(encoding="utf-8")
+    assert "mapping:" not in text
+    config = tmp_path / "arc.yaml"
+    config.write_text(f"{text}mapping: {{rule: arc}}\n", encoding="utf-8")
+    summaries = []
+    for name, more in (("once", []), ("again", ["--refine"])):
+        words = ["--replay", str(recording), "--config", str(config), *more]
+        assert main([*words, "--out", str(tmp_path / name)]) == ExitCode.OK
+        summaries.append(summary_in(tmp_path / name))
+    once, again = summaries
+    assert "pings_refined" not in once
+    assert again["pings_refined"] == again["pings_mapped"] == once["pings_mapped"] == 5
+    assert again["map_sha256"] != once["map_sha256"]
+    files = [{path.name for path in (tmp_path / name).iterdir()} for name in ("once", "again")]
+    assert files[0] == files[1]
+    disk = tmp_path / "disk.yaml"
+    disk.write_text(f"{config.read_text()}outofcore: {{use: true}}\n", encoding="utf-8")
+    for settings, word in ((quick_config, "rule: arc"), (disk, "outofcore.use")):
+        capsys.readouterr()
+        words = ["--replay", str(recording), "--config", str(settings), "--refine"]
+        assert main([*words, "--out", str(tmp_path / "no")]) == ExitCode.USAGE
+        [line] = capsys.readouterr().err.splitlines()[-1:]
+        assert "--refine" in line
+        assert word in line
+
+
 @pytest.mark.slow
 def test_two_runs_give_one_fingerprint_and_integrators_two(
     recording: Path, quick_config: Path, tmp_path: Path

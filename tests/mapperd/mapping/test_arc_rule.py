@@ -2,20 +2,23 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from mapperd import _core
 from mapperd.client.mirror import Cells, map_of
 from mapperd.config.live import occupied_above, with_values
 from mapperd.config.tree import Config
-from mapperd.errors import ConfigError, MapError
+from mapperd.errors import ConfigError, ExportError, MapError
 from mapperd.export.cells import FREE, OCCUPIED, Heights, known_cells
 from mapperd.geometry.motion import PingMotion
 from mapperd.imaging.ping_image import PingImage
 from mapperd.localization.known_map import load_known_map
 from mapperd.localization.maps import keep_boundaries
 from mapperd.mapping.arc import SurfaceLevel, SurfaceLevelState
+from mapperd.mapping.core_args import arc_params, core_motion, rule_params
 from mapperd.mapping.sonar_map import BLOCK_VOXELS, SonarMap
 from mapperd.store.checkpoint import decode_state, encode_state
 from mapperd.store.map_files import map_in
@@ -23,6 +26,7 @@ from mapperd.store.reader import StoreReader
 from mapperd.store.stored_map import StoredMap
 from mapperd.store.tile_store import TileStore
 from mapperd.wire.messages import MapFacts
+from oculus_driver.noise import noise_by_range
 
 IWLO = with_values(Config(), {"octree.voxel_resolution": 0.1})
 ARC = with_values(IWLO, {"mapping.rule": "arc"})
@@ -95,6 +99,82 @@ def test_settings_reach_the_rule() -> None:
                     image.intensity[150:160, :24] = 1.0
                 sonar_map.integrate(image, pose_of(number), MOTION)
         assert one.sha256() != other.sha256(), name
+
+
+def refined(config: Config, folder: Path, pings: int = 12) -> SonarMap:
+    sonar_map = SonarMap(config)
+    sonar_map.keep_pings(folder)
+    for number in range(pings):
+        if number == 7:
+            sonar_map.start_session()
+        motion = MOTION if number % 2 else None
+        sonar_map.integrate(image_of(number), pose_of(number), motion)
+    assert sonar_map.kept_pings == pings
+    assert list(sonar_map.refine()) == list(range(1, pings + 1))
+    assert sonar_map.kept_pings == 0
+    return sonar_map
+
+
+def test_refining_takes_the_pings_again_from_the_last(tmp_path: Path) -> None:
+    sonar_map = refined(ARC, tmp_path)
+    wanted, kept = SonarMap(ARC), []
+    for number in range(12):
+        if number == 7:
+            wanted.start_session()
+        image, pose = image_of(number), pose_of(number)
+        motion = MOTION if number % 2 else None
+        wanted.skip(image)
+        level = wanted.surface.by_beam(48) if wanted.surface is not None else np.ones(48)
+        noise = np.maximum(1.0, 0.35 * noise_by_range(image.intensity)).astype(np.float32)
+        arguments: tuple[Any, ...] = (
+            _core.ArcModel(arc_params(ARC), rule_params(ARC)),
+            image.intensity / level,
+            noise / level.mean(),
+            image.bearings_rad,
+            image.range_resolution_m,
+            pose,
+        )
+        options: dict[str, Any] = {
+            "motion": core_motion(motion),
+            "min_range_m": ARC.filtering.min_range,
+        }
+        changes = _core.ArcChanges()
+        wanted.core.integrate_arc(*arguments, **options, changes=changes)
+        kept.append((arguments, changes, options))
+    before = wanted.sha256()
+    for arguments, changes, options in reversed(kept):
+        wanted.core.refine_arc(*arguments, **options, changes=changes)
+    assert sonar_map.sha256() == wanted.sha256() != before
+
+
+def test_refined_map_does_not_depend_on_threads(tmp_path: Path) -> None:
+    threaded = refined(with_values(ARC, {"mapping.threads": 3}), tmp_path)
+    assert threaded.sha256() == refined(ARC, tmp_path).sha256()
+
+
+def test_pings_before_the_map_was_emptied_are_not_refined(tmp_path: Path) -> None:
+    sonar_map, wanted = SonarMap(ARC), SonarMap(ARC)
+    sonar_map.keep_pings(tmp_path)
+    sonar_map.integrate(image_of(1), pose_of(1))
+    wanted.skip(image_of(1))
+    sonar_map.clear()
+    wanted.keep_pings(tmp_path)
+    for each in (sonar_map, wanted):
+        for number in (2, 3):
+            each.integrate(image_of(number), pose_of(number))
+        assert list(each.refine()) == [1, 2]
+    assert sonar_map.sha256() == wanted.sha256()
+
+
+def test_only_maps_of_the_arc_rule_can_be_refined(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"rule arc"):
+        SonarMap(IWLO).keep_pings(tmp_path)
+    assert list(SonarMap(IWLO).refine()) == []
+    abandoned = SonarMap(ARC)
+    abandoned.keep_pings(tmp_path)
+    abandoned.close()
+    with pytest.raises(ExportError, match=r"no-folder.*refining"):
+        SonarMap(ARC).keep_pings(tmp_path / "no-folder")
 
 
 def test_settings_of_iwlo_have_no_effect(arc_map: SonarMap) -> None:
