@@ -37,7 +37,12 @@ def noise_by_range(image: ArrayLike) -> NDArray[np.float32]:
     rows = len(samples)
     bands = np.array_split(np.arange(rows), min(BANDS, rows))
     stride = min(STRIDE, max(1, rows // BANDS))
-    levels = np.array([np.quantile(samples[band[::stride], ::STRIDE], QUANTILE) for band in bands])
+    chosen = [band[::stride] for band in bands]
+    levels = np.empty(len(bands))
+    for length in {len(some) for some in chosen}:  # of all bands alike at once: much faster
+        alike = [i for i, some in enumerate(chosen) if len(some) == length]
+        these = samples[np.concatenate([chosen[i] for i in alike]), ::STRIDE]
+        levels[alike] = np.quantile(these.reshape(len(alike), -1), QUANTILE, axis=1)
     levels = np.minimum.accumulate(levels[::-1])[::-1]
     middles = [band.mean() for band in bands]
     found: NDArray[np.float32] = np.interp(np.arange(rows), middles, levels).astype(np.float32)

@@ -82,20 +82,18 @@ class SurfaceLevel:
         """The estimate over all pings; a default before the first return."""
         if self.returns == 0:
             return self.DEFAULT
-        return max(self.LEAST, self._level_of(self._counts))
+        return max(self.LEAST, float(self._level_of(self._counts)))
 
     def by_beam(self, beams: int) -> NDArray[np.float32]:
         """Return the estimates for the beams of a ping, (beams,)."""
-        counts = np.zeros((self.SECTORS + 2, STEPS), dtype=np.int64)
         _, sector, level = self._recent.T.astype(np.intp)
-        for neighbour in range(3):
-            np.add.at(counts, (sector + neighbour, level), 1)
-        level_of_all, logarithms = self.level, []
-        for some in counts[1:-1]:
-            number = int(some.sum())
-            near = max(self.LEAST_OF_SECTOR, self._level_of(some)) if number else level_of_all
-            weight = number / (number + self.ENOUGH)
-            logarithms.append(weight * np.log(near) + (1 - weight) * np.log(level_of_all))
+        alone = np.bincount(sector * STEPS + level, minlength=self.SECTORS * STEPS)
+        wide = np.pad(alone.reshape(self.SECTORS, STEPS), ((1, 1), (0, 0)))
+        counts = wide[:-2] + wide[1:-1] + wide[2:]
+        number = counts.sum(axis=1)
+        near = np.maximum(self.LEAST_OF_SECTOR, self._level_of(counts))
+        weight = number / (number + self.ENOUGH)
+        logarithms = weight * np.log(near) + (1 - weight) * np.log(self.level)
         middles = (np.arange(self.SECTORS) + 0.5) / self.SECTORS
         found = np.interp((np.arange(beams) + 0.5) / beams, middles, logarithms)
         levels: NDArray[np.float32] = np.exp(found).astype(np.float32)
@@ -107,9 +105,11 @@ class SurfaceLevel:
         self._recent[:, 0] += 1
         depth = max(1, round(self._edge_m / image.range_resolution_m))
         rows, groups = image.intensity.shape[0] // depth, image.intensity.shape[1] // 4
-        pooled = image.intensity[: rows * depth, : groups * 4].reshape(rows, depth, groups, 4)
+        whole = image.intensity[: rows * depth, : groups * 4]
+        pairs = np.maximum(whole[:, ::2], whole[:, 1::2])
+        loudest = np.maximum(pairs[:, ::2], pairs[:, 1::2])
         near = round(self.NEAREST_M / self._edge_m)
-        levels = pooled.max(axis=(1, 3))[near:]
+        levels = loudest.reshape(rows, depth, groups).max(axis=1)[near:]
         if levels.size == 0:
             return
         loudest_noise = noise[: rows * depth].reshape(rows, depth).max(axis=1)[near:, None]
@@ -118,18 +118,20 @@ class SurfaceLevel:
         group = np.flatnonzero(heard.any(axis=0))
         reach = round(self.RETURN_M / self._edge_m)
         row = np.minimum(first[group] + np.arange(reach)[:, None], len(levels) - 1)
-        loudest = levels[row, group].max(axis=0, initial=0.0)
-        group, loudest = group[loudest <= self.LOUDEST], loudest[loudest <= self.LOUDEST]
-        level = loudest.astype(np.uint8)
+        level_of_return = levels[row, group].max(axis=0, initial=0.0)
+        kept = level_of_return <= self.LOUDEST
+        group, level = group[kept], level_of_return[kept].astype(np.uint8)
         np.add.at(self._counts, level, 1)
         sector = (group * self.SECTORS // groups).astype(np.uint8)
         found = np.stack([np.zeros_like(sector), sector, level], axis=1)
         self._recent = np.concatenate([self._recent, found])
 
-    def _level_of(self, counts: NDArray[np.int64]) -> float:
-        """Return the level by a histogram of first returns that is not empty."""
-        middle = np.searchsorted(np.cumsum(counts), self.QUANTILE * counts.sum())
-        return self.FACTOR * float(middle)
+    def _level_of(self, counts: NDArray[np.int64]) -> Floats:
+        """Return the level by histograms of first returns, (..., STEPS); 0 without any."""
+        rising = np.cumsum(counts, axis=-1)
+        middle = (rising < self.QUANTILE * rising[..., -1:]).sum(axis=-1)
+        found: Floats = self.FACTOR * middle
+        return found
 
     def state(self) -> SurfaceLevelState:
         """Return everything that `restore` needs to continue exactly."""

@@ -37,6 +37,7 @@ from studies.accuracy_cost.mapping.metrics import (
 from studies.elevation.dives import Dive, DiveData, cell_keys
 
 __all__ = [
+    "CURVE_LOG_ODDS",
     "ChangeWatch",
     "Sweep",
     "TrueGrid",
@@ -71,6 +72,8 @@ SEES = 0.25
 SAME_M = 0.01
 GONE, SHOWN = 0.1, 0.5
 FREED_PINGS = 5
+CURVE_LOG_ODDS = np.arange(-8.0, 8.1, 0.2)
+"""Edges of bins from which probabilities are calibrated; the outer ones hold what lies beyond."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -391,6 +394,15 @@ class ChangeWatch:
             if is_done and name not in self._done:
                 self._done[name] = self._looks[name]
 
+    def look_again(self, sonar_map: SonarMap) -> None:
+        """Look at the final map, which no ping has changed."""
+        occupied_m = sonar_map.occupied().centres_m
+        still = int(self._freed[self._after.place(occupied_m)].sum())
+        self._share = {
+            "gone": still / self._before if self._before else math.nan,
+            "shown": self._near(self._places_m["shown"], cKDTree(occupied_m)),
+        }
+
     def _near(self, points_m: Floats, occupied: cKDTree) -> float:
         if len(points_m) == 0:
             return 0.0
@@ -450,6 +462,7 @@ def measure(
     scores = sweep(truth, seen_m, centres_m, log_odds)
     best = int(scores.f_one.argmax())
     bins = reliability(log_odds, solid)
+    inside = np.clip(log_odds, CURVE_LOG_ODDS[0], CURVE_LOG_ODDS[-1])
     row: dict[str, object] = {
         **asdict(surfaces(truth, seen_m, occupied_m, edge_m)),
         "best_f_one": float(scores.f_one[best]),
@@ -463,6 +476,8 @@ def measure(
         "bin_voxels": bins.counts.tolist(),
         "bin_probability": bins.probability.tolist(),
         "bin_solid": bins.solid.tolist(),
+        "curve_voxels": np.histogram(inside, CURVE_LOG_ODDS)[0].tolist(),
+        "curve_solid": np.histogram(inside[solid], CURVE_LOG_ODDS)[0].tolist(),
         "observed": len(log_odds),
         "occupied": len(occupied_m),
     }

@@ -13,6 +13,7 @@ import argparse
 import hashlib
 import json
 import multiprocessing
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -54,14 +55,18 @@ ARC = {"mapping.rule": "arc"}
 CONTENDERS: dict[str, Contender] = {
     "iwlo": {},
     "arc": ARC,
+    "arc, refined": ARC | {"refine": True},
     "arc, level 34": ARC | {"arc.level": 34.0},
-    "arc, unprotected": ARC | {"arc.max_ratio": 1.0},
     "arc, all levels": ARC | {"arc.broad_share": 0.99},
+    "arc, unprotected": ARC | {"arc.max_ratio": 1.0},
+    "arc, narrow beam": ARC | {"arc.beam_width": 9.0},
+    "arc, nothing missed": ARC | {"arc.missed_share": 0.001},
 }
-"""Settings that differ from the defaults, by dotted name. The first contender is what others stand
-beside: its observed voxels are those of `..._common`."""
+"""Settings that differ from the defaults, by dotted name; with `refine`, the map is refined at the
+end. The first contender is what others stand beside: its observed voxels are those of
+`..._common`."""
 
-FIGURES_VERSION = 3
+FIGURES_VERSION = 4
 """Counts up when `measures` changes what a figure means."""
 POSITION_NOISE_M, ATTITUDE_NOISE_DEG = 0.05, 0.5
 FOLDER = Path("out/elevation")
@@ -79,6 +84,8 @@ def contender_config(overrides: Contender, edge_m: float) -> Config:
     """
     tree: dict[str, Any] = {"octree": {"voxel_resolution": edge_m}}
     for name, value in overrides.items():
+        if name == "refine":
+            continue
         *sections, field = name.split(".")
         place = tree
         for section in sections:
@@ -93,7 +100,7 @@ class Mapped:
 
     Attributes:
         map: the result.
-        cpu_ms: (N,) CPU time of each ping.
+        cpu_ms: (N,) CPU time of each ping, with its share of the refining.
     """
 
     map: SonarMap
@@ -104,7 +111,9 @@ def map_dive(
     data: DiveData,
     config: Config,
     poses: Floats | None = None,
-    watch: Callable[[int, SonarMap], None] | None = None,
+    watch: ChangeWatch | None = None,
+    *,
+    refine: bool = False,
 ) -> Mapped:
     """Map a dive ping by ping.
 
@@ -112,9 +121,25 @@ def map_dive(
         data: the dive.
         config: the map's settings.
         poses: map_T_sonar to map with, (N, 4, 4); None takes the true ones.
-        watch: called with number and map after each ping.
+        watch: looks at the map after each ping.
+        refine: integrate all pings once more at the end.
     """
+    if refine:
+        with tempfile.TemporaryDirectory() as folder:
+            return _mapped(data, config, poses, watch, Path(folder))
+    return _mapped(data, config, poses, watch, None)
+
+
+def _mapped(
+    data: DiveData,
+    config: Config,
+    poses: Floats | None,
+    watch: ChangeWatch | None,
+    log: Path | None,
+) -> Mapped:
     sonar_map = SonarMap(config)
+    if log is not None:
+        sonar_map.keep_pings(log)
     cpu_ms = []
     for i, pose in enumerate(data.map_T_sonar if poses is None else poses):
         image = data.ping(i)
@@ -123,7 +148,13 @@ def map_dive(
         cpu_ms.append(1e3 * (time.process_time() - began_s))
         if watch is not None:
             watch(i, sonar_map)
-    return Mapped(sonar_map, np.array(cpu_ms))
+    began_s = time.process_time()
+    for _ in sonar_map.refine():
+        pass
+    again_ms = 1e3 * (time.process_time() - began_s) / len(data)
+    if watch is not None:
+        watch.look_again(sonar_map)
+    return Mapped(sonar_map, np.array(cpu_ms) + again_ms)
 
 
 def noisy_poses(poses: Floats, seed: int, position_m: float, attitude_deg: float) -> Floats:
@@ -173,10 +204,10 @@ class Task:
         """Where it is kept which voxels the first contender observed."""
         return self.folder / f"common-{self.label}.npz"
 
-    def fingerprint(self, config: Config) -> str:
+    def fingerprint(self, config: Config, *, refine: bool) -> str:
         """Of everything that the row depends on."""
         dive_file = _sha256(cache_of(DIVES[self.dive], self.seed, self.folder))
-        parts = [msgspec.json.encode(config).decode(), _core_sha256(), dive_file]
+        parts = [msgspec.json.encode(config).decode(), _core_sha256(), dive_file, str(refine)]
         return hashlib.sha256("\n".join([*parts, str(FIGURES_VERSION)]).encode()).hexdigest()
 
 
@@ -198,7 +229,7 @@ def run_task(task: Task) -> list[str]:
     first = next(iter(CONTENDERS))
     contenders = {first: CONTENDERS[first], **task.contenders}
     configs = {name: contender_config(own, task.edge_m) for name, own in contenders.items()}
-    missing = [name for name, config in configs.items() if not _is_there(task, name, config)]
+    missing = [name for name in contenders if not _is_there(task, name, contenders[name])]
     if not missing:
         return []
     dive, data = DIVES[task.dive], load(DIVES[task.dive], task.seed, task.folder)
@@ -210,7 +241,8 @@ def run_task(task: Task) -> list[str]:
         watch = None
         if dive.change is not None:
             watch = ChangeWatch(dive, data, task.edge_m, task.folder)
-        mapped = map_dive(data, configs[name], poses, watch)
+        refine = "refine" in contenders[name]
+        mapped = map_dive(data, configs[name], poses, watch, refine=refine)
         common = _common(task, mapped.map if name == first else None, truth)
         seen_m = data.seen_m if watch is None else watch.staying_m
         row: dict[str, object] = {
@@ -219,7 +251,7 @@ def run_task(task: Task) -> list[str]:
             "contender": name,
             "edge_m": task.edge_m,
             "poses": "noisy" if task.noise else "true",
-            "fingerprint": task.fingerprint(configs[name]),
+            "fingerprint": task.fingerprint(configs[name], refine=refine),
             **measure(truth, seen_m, mapped.map, common),
             "pings": len(data),
             "cpu_ms": float(mapped.cpu_ms.mean()),
@@ -233,11 +265,13 @@ def run_task(task: Task) -> list[str]:
     return missing
 
 
-def _is_there(task: Task, name: str, config: Config) -> bool:
+def _is_there(task: Task, name: str, contender: Contender) -> bool:
     path = task.row_file(name)
     if not path.exists():
         return False
-    return bool(json.loads(path.read_text())["fingerprint"] == task.fingerprint(config))
+    config, refine = contender_config(contender, task.edge_m), "refine" in contender
+    wanted = task.fingerprint(config, refine=refine)
+    return bool(json.loads(path.read_text())["fingerprint"] == wanted)
 
 
 def _common(task: Task, first: SonarMap | None, truth: TrueGrid) -> NDArray[np.bool_]:

@@ -20,7 +20,7 @@ from studies.accuracy_cost.mapping.measuring import drive
 from studies.accuracy_cost.mapping.metrics import BINS, reliability, sampled
 from studies.accuracy_cost.study import StudyDive
 
-__all__ = ["FILE", "estimates_and_truth", "fit", "table"]
+__all__ = ["FILE", "curve_of", "estimates_and_truth", "fit", "table", "written"]
 
 FILE = PROFILE_FOLDER / "calibration" / "harbour.yaml"
 STEPS = 60
@@ -33,6 +33,8 @@ KEPT = 0.02
 HEAD = """\
 # Turns the probabilities of a map into shares: `mapperctl convert --calibration`,
 # docs/guides/export.md.
+"""
+HARBOUR = """\
 # For the profile survey and a sonar that looks ahead into a harbour; fitted by
 # python -m studies calibration --write"""
 
@@ -49,15 +51,27 @@ def fit(log_odds: Floats, solid: Bools) -> ProbabilityCalibration:
     """
     groups = _groups(log_odds)
     middles = np.array([log_odds[group].mean() for group in groups])
+    solids = np.array([solid[group].sum() for group in groups], dtype=np.float64)
+    return curve_of(middles, np.array([float(len(group)) for group in groups]), solids)
+
+
+def curve_of(log_odds: Floats, voxels: Floats, solids: Floats) -> ProbabilityCalibration:
+    """The same curve from groups of voxels.
+
+    Args:
+        log_odds: mean of each group (N,), rising.
+        voxels: number of each (N,), or weight.
+        solids: of those, solid (N,).
+    """
     pools: list[tuple[float, float, int]] = []  # solid voxels, voxels, groups
-    for group in groups:
-        pools.append((float(solid[group].sum()), float(len(group)), 1))
+    for some, number in zip(solids, voxels, strict=True):
+        pools.append((float(some), float(number), 1))
         while len(pools) > 1 and pools[-2][0] * pools[-1][1] >= pools[-1][0] * pools[-2][1]:
             last, before = pools.pop(), pools.pop()
             pools.append((before[0] + last[0], before[1] + last[1], before[2] + last[2]))
     share = np.concatenate([np.full(n, (solids + 1) / (all_ + 2)) for solids, all_, n in pools])
     share = np.maximum.accumulate(share)  # adding one solid and one free voxel may bend it
-    return ProbabilityCalibration(middles, np.log(share / (1 - share)))
+    return ProbabilityCalibration(log_odds, np.log(share / (1 - share)))
 
 
 def _groups(log_odds: Floats) -> list[NDArray[np.int64]]:
@@ -104,8 +118,13 @@ def table(log_odds: Floats, solid: Bools, curve: ProbabilityCalibration) -> str:
     return "\n".join(lines)
 
 
-def written(curve: ProbabilityCalibration) -> str:
-    """The curve as a file, without points that its neighbours in the file stand for."""
+def written(curve: ProbabilityCalibration, origin: str) -> str:
+    """The curve as a file, without points that its neighbours in the file stand for.
+
+    Args:
+        curve: of any number of points.
+        origin: comments on where it comes from.
+    """
     chosen = [0]
     for i in range(1, len(curve.log_odds) - 1):
         between = slice(chosen[-1], i + 2)
@@ -114,7 +133,7 @@ def written(curve: ProbabilityCalibration) -> str:
         if np.abs(line - curve.calibrated[between]).max() > KEPT:
             chosen.append(i)
     chosen.append(len(curve.log_odds) - 1)
-    lines = [HEAD]
+    lines = [HEAD + origin]
     for name, values in (("log_odds", curve.log_odds), ("calibrated", curve.calibrated)):
         text = ", ".join(f"{value:.4f}" for value in values[chosen])
         lines += textwrap.wrap(f"{name}: [{text}]", 100, subsequent_indent="  ")
@@ -131,7 +150,7 @@ def main() -> None:
     for dive in (FIT, *DIVES):
         make_dive(dive, args.folder)
     if args.write:
-        FILE.write_text(written(fit(*estimates_and_truth(FIT, args.folder))))
+        FILE.write_text(written(fit(*estimates_and_truth(FIT, args.folder)), HARBOUR))
     curve = load_calibration(FILE)
     for dive in (FIT, *DIVES):
         print(
