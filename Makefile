@@ -104,10 +104,10 @@ accuracy-cost: $(STAMP)
 # tables into docs/reports/accuracy-cost.md. An hour of one core; what is finished is kept.
 elevation-study: $(STAMP)
 	$(TOOL) studies elevation simulate
-	$(TOOL) studies elevation run --contenders iwlo arc
-	$(TOOL) studies elevation run --contenders iwlo arc --seeds 1 --pose-noise
-	$(TOOL) studies elevation run --contenders iwlo arc --seeds 1 --dives depth_pitch roll ship_hull --voxel 0.05
-	$(TOOL) studies elevation report --contenders iwlo arc --write
+	$(TOOL) studies elevation run
+	$(TOOL) studies elevation run --contenders iwlo arc "arc, refined" --pose-noise
+	$(TOOL) studies elevation run --contenders iwlo arc "arc, refined" --dives depth_pitch roll ship_hull --voxel 0.05
+	$(TOOL) studies elevation report --contenders iwlo arc "arc, refined" --write
 
 # Errors of rounding over a million updates, and what single precision costs; writes the figure and
 # the tables of docs/reports/numerical-stability.md. One minute of one core.

@@ -17,15 +17,21 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from mapperd.config.tree import SonarConfig
 from mapperd.export.calibration import ProbabilityCalibration
+from mapperd.imaging.filter_chain import filter_ping_image
+from mapperd.imaging.ping_image import ping_image_of
+from mapperd.mapping.sonar_map import SonarMap
+from oculus_driver import Ping, StreamParser, decode_ping
+from oculus_driver.noise import noise_by_range
 from studies.accuracy_cost.mapping.metrics import reliability
 from studies.accuracy_cost.mapping.recalibration import FILE, curve_of, written
 from studies.elevation.dives import DIVES, cache_of, load
 from studies.elevation.measures import CURVE_LOG_ODDS, TrueGrid, truth_of
-from studies.elevation.run import CONTENDERS, VOXEL_M, contender_config, map_dive
+from studies.elevation.run import CONTENDERS, VOXEL_M, Contender, contender_config, map_dive
 from studies.report import IMAGES, PAGES, machine, table, write_section
 
-__all__ = ["Rows", "Verdict", "interval", "read_rows", "verdicts", "write_report"]
+__all__ = ["Rows", "Verdict", "draw_recording", "interval", "read_rows", "verdicts", "write_report"]
 
 Floats = NDArray[np.float64]
 Row = Mapping[str, Any]
@@ -269,12 +275,8 @@ def _case_text(rows: Rows) -> str:
     ]
     parts.append(table(head, cells))
     for name in rows.contenders:
-        if name == FIRST or not (dives := rows.shared(name)):
+        if name == FIRST or not rows.shared(name):
             continue
-        ratios = [
-            [DIVES[d].title, *(_ratio(rows, name, d, figure) for figure in COLUMNS)] for d in dives
-        ]
-        parts.append(f"{name} over {FIRST}:\n\n" + table(["dive", *COLUMNS.values()], ratios))
         signs = {True: "yes", False: "**no**", None: "not measured"}
         judged = [[v.line, v.found, signs[v.kept]] for v in verdicts(rows, name)]
         parts.append(f"{name}:\n\n" + table(["asked for", "found", "kept"], judged))
@@ -308,9 +310,23 @@ def _cell(values: Floats) -> str:
     return text + (f" ({len(values) - len(known)} never)" if len(known) < len(values) else "")
 
 
-def _ratio(rows: Rows, name: str, dive: str, figure: str) -> str:
-    base = rows.mean(FIRST, dive, figure)
-    return f"{rows.mean(name, dive, figure) / base:.2f}" if base else ""
+def _ingredients_text(rows: Rows) -> str:
+    """Means over the dives of each contender, those that vary in depth, pitch or roll apart."""
+    lines = []
+    for name in rows.contenders:
+        shared = rows.shared(name)
+        varied = [dive for dive in shared if DIVES[dive].varied]
+        means = [
+            np.mean([rows.mean(name, dive, figure) for dive in dives]) if dives else math.nan
+            for dives in (shared, varied)
+            for figure in INGREDIENTS
+        ]
+        lines.append([name, f"{len(shared)}", *(f"{mean:.3f}" for mean in means)])
+    head = [f"{text}{which}" for which in ("", ", varied") for text in INGREDIENTS.values()]
+    return table(["contender", "dives", *head], lines)
+
+
+INGREDIENTS = {"f_one": "F1", "best_f_one": "best F1", "false_share": "> 0.25 m off"}
 
 
 def write_report(folder: Path, contenders: Sequence[str] = (), *, write: bool) -> None:
@@ -325,7 +341,8 @@ def write_report(folder: Path, contenders: Sequence[str] = (), *, write: bool) -
         ValueError: the page has no section `elevation`.
     """
     wanted = {FIRST, *contenders}
-    chosen = [row for row in read_rows(folder) if not contenders or row["contender"] in wanted]
+    everything = read_rows(folder)
+    chosen = [row for row in everything if not contenders or row["contender"] in wanted]
     rows = calibrated(chosen)
     _write_csv(rows, folder / "results.csv")
     cases = sorted({(row["edge_m"], row["poses"]) for row in rows}, key=lambda c: (c != MAIN, c))
@@ -333,6 +350,8 @@ def write_report(folder: Path, contenders: Sequence[str] = (), *, write: bool) -
     for case in cases:
         text.append(f"Voxels of {100 * case[0]:g} cm, {case[1]} poses:")
         text.append(_case_text(Rows(rows, case)))
+    text.append("Single ingredients changed, means over the dives:")
+    text.append(_ingredients_text(Rows(everything, MAIN)))
     pictures = IMAGES if write else folder
     main = Rows(rows, MAIN)
     for name, draw in (("f1", _draw_bars), ("reliability", _draw_reliability)):
@@ -462,6 +481,74 @@ def _draw_slices(contenders: Sequence[str], folder: Path) -> Figure | None:
     handles = [Patch(color=colour, label=text) for colour, text in meaning.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     return figure
+
+
+RECORDING: dict[str, Contender] = {
+    "iwlo": {},
+    "iwlo, noise factor 7": {"filtering.noise_factor": 7.0},
+    "arc": {"mapping.rule": "arc", "arc.beam_width": 12.0},
+}
+"""What the recorded pings are mapped with: those of an M1200d at its high frequency."""
+RECORDING_EDGE_M = 0.02
+
+
+def draw_recording(recording: Path, path: Path) -> None:
+    """Draw the last ping of a recording of a sonar at rest, and maps of all its pings.
+
+    Args:
+        recording: a file of the sonar's messages.
+        path: of the picture.
+
+    Raises:
+        RecordingError: the file is no recording.
+    """
+    parser, images = StreamParser(), []
+    for message in parser.feed(recording.read_bytes()):
+        ping = decode_ping(message)
+        if isinstance(ping, Ping):
+            images.append(ping_image_of(ping, SonarConfig()))
+    if not images:
+        raise ValueError(f"{recording}: no ping in it")
+    figure = _figure(11.0, 4.4)
+    grid = figure.subplots(2, 1 + len(RECORDING), gridspec_kw={"height_ratios": [1.6, 1]})
+    last = images[-1]
+    edges_m = np.arange(len(last.intensity) + 1) * last.range_resolution_m
+    bearings = np.append(last.bearings_rad, last.bearings_rad[-1])
+    x, y = edges_m[:, None] * np.cos(bearings), -edges_m[:, None] * np.sin(bearings)
+    grid[0, 0].pcolormesh(-y, x, last.intensity, cmap="magma", rasterized=True)
+    grid[0, 0].set_title("last ping", fontsize=9)
+    quiet = noise_by_range(last.intensity)
+    ranges_m = (np.arange(len(quiet)) + 0.5) * last.range_resolution_m
+    grid[1, 0].plot(ranges_m, np.median(last.intensity, axis=1), color=MIDDLE, label="median")
+    grid[1, 0].plot(ranges_m, 7 * quiet, color=FAR, label="7 times the noise")
+    grid[1, 0].axhline(35, color=SOLID, lw=0.8, label="threshold 35")
+    grid[1, 0].set(xlabel="range, m", ylabel="level", ylim=(0, 255))
+    grid[1, 0].legend(
+        fontsize=6.5,
+        frameon=False,
+        ncols=3,
+        loc="lower center",
+        bbox_to_anchor=(0.45, 0.98),
+        columnspacing=1.0,
+        handlelength=1.2,
+    )
+    for (top, bottom), (name, own) in zip(grid[:, 1:].T, RECORDING.items(), strict=True):
+        config = contender_config(own, RECORDING_EDGE_M)
+        sonar_map = SonarMap(config)
+        for image in images:
+            sonar_map.integrate(filter_ping_image(image, config)[0], np.eye(4))
+        x, y, z = sonar_map.occupied().centres_m.T
+        ahead = np.abs(y) < 2 * RECORDING_EDGE_M
+        top.scatter(-y, x, s=0.6, color=NEAR, linewidths=0)
+        top.set_title(f"{name}, from above", fontsize=9)
+        bottom.scatter(x[ahead], z[ahead], s=1.5, color=NEAR, linewidths=0)
+        bottom.set_title("slice ahead", fontsize=9)
+        bottom.set(xlim=(0, last.max_range_m), ylim=(-0.6, 0.6), xlabel="m", aspect="equal")
+    for axes in grid[0]:
+        axes.set(xlim=(-1.2, 1.2), ylim=(0, last.max_range_m), aspect="equal")
+    for axes in grid.flat:
+        axes.tick_params(labelsize=7)
+    _save(figure, path)
 
 
 def _draw_slice(

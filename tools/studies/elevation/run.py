@@ -4,6 +4,7 @@ Usage: python -m studies elevation simulate [--dives NAME ...] [--seeds 1 2 3] [
        python -m studies elevation run [--dives ...] [--seeds ...] [--contenders NAME ...]
            [--with NAME SETTING=VALUE ...] [--voxel 0.05] [--pose-noise] [--jobs 2]
        python -m studies elevation report [--contenders NAME ...] [--write]
+       python -m studies elevation recording FILE [--write]
 
 What is there is not done again: dives that are simulated, and rows of the same settings, core,
 dive and figures. A row is a file, `rows/CONTENDER/DIVE-SEED-VOXELmm-POSES.json`.
@@ -35,6 +36,7 @@ from mapperd.mapping.sonar_map import SonarMap
 from studies.accuracy_cost.mapping.dives import once
 from studies.elevation.dives import DIVES, DiveData, cache_of, load, simulate
 from studies.elevation.measures import ChangeWatch, TrueGrid, measure, truth_of
+from studies.report import IMAGES
 
 __all__ = [
     "CONTENDERS",
@@ -347,17 +349,29 @@ def _report(args: argparse.Namespace) -> None:
     write_report(args.folder, args.contenders, write=args.write)
 
 
+def _recording(args: argparse.Namespace) -> None:
+    from studies.elevation.report import draw_recording  # noqa: PLC0415 imports this module
+
+    folder = IMAGES if args.write else args.folder
+    draw_recording(args.file, folder / "elevation-recording.png")
+
+
 def main() -> None:
     """Do what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     commands = parser.add_subparsers(required=True)
-    for name, function in (("simulate", _simulate), ("run", _run), ("report", _report)):
+    functions = {"simulate": _simulate, "run": _run, "report": _report, "recording": _recording}
+    for name, function in functions.items():
         command = commands.add_parser(name)
         command.set_defaults(function=function)
         command.add_argument("--folder", type=Path, default=FOLDER, help="of all files")
+        if name in ("report", "recording"):
+            command.add_argument("--write", action="store_true", help="into docs/")
         if name == "report":
             command.add_argument("--contenders", nargs="+", default=[], help="all if none is given")
-            command.add_argument("--write", action="store_true", help="into docs/")
+            continue
+        if name == "recording":
+            command.add_argument("file", type=Path, help="messages of a sonar at rest")
             continue
         command.add_argument("--dives", nargs="+", choices=DIVES, default=list(DIVES))
         command.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
