@@ -135,7 +135,8 @@ def map_recordings(
                 "mapperctl view MAP shows the file while it grows"
             )
         return _mapped_on_disk(runs, sonar_map, window, arguments.out, trajectory)
-    return sonar_map, _mapped(runs, sonar_map, window, trajectory, show(sonar_map))
+    page = show(sonar_map)
+    return sonar_map, _mapped(runs, sonar_map, window, trajectory, folder=arguments.out, page=page)
 
 
 def _keep_pings(arguments: Arguments, sonar_map: SonarMap) -> None:
@@ -174,10 +175,15 @@ def _mapped(
     sonar_map: SonarMap,
     window: Window,
     trajectory: TrajectoryWriter,
-    page: "ReplayView | None" = None,
+    *,
+    folder: Path,
+    page: "ReplayView | None",
 ) -> dict[str, Any]:
-    """Map in memory; return the summary."""
-    return _replayed(runs, sonar_map, window, trajectory, page=page)(sonar_map)
+    """Map in memory, and save the map if it is refined; return the summary."""
+    summary = _replayed(runs, sonar_map, window, trajectory, page=page)(sonar_map)
+    if "pings_refined" in summary:
+        sonar_map.save(folder / "map.map")
+    return summary
 
 
 def _replayed(
