@@ -11,7 +11,6 @@ from mapperd.daemon import run as daemon_run
 from mapperd.export.trajectory import TrajectoryWriter
 from tests.support.process import resident_bytes
 
-
 HOLDS = """
 from mapperd.daemon.run import keep_large_pieces_apart
 from tests.support.process import resident_bytes
