@@ -13,24 +13,54 @@ MAX_FLAT_FILES = 10
 MAX_CLICKS = 3
 
 
-def named() -> list[str]:
-    return re.findall(r"`((?:mapperd|oculus_driver|cpp|tools)/[\w/.]*)`", PAGE)
+SUFFIX = r"\.(?:py|pyi|cpp|hpp|md|yaml|toml)"
+
+
+def named(page: str) -> list[str]:
+    """Return all files and folders of the text.
+
+    A name alone is joined with the folder of "`name` in `folder/`", else with that of the path
+    before it in its line.
+    """
+    found = []
+    for line in page.splitlines():
+        folder = Path("mapperd")
+        for match in re.finditer(r"`([\w./]+)`", line):
+            name = match[1]
+            if re.match(r"(?:mapperd|oculus_driver|cpp|tools)/", name):
+                path = Path(name)
+                folder = path if name.endswith("/") else path.parent
+            elif re.fullmatch(rf"\w+{SUFFIX}", name):
+                after = re.match(r"(?:(?:, | and )`[\w.]+`)* in `([\w/]+/)`", line[match.end() :])
+                path = Path(after[1] if after else folder) / name
+            else:
+                continue
+            found.append(str(path))
+    return found
+
+
+def too_deep(paths: list[str]) -> list[str]:
+    return [path for path in paths if len(Path(path).parts) > MAX_CLICKS]
 
 
 def test_every_file_in_the_text_exists() -> None:
-    assert len(named()) > 15
-    assert [path for path in named() if not (ROOT / path).exists()] == []
+    assert len(named(PAGE)) > 25
+    ground = {"api.py", "io.py", "session_log.py", "errors.py", "events.py"}
+    assert ground <= {Path(path).name for path in named(PAGE)}
+    assert [path for path in named(PAGE) if not (ROOT / path).exists()] == []
 
 
 def test_every_file_in_the_text_is_three_clicks_away() -> None:
-    assert [path for path in named() if len(Path(path).parts) > MAX_CLICKS] == []
+    assert too_deep(named(PAGE)) == []
 
 
-def test_every_file_that_a_folder_is_named_for_exists() -> None:
-    found = re.findall(r"((?:`\w+\.\w+`(?:, | and )?)+) in `([\w/]+)`", PAGE)
-    assert len(found) > 2
-    files = [(folder, file) for files, folder in found for file in re.findall(r"`(.+?)`", files)]
-    assert [pair for pair in files if not ROOT.joinpath(*pair).exists()] == []
+def test_a_file_that_is_named_beside_its_folder_is_found() -> None:
+    text = (
+        "`a.cpp` and `b.cpp` in `cpp/map/src/`\n`mapperd/wire/x.py`, `y.py`; `Name`; `tools/z/`\n"
+    )
+    paths = ["cpp/map/src/a.cpp", "cpp/map/src/b.cpp", "cpp/map/src"]
+    assert named(text) == [*paths, "mapperd/wire/x.py", "mapperd/wire/y.py", "tools/z"]
+    assert too_deep(named(text)) == paths[:2]
 
 
 def test_every_file_in_the_diagrams_exists() -> None:

@@ -1,7 +1,8 @@
 """Builds the pipeline; the only place that assembles its parts.
 
 The live daemon, a replay, a recovery, a replay into a store and the dives of a survey all use it.
-The calibration maps nothing and builds only the decoder.
+Two modules build only the decoder. The calibration maps nothing. The recovery does so before it
+maps, to check a checkpoint or to make that of a recording's start.
 """
 
 import time
