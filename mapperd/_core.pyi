@@ -830,7 +830,7 @@ class MclRule:
         max_step_m: longer steps of odometry are refused.
         least_effective_share: likelihoods are raised to a power below 1 where else less of the
             effective size was left, 0 ... 1 without 1; 0 never.
-        draw_exponent: draws go by weights to this power, children keep the rest; 1 as published.
+        draw_exponent: draws go by weights to this power, children keep the rest; 1 as in AMCL.
 
     Raises:
         ValueError: out of range.

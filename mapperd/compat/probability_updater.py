@@ -177,8 +177,8 @@ class ProbabilityUpdater:
     def get_observation_count(self, key: Sequence[int]) -> int:
         """Observations of the voxel with index (ix, iy, iz); 0 if it was never observed.
 
-        It saturates, without loss, where the learning rate no longer changes. The published
-        mapper's key was the text "ix_iy_iz".
+        It saturates, without loss, where the learning rate no longer changes. In
+        sonar_3d_reconstruction the key was the text "ix_iy_iz".
 
         Raises:
             ValueError: not three whole numbers.

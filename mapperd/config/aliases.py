@@ -1,7 +1,7 @@
 """Other names of settings, former settings, and `amcl.restore_defaults`.
 
-A setting has one name. What a file or a caller sets under another one (of other releases of the
-published AMCL node, and of Nav2's) is renamed before it is checked. Settings that were removed or
+A setting has one name. What a file or a caller sets under another one (of other releases of
+AMCL, and of Nav2's) is renamed before it is checked. Settings that were removed or
 have no effect are ignored, and renamed values replaced, in files and in the settings of old
 recordings and stores.
 """

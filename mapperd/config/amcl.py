@@ -24,7 +24,7 @@ CORRECTED = MappingProxyType(
         "save_pose_rate": ("0.5, a boolean", "of another type: it is a rate in Hz"),
     }
 )
-"""Published default, and what is wrong with it, of what stands otherwise here."""
+"""Settings whose default differs: Beluga AMCL's documented default, and what is wrong with it."""
 
 MAX_CORRELATION = 1 + 1e-9
 """Rounding of a covariance that is just positive semi-definite."""
@@ -34,7 +34,7 @@ TOPIC = "^/?[A-Za-z0-9_]{1,64}(/[A-Za-z0-9_]{1,64}){0,8}$"
 
 
 class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """The particle filter, under the published names."""
+    """The particle filter, with the parameters of Beluga AMCL."""
 
     base_frame_id: Annotated[
         str, rule("Name of the vehicle's frame, which is estimated.", "a name", pattern=FRAME)

@@ -1,4 +1,4 @@
-"""Settings of the way from a ping to a scan, and of localization beyond the published names."""
+"""Settings of the way from a ping to a scan, and of localization beyond AMCL's."""
 
 from typing import Annotated, Literal
 

@@ -1,4 +1,8 @@
-"""docs/reference/configuration.md: every setting, from the types."""
+"""The generated documentation of settings.
+
+docs/reference/configuration.md lists every setting, from the types; a section of library.md lists
+the settings of compatible programs that have no effect.
+"""
 
 from collections.abc import Iterator
 from itertools import groupby
@@ -10,7 +14,7 @@ from mapperd.config.aliases import ALIASES, IGNORED, VALUE_ALIASES
 from mapperd.config.amcl import CORRECTED
 from mapperd.config.catalog import Parameter, hint_at, inner_parameters, parameters
 
-__all__ = ["configuration_page"]
+__all__ = ["configuration_page", "library_page"]
 
 HEAD = """\
 <!-- Written by `python -m config_docs` from the types in mapperd/config. -->
@@ -64,7 +68,7 @@ exclude it.
 AMCL = """\
 ## Names of the AMCL node
 
-`amcl` has the parameters of the AMCL node with their defaults, except these, which its
+`amcl` has the parameters of Beluga AMCL with their defaults, except these, which its
 documentation has wrong. `pf_z` keeps its 0.99, a quantile, not a probability.
 
 | setting | documented | here | what is wrong |
@@ -79,27 +83,23 @@ is an error.
 |---|---|
 """
 
-TAIL = """\
-## Ignored settings
-
-Files of the programs that mapperd replaces may hold these settings. They have no effect; `mapperd`
-names them in one line of its log.
-
-{ignored}
-
-All other parameters of those programs keep their names and defaults, except
-`outofcore.map_path`, whose default named a folder of its developers, and
-`sonar.vertical_aperture`, whose 20 degrees map worse and slower
-([accuracy and cost](../reports/accuracy-cost.md#mapping)).
-"""
+BEGIN = "<!-- settings without effect: begin; written by `python -m config_docs` -->\n"
+END = "<!-- settings without effect: end -->\n"
 
 
 def configuration_page() -> str:
     """The page as it should be in docs/."""
     sections = groupby(parameters().values(), lambda one: one.name.partition(".")[0])
     body = "".join("\n".join(_section(name, list(found))) + "\n\n" for name, found in sections)
-    ignored = "\n".join(f"- `{name}`: {why}" for name, why in IGNORED.items())
-    return HEAD + body + _amcl() + TAIL.format(ignored=ignored)
+    return HEAD + body + _amcl()
+
+
+def library_page(page: str) -> str:
+    """Return docs/reference/library.md with its list of settings without effect renewed."""
+    before, _, rest = page.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    ignored = "".join(f"- `{name}`: {why}\n" for name, why in IGNORED.items())
+    return f"{before}{BEGIN}\n{ignored}\n{END}{after}"
 
 
 def _amcl() -> str:
@@ -113,7 +113,7 @@ def _amcl() -> str:
         for name, known in VALUE_ALIASES.items()
         for other, value in known.items()
     )
-    return AMCL + corrected + ALSO + names + values + "\n"
+    return AMCL + corrected + ALSO + names + values
 
 
 def _section(name: str, found: list[Parameter]) -> Iterator[str]:

@@ -9,15 +9,17 @@ import jsonschema
 import msgspec
 import pytest
 import yaml
-from config_docs.page import configuration_page
+from config_docs.page import configuration_page, library_page
 from config_docs.schema import json_schema
 
+from mapperd.config.aliases import IGNORED
 from mapperd.config.catalog import Parameter, inner_parameters, parameters
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "reference" / "configuration.md"
+LIBRARY = PAGE.with_name("library.md")
 JUDGE = jsonschema.Draft202012Validator(json_schema())
 
 
@@ -82,8 +84,18 @@ def test_schema_takes_the_files_to_start_from(path: Path) -> None:
 def test_written_files_are_those_of_the_types() -> None:
     again = "run PYTHONPATH=tools python -m config_docs"
     assert PAGE.read_text(encoding="utf-8") == configuration_page(), again
+    library = LIBRARY.read_text(encoding="utf-8")
+    assert library == library_page(library), again
     written = (ROOT / "config" / "schema.json").read_text(encoding="utf-8")
     assert json.loads(written) == json.loads(json.dumps(json_schema())), again
+
+
+def test_settings_without_effect_are_listed_beside_the_compatible_classes_only() -> None:
+    listed = re.findall(r"^- `([\w.]+)`: (.+)$", LIBRARY.read_text(), re.MULTILINE)
+    assert dict(listed) == dict(IGNORED)
+    renamed = {*re.findall(r"^\| `([\w.]+)` \|", PAGE.read_text(), re.MULTILINE)}
+    assert renamed
+    assert set(IGNORED) & renamed == set()
 
 
 def shown(parameter: Parameter) -> str:
