@@ -970,7 +970,7 @@ class MclFilter:
         """
 
     def state(self) -> MclState:
-        """All that a filter of the same rule needs to go on as this one would.
+        """All that a filter of the same rule needs to continue as this one would.
 
         (N, 3) poses, (N,) logarithms of the weights, whole numbers, averages.
         """

@@ -176,7 +176,7 @@ def _live(arguments: Arguments) -> ExitCode:
         poses = partial(_poses, arguments)
         run = LiveRun(store, poses, arguments.duration_s, _print, again, notifier, trajectory)
         sonar_map, summary = map_live(run)
-        with notifier.patience(process_progress), contextlib.closing(sonar_map):
+        with notifier.extended_timeout(process_progress), contextlib.closing(sonar_map):
             write_results(arguments.out, sonar_map, summary, trajectory)
     return _verdict(arguments, summary)
 

@@ -76,7 +76,7 @@ class ChangeQueue:
         client_state = self._client_state
         self._add(link)
         if client_state.mirror is not None:
-            self._add(MapReset(client_state.mirror.facts))
+            self._add(MapReset(client_state.mirror.info))
             self._is_all = True
             self._add(MapChanged(NO_KEYS, 0, 0))
         if len(client_state.path):
@@ -111,7 +111,7 @@ class ChangeQueue:
             self._keys.update(dict.fromkeys(names_of(change.keys)))
         mirror = self._client_state.mirror
         if len(self._keys) > MAX_KEYS and mirror is not None:
-            self._add(MapReset(mirror.facts))
+            self._add(MapReset(mirror.info))
             self._is_all = True
 
     def _add_event(self, event: EventMessage) -> None:

@@ -11,7 +11,7 @@ from mapperd.wire.messages import (
     FanMessage,
     ImageMessage,
     LocalizationMessage,
-    MapFacts,
+    MapInfo,
     PathMessage,
     PoseMessage,
     ReturnsMessage,
@@ -59,7 +59,7 @@ class LinkChanged:
 class MapReset:
     """The mirror is empty and begins again, perhaps with another map."""
 
-    facts: MapFacts
+    info: MapInfo
 
 
 @dataclass(frozen=True, slots=True, eq=False)

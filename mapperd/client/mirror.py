@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapperd.mapping.probability import points_of, probabilities_of
 from mapperd.wire.blocks import CELLS, MAX_KEY, UNKNOWN, BlockSet
-from mapperd.wire.messages import BLOCK_EDGE, Interest, MapFacts
+from mapperd.wire.messages import BLOCK_EDGE, Interest, MapInfo
 
 if TYPE_CHECKING:
     from mapperd.config.tree import Config
@@ -153,26 +153,26 @@ class MapMirror:
     for it.
 
     Args:
-        facts: of the map.
+        info: of the map.
         interest: part of the map that the daemon sends.
 
     Attributes:
         lock: held by each call; reentrant.
-        facts, interest: as given.
+        info, interest: as given.
         revision: newest revision of all blocks.
         complete: revision up to which the mirror was last complete; None before the first time.
     """
 
     complete: int | None
 
-    def __init__(self, facts: MapFacts, interest: Interest) -> None:
+    def __init__(self, info: MapInfo, interest: Interest) -> None:
         self.lock = threading.RLock()
-        self.begin(facts, interest)
+        self.begin(info, interest)
 
-    def begin(self, facts: MapFacts, interest: Interest) -> None:
+    def begin(self, info: MapInfo, interest: Interest) -> None:
         """Begin with an empty mirror of a map or of another part of it."""
         with self.lock:
-            self.facts = facts
+            self.info = info
             self.interest = interest
             self.revision = 0
             self.complete = None
@@ -185,7 +185,7 @@ class MapMirror:
     @property
     def cell_m(self) -> float:
         """Edge of a cell."""
-        return float(self.facts.resolution_m * 2**self.interest.level)
+        return float(self.info.resolution_m * 2**self.interest.level)
 
     def put(self, blocks: BlockSet, stamp_ns: int) -> None:
         """Replace blocks by their state at a Unix time; drop those without a known cell.
@@ -197,7 +197,7 @@ class MapMirror:
 
     def forget(self) -> None:
         """Drop all blocks."""
-        self.begin(self.facts, self.interest)
+        self.begin(self.info, self.interest)
 
     def blocks(self) -> BlockSet:
         """Return all blocks with a known cell, sorted by z, y, x; their ages are 0."""
@@ -286,8 +286,8 @@ class MapMirror:
                 mirror's.
         """
         with self.lock:
-            facts, cell_m, cells = self.facts, self.cell_m, self.cells("known")
-        return map_of(cells, cell_m, facts, config)
+            info, cell_m, cells = self.info, self.cell_m, self.cells("known")
+        return map_of(cells, cell_m, info, config)
 
     def _cells_at(
         self, at: NDArray[np.intp], cell: NDArray[np.intp], steps: NDArray[np.int8]
@@ -317,23 +317,23 @@ class MapMirror:
         if self.interest.detail == "classes":
             return np.asarray(cells == (1 if kind == "occupied" else -1))
         # In double precision, like the daemon.
-        log_odds = cells * np.float64(self.facts.log_odds_step)
+        log_odds = cells * np.float64(self.info.log_odds_step)
         if kind == "free":
-            return np.asarray(known & (log_odds < self.facts.free_log_odds))
+            return np.asarray(known & (log_odds < self.info.free_log_odds))
         if min_probability is None:
-            return np.asarray(known & (log_odds > self.facts.occupied_log_odds))
+            return np.asarray(known & (log_odds > self.info.occupied_log_odds))
         with np.errstate(divide="ignore"):
             least = np.log(min_probability) - np.log1p(-min_probability)
         return np.asarray(known & (log_odds >= least))
 
     def _log_odds(self, cells: NDArray[np.int8]) -> NDArray[np.float32]:
         """Return quantised log-odds; of classes, values one step beyond their thresholds."""
-        facts = self.facts
+        info = self.info
         if self.interest.detail != "classes":
-            return cells * np.float32(facts.log_odds_step)
-        middle = (facts.free_log_odds + facts.occupied_log_odds) / 2
-        low = facts.free_log_odds - facts.log_odds_step
-        high = facts.occupied_log_odds + facts.log_odds_step
+            return cells * np.float32(info.log_odds_step)
+        middle = (info.free_log_odds + info.occupied_log_odds) / 2
+        low = info.free_log_odds - info.log_odds_step
+        high = info.occupied_log_odds + info.log_odds_step
         values = np.array([low, middle, high], np.float32)
         return np.asarray(values[np.clip(cells, -1, 1).astype(np.intp) + 1])
 
@@ -343,14 +343,14 @@ MAX_LOG_ODDS = 127.0
 
 
 def map_of(
-    cells: Cells, cell_m: float, facts: MapFacts, config: "Config | None" = None
+    cells: Cells, cell_m: float, info: MapInfo, config: "Config | None" = None
 ) -> "SonarMap":
     """Make a map of cells: each becomes a voxel with its quantised log-odds, observed once.
 
     Args:
         cells: known cells.
         cell_m: edge of a cell, which may be several voxels of the daemon's map.
-        facts: of the daemon's map.
+        info: of the daemon's map.
         config: settings of the daemon, as far as known; grid, thresholds and clamps are taken from
             the cells.
     """
@@ -363,12 +363,12 @@ def map_of(
     most = min(float(np.abs(cells.log_odds).max(initial=0.0)), MAX_LOG_ODDS)
     replace = msgspec.structs.replace
     limits = {
-        "occupied_threshold": _probability(facts.occupied_log_odds),
-        "free_threshold": _probability(facts.free_log_odds),
+        "occupied_threshold": _probability(info.occupied_log_odds),
+        "free_threshold": _probability(info.free_log_odds),
     }
     config = replace(config, octree=replace(config.octree, voxel_resolution=cell_m))
-    if facts.prior_log_odds:
-        prior, most = facts.prior_log_odds, min(most, MAX_LOG_ODDS + facts.prior_log_odds)
+    if info.prior_log_odds:
+        prior, most = info.prior_log_odds, min(most, MAX_LOG_ODDS + info.prior_log_odds)
         arc = replace(
             config.arc,
             prior=_probability(prior),

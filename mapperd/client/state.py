@@ -9,7 +9,13 @@ from numpy.typing import NDArray
 from mapperd.client.changes import ClientChange, MapChanged, MapReset
 from mapperd.client.errors import EndedError
 from mapperd.client.mirror import MapMirror
-from mapperd.client.validation import check_blocks, check_facts, check_message, places_of, size_of
+from mapperd.client.validation import (
+    check_blocks,
+    check_map_info,
+    check_message,
+    places_of,
+    size_of,
+)
 from mapperd.wire.blocks import decode_blocks
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import (
@@ -22,7 +28,7 @@ from mapperd.wire.messages import (
     ImageMessage,
     Interest,
     LocalizationMessage,
-    MapFacts,
+    MapInfo,
     PathMessage,
     PoseMessage,
     ResetMessage,
@@ -40,7 +46,7 @@ MAX_BLOCKS = 1 << 20
 """Maximum blocks of a mirror: half a GiB, 1 GiB with counts."""
 
 MAX_SETTINGS_BYTES = 1 << 20
-"""Maximum bytes of the facts of all settings; a daemon has 50 000."""
+"""Maximum bytes of the descriptions of all settings; a daemon has 50 000."""
 
 NEWEST = (
     PoseMessage,
@@ -81,7 +87,7 @@ class ClientState:
         mirror: of the map, always the same object; empty if no map is wanted.
         path: (N, 3) float64, metres, map frame.
         newest: the newest message of each type in `NEWEST`.
-        settings: name to facts.
+        settings: description by name, as of `mapperctl params`.
         last_event: number of the last event.
         used: bytes of the last established connection that were applied.
     """
@@ -130,7 +136,7 @@ class ClientState:
         if mirror.interest != self.interest:
             return None
         return Resume(
-            map=mirror.facts.id,
+            map=mirror.info.id,
             session=self.welcome.session,
             revision=mirror.complete,
             level=self.interest.level,
@@ -163,16 +169,16 @@ class ClientState:
         Raises:
             StreamError: the daemon resumes something that the client did not claim.
         """
-        check_facts(welcome.map)
+        check_map_info(welcome.map)
         mirror = self.mirror
         if not welcome.resumed:
             self._begin_map(welcome.map, self.interest)
-        elif resume is None or mirror is None or _grid(mirror.facts) != _grid(welcome.map):
+        elif resume is None or mirror is None or _grid(mirror.info) != _grid(welcome.map):
             raise StreamError(
                 "the daemon resumes a map that this client does not hold", "bad_resume"
             )
         else:
-            mirror.facts = welcome.map
+            mirror.info = welcome.map
         is_other = self.welcome is None or self.welcome.session != welcome.session
         self.welcome = welcome
         self._ticket, self.used = welcome.ticket, 0
@@ -189,7 +195,7 @@ class ClientState:
         if isinstance(news, BlocksMessage):
             self._take_blocks(news)
         elif isinstance(news, ResetMessage):
-            check_facts(news.map)
+            check_map_info(news.map)
             self.is_complete = False
             self._begin_map(news.map, news.interest or self.interest)
         elif isinstance(news, PathMessage):
@@ -206,14 +212,14 @@ class ClientState:
         else:
             raise StreamError(f"an unexpected message: {news.__struct_config__.tag}", "bad_order")
 
-    def _begin_map(self, facts: MapFacts, interest: Interest) -> None:
+    def _begin_map(self, info: MapInfo, interest: Interest) -> None:
         self._newest = 0
         self._is_invalid = False
         if self.mirror is None:
-            self.mirror = MapMirror(facts, interest)
+            self.mirror = MapMirror(info, interest)
         else:
-            self.mirror.begin(facts, interest)
-        self._publish(MapReset(facts))
+            self.mirror.begin(info, interest)
+        self._publish(MapReset(info))
 
     def _take_blocks(self, news: BlocksMessage) -> None:
         mirror = self.mirror
@@ -266,9 +272,9 @@ class ClientState:
         self._publish(news)
 
 
-def _grid(facts: MapFacts) -> tuple[str, float, float]:
-    """Return the facts that blocks depend on; thresholds and origin may change."""
-    return facts.id, facts.resolution_m, facts.log_odds_step
+def _grid(info: MapInfo) -> tuple[str, float, float]:
+    """Return what blocks depend on; thresholds and origin may change."""
+    return info.id, info.resolution_m, info.log_odds_step
 
 
 def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:

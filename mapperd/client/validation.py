@@ -21,7 +21,7 @@ from mapperd.wire.messages import (
     Interest,
     LocalizationMessage,
     MapBox,
-    MapFacts,
+    MapInfo,
     PathMessage,
     PoseMessage,
     ReturnsMessage,
@@ -30,7 +30,7 @@ from mapperd.wire.messages import (
 
 __all__ = [
     "check_blocks",
-    "check_facts",
+    "check_map_info",
     "check_message",
     "floats_of",
     "image_of",
@@ -70,15 +70,15 @@ def check_message(message: FromServer) -> None:
         floats_of(message.scan, 3)
 
 
-def check_facts(facts: MapFacts) -> None:
-    """Check the facts about a map.
+def check_map_info(info: MapInfo) -> None:
+    """Check what a server states about its map.
 
     Raises:
         StreamError: `bad_value`.
     """
-    numbers = (facts.resolution_m, facts.log_odds_step, *(facts.origin_deg or ()))
-    _finite("a map", (*numbers, facts.occupied_log_odds, facts.free_log_odds))
-    if facts.free_log_odds > facts.occupied_log_odds:
+    numbers = (info.resolution_m, info.log_odds_step, *(info.origin_deg or ()))
+    _finite("a map", (*numbers, info.occupied_log_odds, info.free_log_odds))
+    if info.free_log_odds > info.occupied_log_odds:
         raise StreamError("a map whose free threshold is above the occupied one", "bad_value")
 
 

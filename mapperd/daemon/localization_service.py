@@ -124,25 +124,25 @@ class LocalizationRequests:
         return pose, asked.frame or self._settings.current.amcl.global_frame_id
 
     async def _done(
-        self, request: Request, what: str, origin: str, patience_s: float | None = None
+        self, request: Request, what: str, origin: str, timeout_s: float | None = None
     ) -> None:
         """Have it done; a refusal is an event and an error.
 
         Raises:
             OperationError: with the reason of the refusal.
         """
-        refused = await self._refused(request, ORDER_S if patience_s is None else patience_s)
+        refused = await self._refused(request, ORDER_S if timeout_s is None else timeout_s)
         if refused is None:
             return
         text = f"{what} for {origin} refused: {refused.detail}"
         self._events.add(Severity.WARNING, "localization_refused", text, reason=refused.reason)
         raise OperationError(refused.detail, refused.reason)
 
-    async def _refused(self, request: Request, patience_s: float) -> Reject | None:
+    async def _refused(self, request: Request, timeout_s: float) -> Reject | None:
         if self._settings.current.localization.mode == "off":
             return Reject("localization_off", "localization.mode is off")
         try:
-            async with asyncio.timeout(patience_s):
+            async with asyncio.timeout(timeout_s):
                 return await self._ask(request)
         except TimeoutError:
             return Reject("busy", "the pings before it are still being mapped")
@@ -300,7 +300,7 @@ class PoseKeeper:
                 pace = pace.saved(time.monotonic())
 
     def save(self) -> None:
-        """Write the newest estimate, if there is a new one to go on from; not in an event loop."""
+        """Write the newest estimate, if there is a new one; not in an event loop."""
         snapshot, amcl = self._snapshot(), self._amcl()
         if snapshot is None or snapshot.belief is None or snapshot.belief.ambiguous:
             return

@@ -132,7 +132,7 @@ class MapServer(_NoSession):
         settings: of the map; none may change.
         events: no events.
         feed: takes the pings of a replay.
-        facts: newest facts of a replay; None without.
+        replayed: newest status of a replay; None without.
     """
 
     def __init__(
@@ -143,9 +143,9 @@ class MapServer(_NoSession):
         self.settings = ConfigStore(Layered(sonar_map.config))
         self.events = EventLog(time.time_ns)
         self.phase = phase
-        self.facts: StatusSnapshot | None = None
+        self.replayed: StatusSnapshot | None = None
         self._what = what
-        self.feed = StateFeed(self, lambda: self.facts, stream.path_points)
+        self.feed = StateFeed(self, lambda: self.replayed, stream.path_points)
         self._source = MapSource(sonar_map, self, log_odds_step=stream.log_odds_step)
 
     @contextlib.asynccontextmanager
@@ -159,8 +159,8 @@ class MapServer(_NoSession):
 
     def status(self) -> dict[str, Any]:
         """Return what applies of `DaemonApi.status`."""
-        pings = {} if self.facts is None else {"pings": self.facts.pings}
-        store = {"bricks_lost": self._source.facts().bricks_lost}
+        pings = {} if self.replayed is None else {"pings": self.replayed.pings}
+        store = {"bricks_lost": self._source.info().bricks_lost}
         problems = [{"code": one.code, "text": one.text} for one in lost_bricks(store)]
         return {
             "version": __version__,

@@ -107,7 +107,7 @@ async def _map(run: LiveRun) -> tuple[MapContent, dict[str, Any]]:
     session = secrets.token_hex(8)
     run.settings.follow(FOLLOWS, lambda _: None)  # looked up at every save
     # The end of a session that was cut short may be long.
-    with run.notifier.patience(process_progress):
+    with run.notifier.extended_timeout(process_progress):
         opened = await asyncio.to_thread(
             open_map,
             run.settings.current,
@@ -133,7 +133,7 @@ async def _map(run: LiveRun) -> tuple[MapContent, dict[str, Any]]:
     finally:
         opened.close()
     _return_free_memory()  # of all threads, before this one makes the results
-    with run.notifier.patience(process_progress):
+    with run.notifier.extended_timeout(process_progress):
         whole = opened.persistence.whole()
         if (stored := opened.persistence.status()) is not None:
             source["store"] = {

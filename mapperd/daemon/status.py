@@ -26,44 +26,44 @@ def status_of(
     live: Live, sonar_map: SonarMap, config: Config, uptime_s: float, servers: dict[str, Any]
 ) -> dict[str, Any]:
     """All keys of `DaemonApi.status` but `phase`."""
-    facts = live.mapping.snapshot
-    parts = _parts(live, facts, uptime_s)
+    snapshot = live.mapping.snapshot
+    parts = _parts(live, snapshot, uptime_s)
     return {
         "reason": live.link.reason,
         "t_s": live.now_ns() / 1e9,
         "problems": [{"code": one.code, "text": one.text} for one in problems_of(parts, config)],
         "version": __version__,
         "session": live.session,
-        "progress": facts.progress,
+        "progress": snapshot.progress,
         **parts,
-        "pose": _pose(facts),
-        "pings": facts.pings,
-        "latency_ms": facts.latency_ms,
-        "behind": {**facts.behind, **_queue(live)},
+        "pose": _pose(snapshot),
+        "pings": snapshot.pings,
+        "latency_ms": snapshot.latency_ms,
+        "behind": {**snapshot.behind, **_queue(live)},
         "map": {
             "memory_bytes": sonar_map.memory_bytes,
             "revision": sonar_map.core.revision,
             "resolution_m": sonar_map.resolution_m,
-            **facts.rule,
+            **snapshot.rule,
         },
-        "robots": facts.robots,
+        "robots": snapshot.robots,
         "servers": servers,
     }
 
 
-def _parts(live: Live, facts: StatusSnapshot, uptime_s: float) -> dict[str, Any]:
+def _parts(live: Live, snapshot: StatusSnapshot, uptime_s: float) -> dict[str, Any]:
     """The parts by which problems are found."""
     return {
         "uptime_s": uptime_s,
-        "sonar": _sonar(live, facts),
-        "odometry": {**facts.odometry, "connections": {ln.name: _link(ln) for ln in live.links}},
-        "localization": localization_summary(facts.localization, live.config),
+        "sonar": _sonar(live, snapshot),
+        "odometry": {**snapshot.odometry, "connections": {ln.name: _link(ln) for ln in live.links}},
+        "localization": localization_summary(snapshot.localization, live.config),
         "recording": live.recorder.status(),
         "store": live.persistence.status(),
     }
 
 
-def _sonar(live: Live, facts: StatusSnapshot) -> dict[str, Any]:
+def _sonar(live: Live, snapshot: StatusSnapshot) -> dict[str, Any]:
     link, counted = live.link, live.sonar.counters
     return {
         "state": str(link.state),
@@ -75,9 +75,9 @@ def _sonar(live: Live, facts: StatusSnapshot) -> dict[str, Any]:
         "bytes_rejected": counted.bytes_rejected,
         "pings": counted.pings,
         "pings_lost": counted.lost_pings,
-        "placed_by": facts.clocks["placed"],
-        "restarts": facts.clocks["restarts"],
-        **facts.sonar,
+        "placed_by": snapshot.clocks["placed"],
+        "restarts": snapshot.clocks["restarts"],
+        **snapshot.sonar,
         **live.control.status(),
     }
 
@@ -95,13 +95,13 @@ def _link(link: OdometryLink) -> dict[str, Any]:
     }
 
 
-def _pose(facts: StatusSnapshot) -> dict[str, Any] | None:
-    if facts.pose is None:
+def _pose(snapshot: StatusSnapshot) -> dict[str, Any] | None:
+    if snapshot.pose is None:
         return None
-    pose, variances = facts.pose, np.diag(facts.pose.covariance)
+    pose, variances = snapshot.pose, np.diag(snapshot.pose.covariance)
     std = np.sqrt(np.maximum(variances, 0.0))
     return {
-        "t_s": None if facts.pose_ns is None else facts.pose_ns / 1e9,
+        "t_s": None if snapshot.pose_ns is None else snapshot.pose_ns / 1e9,
         "position_m": pose.pose.position_m.tolist(),
         "map_q_base_wxyz": pose.pose.map_q_base.tolist(),
         "position_std_m": std[:3].tolist(),
@@ -128,7 +128,7 @@ TEXTS = {
 
 
 class LocalizationWatch:
-    """Compares facts with those before; one thread at a time.
+    """Compares each status with the one before; one thread at a time.
 
     Args:
         events: the event log.
@@ -201,12 +201,12 @@ class Watch:
         self._suspected: set[tuple[str, str]] = set()
         self._localization = LocalizationWatch(events)
 
-    def update(self, facts: StatusSnapshot) -> None:
-        """Look at new facts; in the mapping thread."""
-        if facts.localization is not None:
-            self._localization.update(facts.localization)
-        self._look_at_refused(facts.pings["dropped"].get("fan_too_large", 0))
-        behind = facts.behind
+    def update(self, snapshot: StatusSnapshot) -> None:
+        """Look at a new status; in the mapping thread."""
+        if snapshot.localization is not None:
+            self._localization.update(snapshot.localization)
+        self._look_at_refused(snapshot.pings["dropped"].get("fan_too_large", 0))
+        behind = snapshot.behind
         if behind["late"] == self._late:
             return
         self._late = behind["late"]

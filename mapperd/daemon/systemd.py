@@ -61,7 +61,7 @@ class Notifier:
         self._send(f"EXTEND_TIMEOUT_USEC={round(seconds * 1e6)}")
 
     @contextlib.contextmanager
-    def patience(
+    def extended_timeout(
         self, progress: Callable[[], object], limit_s: float = EXTENSION_S
     ) -> Iterator[None]:
         """Request more time, and feed the watchdog, while the work in this block makes progress.
@@ -86,7 +86,7 @@ class Notifier:
                 if done.wait(limit_s / 6):
                     return
 
-        thread = threading.Thread(target=ask, name="patience", daemon=True)
+        thread = threading.Thread(target=ask, name="extend-timeout", daemon=True)
         thread.start()
         try:
             yield

@@ -127,7 +127,7 @@ class FoxgloveRelay:
             return
         mirror = self._client.mirror
         if mirror is not None:
-            self._log_lost(mirror.facts.bricks_lost)
+            self._log_lost(mirror.info.bricks_lost)
         heard = self._channels.heard("/map") or self._channels.heard("/map_changes")
         if mirror is not None and heard:
             for message in self._map.due(mirror, now_s, self.stamp_ns, last=last):

@@ -262,7 +262,7 @@ class MapPublisher:
         if due and (self._begun is None or (last and self._changed_since)):
             self._begin(mirror, stamp_ns)
         if self._begun is not None:
-            yield from self._go_on(mirror, self._begun, now_s, last=last)
+            yield from self._read_slice(mirror, self._begun, now_s, last=last)
         elif self._changed and now_s - self._changes_s >= self._pace.shortest_s:
             yield from self._changes(mirror, now_s, stamp_ns)
 
@@ -284,7 +284,7 @@ class MapPublisher:
         self._changed.clear()
         self._changed_since = False
 
-    def _go_on(
+    def _read_slice(
         self, mirror: MapMirror, whole: _Whole, now_s: float, *, last: bool
     ) -> Iterator[ChannelMessage]:
         count = len(whole.keys) if last else SLICE
@@ -298,7 +298,7 @@ class MapPublisher:
             self._whole_due = False
             self._whole_s = self._changes_s = now_s
             self._whole_cells, self._cells_since = len(rows), 0
-            message = map_cloud(rows, mirror.facts.frame, whole.stamp_ns)
+            message = map_cloud(rows, mirror.info.frame, whole.stamp_ns)
             yield ChannelMessage("/map", message, whole.stamp_ns)
 
     def _changes(self, mirror: MapMirror, now_s: float, stamp_ns: int) -> Iterator[ChannelMessage]:
@@ -308,5 +308,5 @@ class MapPublisher:
         self._changes_s = now_s
         self._cells_since += len(cells) + len(gone_m)
         if len(cells) or len(gone_m):
-            message = changes_cloud(cells, gone_m, mirror.facts.frame, stamp_ns)
+            message = changes_cloud(cells, gone_m, mirror.info.frame, stamp_ns)
             yield ChannelMessage("/map_changes", message, stamp_ns)

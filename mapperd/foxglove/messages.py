@@ -276,8 +276,8 @@ class StateMessages:
     def frames(self) -> Frames:
         """Frame names of the daemon."""
         welcome, mirror = self._client.welcome, self._client.mirror
-        facts = mirror.facts if mirror else welcome.map if welcome else None
-        return Frames(facts.frame if facts else "map", self._client.settings)
+        info = mirror.info if mirror else welcome.map if welcome else None
+        return Frames(info.frame if info else "map", self._client.settings)
 
     def _of_pose(self, make: Callable[[PoseMessage, Frames], Any]) -> Any:  # noqa: ANN401 as above
         pose = self._client.pose

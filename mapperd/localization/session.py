@@ -185,7 +185,7 @@ def restored_session(config: Config, data: bytes) -> LocalizationSession:
         stage = LocalizationStage(config, load=maps.take)
         stage.restore(state, known)
     except (ConfigError, MapError, ValueError, TypeError) as error:
-        raise CheckpointError(f"localization cannot go on: {error}") from error
+        raise CheckpointError(f"localization cannot resume: {error}") from error
     return LocalizationSession(stage, maps)
 
 

@@ -130,7 +130,7 @@ class Intake:
         mine = self.velocity.owner == who or _velocity(odometry)[0] is not None
         if _has_velocity(odometry) and mine and self.velocity.owned_by(who, t_ns):
             results.append(self.velocity.counted(self._take_velocity(who, odometry, t_ns)))
-        self.reckoning.go_on(self._matrix_at, self._attitude_until_ns())
+        self.reckoning.advance(self._matrix_at, self._attitude_until_ns())
         if not results:
             if not _has_anything(odometry):
                 return Reject("no_pose", "no position, attitude, depth or velocity in it")

@@ -77,9 +77,9 @@ async def _listen_udp(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) 
                 return
             if not wants_more:
                 loop.remove_reader(port)
-                pauses.append(loop.call_later(PAUSE_S, go_on))
+                pauses.append(loop.call_later(PAUSE_S, resume))
 
-        def go_on() -> None:
+        def resume() -> None:
             pauses.clear()
             loop.add_reader(port, read)
 

@@ -104,7 +104,9 @@ class DeadReckoning:
         self.ways.clear()
         self._segment += 1
 
-    def go_on(self, matrix_at: Callable[[int], Floats | None], known_until_ns: int | None) -> None:
+    def advance(
+        self, matrix_at: Callable[[int], Floats | None], known_until_ns: int | None
+    ) -> None:
         """Integrate velocities up to the newest attitude.
 
         Args:

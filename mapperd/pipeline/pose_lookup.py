@@ -228,7 +228,7 @@ class OdometryPoses:
 
     def __init__(self, config: Config) -> None:
         self.odometry = OdometryBridge(config)
-        self._patience_ns = _patience_ns(config.time_sync)
+        self._timeout_ns = _timeout_ns(config.time_sync)
         self._pings: deque[tuple[Ping, int | None]] = deque()
         self._waiting_bytes = 0
 
@@ -244,7 +244,7 @@ class OdometryPoses:
 
     def reconfigure(self, config: Config) -> None:
         """Use other settings from now on, for waiting pings too."""
-        self._patience_ns = _patience_ns(config.time_sync)
+        self._timeout_ns = _timeout_ns(config.time_sync)
         self.odometry.fusion.reconfigure(config.odometry, config.time_sync, config.slam_quality)
 
     def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:
@@ -299,7 +299,7 @@ class OdometryPoses:
         if self.odometry.fusion.ready(t_ns):
             return True
         # A stamp far ahead of the clock is wrong: later pings must not wait for it.
-        return now_ns is not None and abs(now_ns - t_ns) > self._patience_ns
+        return now_ns is not None and abs(now_ns - t_ns) > self._timeout_ns
 
     def _pose_at(self, t_ns: int | None) -> FusedPose | Reject:
         if t_ns is None:
@@ -307,7 +307,7 @@ class OdometryPoses:
         return self.odometry.fusion.at(t_ns)
 
 
-def _patience_ns(settings: TimeSyncConfig) -> int:
+def _timeout_ns(settings: TimeSyncConfig) -> int:
     """Return how long to wait for a record that is late after a gap."""
     return round((settings.max_gap_sec + settings.max_odom_age_sec) * 1e9)
 

@@ -52,11 +52,11 @@ class Watchdog:
     """Finds workers that have work but make no progress.
 
     Args:
-        patience_s: maximum duration of one piece of work.
+        timeout_s: maximum duration of one piece of work.
     """
 
-    def __init__(self, patience_s: float) -> None:
-        self._patience_s = patience_s
+    def __init__(self, timeout_s: float) -> None:
+        self._timeout_s = timeout_s
         self._seen: dict[str, tuple[int, float]] = {}
 
     def stuck(self, workers: Iterable[Worker], now_s: float) -> tuple[str, ...]:
@@ -72,6 +72,6 @@ class Watchdog:
             if worker.done != done or not worker.waiting or worker.held:
                 since_s = now_s
             self._seen[worker.name] = (worker.done, since_s)
-            if now_s - since_s > self._patience_s:
+            if now_s - since_s > self._timeout_s:
                 names.append(worker.name)
         return tuple(names)

@@ -25,7 +25,7 @@ from mapperd.server.priority_queue import Part
 from mapperd.server.subscription import Subscription
 from mapperd.store.metadata import MapIdentity, fresh
 from mapperd.store.tiles import Key
-from mapperd.wire.messages import Interest, MapFacts, Resume, Vector
+from mapperd.wire.messages import Interest, MapInfo, Resume, Vector
 
 __all__ = ["MapFile", "MapSource", "MapStorage", "MapView", "Source", "why_not"]
 
@@ -155,7 +155,7 @@ class MapSource:
         self._revision, self._replaced_at, *_ = self._core.changed_blocks(1 << 62, NO_BRICKS)
         self._identity = fresh() if self._store is None else self._store.identity
         self._file_version: int | None = None
-        self._facts = self._facts_now()
+        self._info = self._current_info()
 
     def __enter__(self) -> Self:
         return self
@@ -189,9 +189,9 @@ class MapSource:
         views = sum(view.memory_bytes for view in self._views.values())
         return views + sum(one.memory_bytes for one in self._subscriptions)
 
-    def facts(self) -> MapFacts:
-        """Return the facts about the map."""
-        return self._facts
+    def info(self) -> MapInfo:
+        """Return what clients must know about the map."""
+        return self._info
 
     def subscribe(self, interest: Interest, resume: Resume | None = None) -> Subscription:
         """Begin a client's subscription.
@@ -217,8 +217,8 @@ class MapSource:
                 interest.level,
                 interest.detail,
                 log_odds_step=self._step,
-                occupied_log_odds=self._facts.occupied_log_odds,
-                free_log_odds=self._facts.free_log_odds,
+                occupied_log_odds=self._info.occupied_log_odds,
+                free_log_odds=self._info.free_log_odds,
             )
             view = self._views[key] = BlockIndex(interest.level, core_view, self._map.resolution_m)
         view.unused_since_ns = None
@@ -301,7 +301,7 @@ class MapSource:
             return
         if found := self._files.damaged - self._store.lost:
             self._store.suspect(found)
-        if self._facts.bricks_lost != self._bricks_lost():
+        if self._info.bricks_lost != self._bricks_lost():
             self._start_again()
 
     def _bricks_lost(self) -> int:
@@ -310,7 +310,7 @@ class MapSource:
         return len(self._store.lost | self._files.damaged | self._files.quarantined)
 
     def _notice_another_map(self) -> None:
-        """Start again if the map was replaced or its facts changed."""
+        """Start again if the map was replaced or its description changed."""
         if self._store is not None:
             self._identity, before = self._store.identity, self._identity
             if before.map != self._identity.map:
@@ -318,26 +318,26 @@ class MapSource:
                     self._files.damaged.clear()
                     self._files.quarantined = frozenset()
                 self._start_again()
-        if self._facts != self._facts_now():
+        if self._info != self._current_info():
             self._start_again()
 
     def _start_again(self) -> None:
-        self._facts = self._facts_now()
+        self._info = self._current_info()
         self._views.clear()
         self._file_version = None
         for one in list(self._subscriptions):
             one.restart()
 
-    def _facts_now(self) -> MapFacts:
+    def _current_info(self) -> MapInfo:
         config = self._map.config
         resolution_m = self._map.resolution_m
         occupied = _log_odds(config.occupied_threshold)
         free = _log_odds(config.free_threshold)
-        # Other facts are another map for a client that resumes.
+        # A map of another description is another map for a client that resumes.
         prior = prior_log_odds(config)
         values = (resolution_m, self._step, occupied, free, *((prior,) if prior else ()))
         way = zlib.crc32(repr(values).encode())
-        return MapFacts(
+        return MapInfo(
             id=f"{self._identity.map}-{way:08x}",
             resolution_m=resolution_m,
             log_odds_step=self._step,
@@ -354,7 +354,7 @@ class MapSource:
             return why_not(
                 resume,
                 interest,
-                map_id=self._facts.id,
+                map_id=self._info.id,
                 identity=self._identity,
                 looked=self._revision,
                 newest=self._core.revision,
@@ -416,7 +416,7 @@ class MapView(Protocol):
     def settle(self, number: int) -> None:
         """Note that the client has used the messages up to this one."""
 
-    def go_on(self, interest: Interest, number: int) -> bool:
+    def resume(self, interest: Interest, number: int) -> bool:
         """Resume after a message: the blocks of later ones are sent again.
 
         Returns:
@@ -438,8 +438,8 @@ class Source(Protocol):
     def revision(self) -> int:
         """Revision of the map at the last look."""
 
-    def facts(self) -> MapFacts:
-        """Return the facts about the map."""
+    def info(self) -> MapInfo:
+        """Return what clients must know about the map."""
 
     def look(self, now_ns: int, position_m: Vector | None = None) -> None:
         """Find what changed since the last look, nearest to the vehicle first.

@@ -65,7 +65,7 @@ class _Order:
 
 
 @dataclass(slots=True)
-class _Job:
+class _MapJob:
     """Work of a round.
 
     Attributes:
@@ -118,7 +118,7 @@ class MapWorker:
         self._clients = clients
         self._context = context
         self._due = asyncio.Event()
-        self._map_start = MapStart(source.facts(), source.revision, source.session)
+        self._map_start = MapStart(source.info(), source.revision, source.session)
         self._looked_s: float | None = None
         self._left: list[tuple[MapView, ResumeState | None]] = []
         self.resume_cache = ResumeCache(context.limits.clients)
@@ -182,13 +182,13 @@ class MapWorker:
             else:
                 self._begin(order, map_start)
 
-    def _job(self, now_s: float) -> _Job:
+    def _job(self, now_s: float) -> _MapJob:
         clients = [*self._clients]
         look = self._is_time_to_look(now_s)
         found = (self._order(client, now_s, look=look) for client in clients)
         wanted = frozenset().union(*(client.session.wants for client in clients))
         left, self._left = self._left, []
-        return _Job(
+        return _MapJob(
             look,
             [order for order in found if order is not None],
             wanted if self._feed.wants_drawing(wanted, now_s) else frozenset(),
@@ -197,7 +197,7 @@ class MapWorker:
             now_s,
         )
 
-    def _work(self, job: _Job) -> None:
+    def _work(self, job: _MapJob) -> None:
         """Run in the worker thread."""
         for view, resume_state in job.left:
             if resume_state is None:
@@ -215,7 +215,7 @@ class MapWorker:
             except Exception as error:  # noqa: BLE001 the other clients get their messages
                 order.fault = error
         source = self._source
-        job.map_start = MapStart(source.facts(), source.revision, source.session)
+        job.map_start = MapStart(source.info(), source.revision, source.session)
 
     def _failed(self, error: Exception) -> None:
         self._context.count("failed")
@@ -293,8 +293,8 @@ class MapWorker:
         view = order.view if order.is_new and not is_first else None
         if view_request is not None and view_request.interest is not None and view is not None:
             # Blocks that the client holds from an earlier view may be outdated.
-            facts, revision = map_start.facts, map_start.revision
-            again = ResetMessage(map=facts, revision=revision, interest=view_request.interest)
+            info, revision = map_start.info, map_start.revision
+            again = ResetMessage(map=info, revision=revision, interest=view_request.interest)
             client.write(session.sent_reset(framed(again), view, now_s))
         client.turn()
         self.wake()

@@ -92,7 +92,7 @@ class ClientOutbox:
         last = self._events.last
         self._events_sent = last if events_since is None else min(events_since, last)
 
-    def go_on(self, resume: Resume, *, same: bool) -> None:
+    def resume(self, resume: Resume, *, same: bool) -> None:
         """Continue the path that the client holds, if it is of the same session."""
         self._path = (resume.path_version, resume.path) if same else (-1, 0)
         self._path_is_old = not same and resume.path > 0

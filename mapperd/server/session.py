@@ -35,7 +35,7 @@ from mapperd.wire.messages import (
     GreetingMessage,
     HelloMessage,
     Interest,
-    MapFacts,
+    MapInfo,
     Resume,
     WelcomeMessage,
 )
@@ -172,11 +172,11 @@ class ResumeCache:
         number = one.resume_state.number_at(resume)
         held = (resume.level, resume.detail, resume.radius_m, resume.box)
         is_same = (
-            resume.map == source.facts().id
+            resume.map == source.info().id
             and resume.session == source.session
             and held == (interest.level, interest.detail, interest.radius_m, interest.box)
         )
-        if number is None or not is_same or not one.view.go_on(interest, number):
+        if number is None or not is_same or not one.view.resume(interest, number):
             self._drop(one)
             return None
         self._parked.remove(one)
@@ -238,7 +238,7 @@ class ViewRequest:
 class MapStart:
     """The map when a client's view begins, as in `WelcomeMessage`."""
 
-    facts: MapFacts
+    info: MapInfo
     revision: int
     session: str
 
@@ -501,13 +501,13 @@ class ClientSession:
         same = resume is not None and resume.session == map_start.session
         resumed = same if view is None else view.resumed
         if resume is not None and resumed:
-            self.outbox.go_on(resume, same=same)
+            self.outbox.resume(resume, same=same)
         welcome = WelcomeMessage(
             version=VERSION,
             server=__version__,
             vehicle=self._common.vehicle,
             session=map_start.session,
-            map=map_start.facts,
+            map=map_start.info,
             revision=map_start.revision,
             resumed=resumed,
             reason="" if view is None else view.reason,

@@ -111,7 +111,7 @@ class StateFeed:
 
     Args:
         operations: the daemon.
-        facts: returns the newest snapshot of the mapping thread.
+        snapshot: returns the newest status of the mapping thread.
         path_points: maximum number of points of the path.
 
     Attributes:
@@ -122,17 +122,20 @@ class StateFeed:
     """
 
     def __init__(
-        self, operations: DaemonApi, facts: "Callable[[], StatusSnapshot | None]", path_points: int
+        self,
+        operations: DaemonApi,
+        snapshot: "Callable[[], StatusSnapshot | None]",
+        path_points: int,
     ) -> None:
         config = operations.settings.current
         self.path = VehiclePath(path_points, SPACING_M)
         self.position_m: Vector | None = None
         self.left_out: Counter[str] = Counter()
         self._operations = operations
-        self._facts = facts
+        self._snapshot = snapshot
         self._config = config
         self._mounting = SonarMounting(config)
-        self.settings = SettingLog(self._facts_of([]))
+        self.settings = SettingLog(self._described([]))
         self._newest: dict[str, Newest] = {}
         self._images = [NOTHING] * len(IMAGE_SIZES)
         self._drawings = 0
@@ -173,14 +176,14 @@ class StateFeed:
         if result is not None and result is not self._shown:
             self._shown = result
             self._add_ping(result, wanted)
-        facts = self._facts()
-        if facts is None:
+        snapshot = self._snapshot()
+        if snapshot is None:
             return
-        if "robots" in wanted and facts.robots != self._last.get("robots"):
-            self._last["robots"] = facts.robots
-            self._make("robots", RobotsMessage(seen=[_seen(robot) for robot in facts.robots]))
-        if facts.localization is not None:
-            self._add_localization(facts.localization, wanted, now_s)
+        if "robots" in wanted and snapshot.robots != self._last.get("robots"):
+            self._last["robots"] = snapshot.robots
+            self._make("robots", RobotsMessage(seen=[_seen(robot) for robot in snapshot.robots]))
+        if snapshot.localization is not None:
+            self._add_localization(snapshot.localization, wanted, now_s)
 
     def make_status(self) -> None:
         """Encode the daemon's status for the heartbeats of the next second."""
@@ -268,11 +271,11 @@ class StateFeed:
         self._make("pose", message)
 
     def _source(self) -> str:
-        facts = self._facts()
-        if facts is None or facts.odometry.get("source") == "fixed":
+        snapshot = self._snapshot()
+        if snapshot is None or snapshot.odometry.get("source") == "fixed":
             return "fixed"
         corrected = self._config.localization.mapping == "corrected"
-        return "localization" if facts.localization is not None and corrected else "odometry"
+        return "localization" if snapshot.localization is not None and corrected else "odometry"
 
     def _add_localization(
         self, snapshot: LocalizationSnapshot, wanted: Collection[str], now_s: float
@@ -295,9 +298,9 @@ class StateFeed:
         self._config, self._mounting = config, SonarMounting(config)
         names = [*changes_between(before, config)]
         if names:
-            self.settings.put(self._facts_of(names))
+            self.settings.put(self._described(names))
 
-    def _facts_of(self, names: list[str]) -> dict[str, dict[str, Any]]:
+    def _described(self, names: list[str]) -> dict[str, dict[str, Any]]:
         settings = self._operations.settings
         return facts_of(settings.current, settings.origin_of, names)
 

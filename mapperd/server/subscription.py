@@ -15,7 +15,7 @@ from mapperd.wire.messages import (
     MAX_BLOCKS,
     BlocksMessage,
     Interest,
-    MapFacts,
+    MapInfo,
     ResetMessage,
     Vector,
 )
@@ -98,8 +98,8 @@ class BlockSource(Protocol):
     def view_of(self, interest: Interest) -> BlockIndex:
         """Return the index of blocks for the level and detail of an interest."""
 
-    def facts(self) -> MapFacts:
-        """Return the facts about the map."""
+    def info(self) -> MapInfo:
+        """Return what clients must know about the map."""
 
 
 class Subscription:
@@ -170,7 +170,7 @@ class Subscription:
         """Note that the client has used the messages up to this one."""
         self._in_flight.settle(number)
 
-    def go_on(self, interest: Interest, number: int) -> bool:
+    def resume(self, interest: Interest, number: int) -> bool:
         """Resume after a message: the blocks of later ones are sent again.
 
         Returns:
@@ -250,7 +250,7 @@ class Subscription:
         self._reset = False
         self._in_flight.note_reset()
         return ResetMessage(
-            map=self._source.facts(), revision=self._view.looked, interest=self.interest
+            map=self._source.info(), revision=self._view.looked, interest=self.interest
         )
 
     def _next(self, most_bytes: int, part: Part) -> BlocksMessage | None:

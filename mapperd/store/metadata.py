@@ -31,7 +31,7 @@ __all__ = [
     "NAME",
     "MapIdentity",
     "begun",
-    "check_facts",
+    "check_checksum",
     "check_kind",
     "checksum_of",
     "differences",
@@ -255,7 +255,7 @@ def write_checksum(connection: sqlite3.Connection) -> None:
     connection.execute("UPDATE progress SET checksum = ?", (checksum,))
 
 
-def check_facts(connection: sqlite3.Connection, path: Path) -> bool:
+def check_checksum(connection: sqlite3.Connection, path: Path) -> bool:
     """Verify settings, revision, position and lost bricks by their checksum.
 
     Returns:

@@ -15,7 +15,7 @@ from mapperd import _core
 from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.database import check_version, open_reader, reading, translated
-from mapperd.store.metadata import check_facts, check_kind, kind_in, lost_in, progress_in
+from mapperd.store.metadata import check_checksum, check_kind, kind_in, lost_in, progress_in
 from mapperd.store.tiles import COLUMNS, BrickRow, DamagedBrickError, Key, rows_of, unpack
 from mapperd.store.transfer import check_structure
 
@@ -86,7 +86,7 @@ class StoreReader:
             StoreError: the file cannot be read.
         """
         with translated(self.path), reading(self._connection):
-            check_facts(self._connection, self.path)
+            check_checksum(self._connection, self.path)
             return kind_in(self._connection, self.path)
 
     def rows(self) -> Iterator[BrickRow]:
@@ -183,7 +183,7 @@ class StoreReader:
         """Read one state of the file; it is checked once, before an index is used."""
         with translated(self.path), reading(self._connection):
             if not self._is_sound:
-                check_facts(self._connection, self.path)
+                check_checksum(self._connection, self.path)
                 check_structure(self._connection, self.path)
                 self._is_sound = True
             yield

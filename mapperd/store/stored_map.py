@@ -25,7 +25,7 @@ from mapperd.io import atomic_file
 from mapperd.mapping.file_headers import map_header_bytes
 from mapperd.mapping.sonar_map import MapCounts, SonarMap, Voxels, fingerprint
 from mapperd.store.database import check_version, open_reader, reading, translated
-from mapperd.store.metadata import check_facts, check_kind, lost_in, progress_in
+from mapperd.store.metadata import check_checksum, check_kind, lost_in, progress_in
 from mapperd.store.octree import SIZE, Subtree, TreeFile, brick_paths, subtree_in
 from mapperd.store.tiles import (
     COLUMNS,
@@ -91,7 +91,7 @@ class StoredMap:
             opening.callback(self._connection.close)
             check_version(self._connection, path)
             opening.enter_context(reading(self._connection))
-            self.has_checksum = check_facts(self._connection, path)
+            self.has_checksum = check_checksum(self._connection, path)
             check_kind(self._connection, path, config)
             check_structure(self._connection, path)
             _, self.position = progress_in(self._connection, path) or (0, b"")
@@ -191,7 +191,7 @@ class StoredMap:
                 file.write(data)
 
     @cached_property
-    def _survey(self) -> "_Survey":
+    def _survey(self) -> "_MapTotals":
         counts = MapCounts(0, 0, 0)
         memory_bytes = 0
         corners_m = []
@@ -202,7 +202,7 @@ class StoredMap:
             corners_m += [some.box_m for some in occupied if len(some)]
         both_m = np.concatenate(corners_m) if corners_m else np.zeros((2, 3))
         box_m = np.stack([both_m.min(axis=0), both_m.max(axis=0)])
-        return _Survey(counts, memory_bytes, box_m)
+        return _MapTotals(counts, memory_bytes, box_m)
 
     def _damaged(self) -> frozenset[Key]:
         lost = lost_in(self._connection, self._path)
@@ -303,7 +303,7 @@ class StoredMap:
 
 
 @dataclass(frozen=True, slots=True)
-class _Survey:
+class _MapTotals:
     """Totals of the whole map.
 
     Attributes:

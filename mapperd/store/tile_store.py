@@ -30,7 +30,7 @@ from mapperd.store.database import (
 from mapperd.store.metadata import (
     MapIdentity,
     begun,
-    check_facts,
+    check_checksum,
     check_kind,
     lost_in,
     progress_in,
@@ -129,7 +129,7 @@ class TileStore:
         self, writer: sqlite3.Connection, sonar_map: SonarMap
     ) -> tuple[int, bytes, set[Key]]:
         found = progress_in(writer, self.path)
-        self._check_facts(writer, sonar_map)
+        self._check_checksum(writer, sonar_map)
         if found is None:
             with transaction(writer):
                 write_kind(writer, sonar_map.config)
@@ -138,10 +138,10 @@ class TileStore:
         check_kind(writer, self.path, sonar_map.config)
         return *found, lost_in(writer, self.path)
 
-    def _check_facts(self, writer: sqlite3.Connection, sonar_map: SonarMap) -> None:
+    def _check_checksum(self, writer: sqlite3.Connection, sonar_map: SonarMap) -> None:
         """Check the metadata; restore damaged settings if they are those of the map."""
         try:
-            self.had_checksum = check_facts(writer, self.path)
+            self.had_checksum = check_checksum(writer, self.path)
         except StoreError:
             check_structure(writer, self.path)
             with transaction(writer):

@@ -197,7 +197,7 @@ class ViewerPage:
         self._low_m, self._high_m = np.full(3, np.inf), np.full(3, -np.inf)
         mirror = self._client.mirror
         if mirror is not None:
-            odds = np.exp(mirror.facts.occupied_log_odds)
+            odds = np.exp(mirror.info.occupied_log_odds)
             self._panel.new_map(float(odds / (1 + odds)))
             self.map.change(self._panel.look)
 

@@ -37,7 +37,7 @@ __all__ = [
     "Interest",
     "LocalizationMessage",
     "MapBox",
-    "MapFacts",
+    "MapInfo",
     "Name",
     "PathMessage",
     "PoseMessage",
@@ -216,7 +216,7 @@ class GreetingMessage(WireMessage, frozen=True, kw_only=True, omit_defaults=Fals
     challenge: str = ""
 
 
-class MapFacts(Struct, frozen=True):
+class MapInfo(Struct, frozen=True):
     """Facts about a map.
 
     Attributes:
@@ -261,7 +261,7 @@ class WelcomeMessage(WireMessage, frozen=True, kw_only=True):
     server: str
     vehicle: str
     session: str
-    map: MapFacts
+    map: MapInfo
     revision: Count
     resumed: bool
     reason: str = ""
@@ -297,7 +297,7 @@ class ResetMessage(WireMessage, frozen=True, kw_only=True):
             changes of the interest.
     """
 
-    map: MapFacts
+    map: MapInfo
     revision: Count
     interest: Interest | None = None
 

@@ -21,14 +21,21 @@ from mapperd.wire.messages import (
     WANTS,
     GreetingMessage,
     Interest,
-    MapFacts,
+    MapInfo,
     WelcomeMessage,
 )
 from tests.fuzz.cases import fuzz
 
-FACTS = MapFacts("map", 0.1, 0.25, 0.6, -1.4)
+MAP_INFO = MapInfo("map", 0.1, 0.25, 0.6, -1.4)
 WELCOME = WelcomeMessage(
-    version=1, server="", vehicle="", session="", map=FACTS, revision=0, resumed=False, ticket="t"
+    version=1,
+    server="",
+    vehicle="",
+    session="",
+    map=MAP_INFO,
+    revision=0,
+    resumed=False,
+    ticket="t",
 )
 BEGIN = framed(GreetingMessage()) + framed(WELCOME)
 BLOCK_LIMIT = 4096

@@ -185,7 +185,7 @@ def test_two_velocities_of_one_stamp() -> None:
         (T0 + S // 5, 1.0),
     ):
         way.add(t_ns, np.array([v, 0, 0]), in_map=True)
-    way.go_on(lambda _t: None, None)
+    way.advance(lambda _t: None, None)
     end = way.at(T0 + S // 5)
     assert end is not None
     assert end.value.way_m == pytest.approx([0.2, 0, 0], abs=1e-12)
@@ -203,7 +203,7 @@ def test_way_summed_up_for_an_hour() -> None:
     for k, velocity in enumerate(speeds):
         way.add(T0 + k * S // 10, velocity, in_map=True)
         if k % 1000 == 0 or k == len(speeds) - 1:
-            way.go_on(lambda _t: None, None)
+            way.advance(lambda _t: None, None)
     end = way.at(T0 + 3600 * S)
     assert end is not None
     for axis in range(3):

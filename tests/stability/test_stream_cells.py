@@ -14,7 +14,7 @@ from mapperd.client.mirror import MapMirror
 from mapperd.server.map_index import BlockIndex, distances_m, within
 from mapperd.wire.blocks import CELLS, MAX_KEY, UNKNOWN, BlockSet, decode_blocks, encode_blocks
 from mapperd.wire.framing import StreamError
-from mapperd.wire.messages import Interest, MapFacts
+from mapperd.wire.messages import Interest, MapInfo
 from tests.stability.iwlo_oracle import sigmoid
 
 OCCUPIED, FREE = math.log(0.7 / 0.3), math.log(0.4 / 0.6)
@@ -25,8 +25,8 @@ USUAL, UNIT = _core.IwloParams(), 2.0**-11
 ORIGIN = np.zeros((1, 3), np.int32)
 
 
-def facts(step: float, occupied: float = OCCUPIED, free: float = FREE) -> MapFacts:
-    return MapFacts("m", 0.1, step, occupied, free)
+def facts(step: float, occupied: float = OCCUPIED, free: float = FREE) -> MapInfo:
+    return MapInfo("m", 0.1, step, occupied, free)
 
 
 def view(step: float, level: int = 0, detail: str = "log_odds") -> _core.StreamView:

@@ -24,7 +24,7 @@ from mapperd.server.listeners import Listener, open_tcp_listener, open_unix_list
 from mapperd.server.state_feed import StateFeed
 from mapperd.server.stream_server import StreamServer
 from mapperd.wire.auth import Limits
-from mapperd.wire.messages import Interest, MapFacts
+from mapperd.wire.messages import Interest, MapInfo
 from tests.support.waiting import LIMIT_S, run
 
 TOKEN = b"correct-horse-battery-staple"
@@ -40,8 +40,8 @@ class FakeDaemon:
         self.done: list[tuple[str, ...]] = []
         self.poses: list[PoseRequest | None] = []
         self.fault: Exception | None = None
-        self.go_on = asyncio.Event()
-        self.go_on.set()
+        self.resume = asyncio.Event()
+        self.resume.set()
 
     def status(self) -> dict[str, Any]:
         self._fail()
@@ -80,7 +80,7 @@ class FakeDaemon:
         return await self._do("set_map", name, origin, result=result)
 
     async def _do(self, *what: str, result: dict[str, Any]) -> dict[str, Any]:
-        await self.go_on.wait()
+        await self.resume.wait()
         self._fail()
         self.done.append(what)
         return result
@@ -222,7 +222,7 @@ class EmptyView:
     def change(self, _: Interest) -> None:
         pass
 
-    def go_on(self, _: Interest, __: int) -> bool:
+    def resume(self, _: Interest, __: int) -> bool:
         return False
 
     def close(self) -> None:
@@ -234,8 +234,8 @@ class EmptySource:
 
     session, revision = "s1", 0
 
-    def facts(self) -> MapFacts:
-        return MapFacts("m1", 0.1, 0.25, 0.8, 0.0)
+    def info(self) -> MapInfo:
+        return MapInfo("m1", 0.1, 0.25, 0.8, 0.0)
 
     def look(self, *_: object) -> None:
         pass

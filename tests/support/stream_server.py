@@ -26,7 +26,7 @@ from mapperd.wire.messages import (
     GreetingMessage,
     HelloMessage,
     Interest,
-    MapFacts,
+    MapInfo,
     PathMessage,
     ResetMessage,
     StatusMessage,
@@ -35,7 +35,7 @@ from mapperd.wire.messages import (
 
 TOKEN = b"correct-horse-battery"
 
-FACTS = MapFacts("map-1", 0.1, 0.25, 0.6, -1.4)
+MAP_INFO = MapInfo("map-1", 0.1, 0.25, 0.6, -1.4)
 
 
 def a_block(value: int, *, holes: bool = True) -> NDArray[np.int8]:
@@ -50,7 +50,7 @@ def a_block(value: int, *, holes: bool = True) -> NDArray[np.int8]:
 class Served:
     """The map and the requests of a daemon; tests change it in the server's event loop."""
 
-    facts: MapFacts = FACTS
+    info: MapInfo = MAP_INFO
     session: str = "s-1"
     blocks: dict[tuple[int, int, int], tuple[int, NDArray[np.int8]]] = field(default_factory=dict)
     revision: int = 0
@@ -77,7 +77,7 @@ class Served:
 
     def start_again(self, name: str) -> None:
         """Start a new map with one block."""
-        self.facts = msgspec.structs.replace(self.facts, id=name)
+        self.info = msgspec.structs.replace(self.info, id=name)
         self.blocks.clear()
         self.put((0, 0, 0), a_block(5))
 
@@ -96,7 +96,7 @@ class Served:
         held = hello.resume
         if held is None or held.revision is None:
             return False
-        return held.map == self.facts.id and held.revision <= self.revision
+        return held.map == self.info.id and held.revision <= self.revision
 
 
 class Connection:
@@ -162,7 +162,7 @@ class Connection:
             server="test",
             vehicle="diver",
             session=served.session,
-            map=served.facts,
+            map=served.info,
             revision=served.revision,
             resumed=resumed,
             may_change=True,
@@ -178,7 +178,7 @@ class Connection:
             self.reported = 0
             self.send(
                 ResetMessage(
-                    map=self.served.facts,
+                    map=self.served.info,
                     revision=self.served.revision,
                     interest=self.interest,
                 )

@@ -22,7 +22,7 @@ from mapperd.viewer.chunks import Filter
 from mapperd.viewer.colours import Scale
 from mapperd.viewer.map_layer import MapLayer, MapStyle
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
-from mapperd.wire.messages import Interest, MapFacts
+from mapperd.wire.messages import Interest, MapInfo
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -31,7 +31,7 @@ ARGUMENTS = (
     "--headless --no-sandbox --disable-gpu --use-angle=swiftshader --enable-unsafe-swiftshader "
     "--disable-background-networking --no-first-run --disable-component-update --disable-sync"
 )
-FACTS = MapFacts("load", 0.1, 0.25, 0.85, 0.0)
+MAP_INFO = MapInfo("load", 0.1, 0.25, 0.85, 0.0)
 THICK = 3
 """Cells of the floor, one above the other."""
 
@@ -56,7 +56,7 @@ def main() -> None:
     parser.add_argument("--chromium", help="of a browser; none measures the server alone")
     parser.add_argument("--picture", help="PNG of the page")
     args = parser.parse_args()
-    mirror = MapMirror(FACTS, Interest(detail="log_odds"))
+    mirror = MapMirror(MAP_INFO, Interest(detail="log_odds"))
     mirror.put(_floor(args.cells), time.time_ns())
     occupied = len(mirror.cells("occupied"))
     server = open_page("127.0.0.1", 0)

@@ -34,7 +34,7 @@ WAIT_S = 0.02
 
 
 def run_forked(
-    options: Sequence[str], folder: Path, environment: Mapping[str, str], patience_s: float
+    options: Sequence[str], folder: Path, environment: Mapping[str, str], timeout_s: float
 ) -> tuple[int | None, str]:
     """Run pytest's main function in a folder.
 
@@ -48,7 +48,7 @@ def run_forked(
         child = os.fork()
         if child == 0:
             _run_in_child(options, folder, environment, printed.fileno())
-        code = _awaited(child, patience_s)
+        code = _awaited(child, timeout_s)
         printed.seek(0)
         return code, printed.read().decode(errors="replace")
 
@@ -107,8 +107,8 @@ def _is_installed(path: str) -> bool:
     return "site-packages" in path
 
 
-def _awaited(child: int, patience_s: float) -> int | None:
-    until_s = time.monotonic() + patience_s
+def _awaited(child: int, timeout_s: float) -> int | None:
+    until_s = time.monotonic() + timeout_s
     while time.monotonic() < until_s:
         ended, status = os.waitpid(child, os.WNOHANG)
         if ended:

@@ -125,7 +125,7 @@ def _made(
         raise CtlError("the daemon sent no map", ExitCode.PROTOCOL)
     sonar_map = mirror.to_map(config)
     _choose(sonar_map, args.min_probability)
-    origin_deg = mirror.facts.origin_deg
+    origin_deg = mirror.info.origin_deg
     origin = origin_among(
         None if args.origin is None else Origin.of_degrees(*args.origin),
         None if origin_deg is None else Origin.of_degrees(*origin_deg),
@@ -136,7 +136,7 @@ def _made(
 
 def _lost(client: MapClient) -> int:
     """Return the number of damaged bricks that are missing in the daemon's map."""
-    return 0 if client.mirror is None else client.mirror.facts.bricks_lost
+    return 0 if client.mirror is None else client.mirror.info.bricks_lost
 
 
 def _choose(sonar_map: SonarMap, min_probability: float | None) -> None:
@@ -176,7 +176,7 @@ async def _recorded(client: MapClient, args: argparse.Namespace) -> None:
 async def _complete(client: MapClient, args: argparse.Namespace) -> None:
     """Wait until the map is complete and show the progress; refuse a damaged map."""
     timeout_s = args.timeout or None
-    progress = _Progress(sys.stderr)
+    progress = _ExportProgress(sys.stderr)
     parts = [
         asyncio.create_task(client.complete(timeout_s)),
         asyncio.create_task(_watch(client, progress)),
@@ -199,7 +199,7 @@ async def _complete(client: MapClient, args: argparse.Namespace) -> None:
         raise CtlError(text, ExitCode.FAULT)
 
 
-async def _watch(client: MapClient, progress: "_Progress") -> None:
+async def _watch(client: MapClient, progress: "_ExportProgress") -> None:
     """Show the progress; fail if no daemon answers the first attempt."""
     async for change in client.changes():
         if isinstance(change, LinkChanged):
@@ -213,7 +213,7 @@ async def _watch(client: MapClient, progress: "_Progress") -> None:
         progress.show(client.link.bytes)
 
 
-class _Progress:
+class _ExportProgress:
     """A progress line, redrawn on a terminal.
 
     Args:

@@ -114,7 +114,7 @@ def _map(args: argparse.Namespace, config: Config, client: MapClient) -> Iterato
     mirror = client.mirror
     if mirror is None:
         raise _nobody(client)
-    origin_deg = mirror.facts.origin_deg
+    origin_deg = mirror.info.origin_deg
     own = None if origin_deg is None else Origin.of_degrees(*origin_deg)
     made = make_files(mirror.to_map(config), args.file, origin_among(None, own, config))
     yield from [json.dumps(made.plain())] if args.json else map(plain, made.lines())

@@ -144,7 +144,7 @@ def _never_shared(*_: object, **__: object) -> None:
 
 
 UPDATE_S = 0.2
-"""Period of the facts of a replay."""
+"""Period of the status of a replay."""
 
 REFUSED = ("wrong_token", "needs_token", "no_permission", "not_trusted")
 
@@ -245,7 +245,7 @@ class ReplayView:
             "mapped": counters.pings_mapped,
             "dropped": dict(counters.pings_dropped),
         }
-        self._shown.facts = StatusSnapshot(
+        self._shown.replayed = StatusSnapshot(
             pings, None, {}, {"source": "odometry"}, [], None, None, {}, {}, 0, localization
         )
 

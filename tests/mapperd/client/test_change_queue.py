@@ -22,11 +22,11 @@ from mapperd.wire.messages import (
     StatusMessage,
     WelcomeMessage,
 )
-from tests.support.stream_server import FACTS, Served, a_block
+from tests.support.stream_server import MAP_INFO, Served, a_block
 
 LINK = LinkChanged(ConnectionStatus("connected", "here", "", 0.0))
 WELCOME = WelcomeMessage(
-    version=1, server="", vehicle="", session="s", map=FACTS, revision=0, resumed=False
+    version=1, server="", vehicle="", session="s", map=MAP_INFO, revision=0, resumed=False
 )
 
 
@@ -73,7 +73,7 @@ def test_blocks_are_joined_and_the_newest_of_others_stays() -> None:
 
 def test_reset_drops_the_blocks_before_it() -> None:
     reader = Reader()
-    for change in (changed(1), MapReset(FACTS), changed(2)):
+    for change in (changed(1), MapReset(MAP_INFO), changed(2)):
         reader.pending.add(change)
     kinds = [(type(one), one) for one in reader.take_all()]
     assert [kind for kind, _ in kinds] == [MapReset, MapChanged]

@@ -109,7 +109,7 @@ def test_client_finds_a_daemon_that_began_again(short: Path) -> None:
                 await client.complete(5)
             path.unlink(missing_ok=True)
             await until(lambda: client.link.state != "connected")
-            other = Served(session="s-2", facts=served.facts, blocks=served.blocks, revision=9)
+            other = Served(session="s-2", info=served.info, blocks=served.blocks, revision=9)
             other.put((7, 7, 7), a_block(7))
             async with Server(other, path):
                 await client.complete(5)
@@ -130,7 +130,7 @@ def test_lie_about_the_map_starts_again() -> None:
             await until(lambda: client.link.connects == 2)
             await client.complete(5)
             assert client.mirror is not None
-            assert client.mirror.facts.id == "map-2"
+            assert client.mirror.info.id == "map-2"
             assert client.mirror.keys().tolist() == [[0, 0, 0]]
 
     go(lie())

@@ -16,7 +16,7 @@ import zstandard
 from mapperd.client import MapMirror
 from mapperd.wire.blocks import path_message
 from mapperd.wire.messages import Interest
-from tests.support.stream_server import FACTS, TOKEN, Served, Server, a_block
+from tests.support.stream_server import MAP_INFO, TOKEN, Served, Server, a_block
 
 pytestmark = pytest.mark.net
 
@@ -125,7 +125,7 @@ class Foreign:
 
 def cells_of(served: Served) -> dict[Key, bytes]:
     """What the daemon knows, by our own mirror."""
-    mirror = MapMirror(FACTS, Interest())
+    mirror = MapMirror(MAP_INFO, Interest())
     mirror.put(served.since(0), 0)
     blocks = mirror.blocks()
     keys = map(tuple, blocks.keys.tolist())

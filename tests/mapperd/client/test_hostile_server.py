@@ -32,7 +32,7 @@ from mapperd.wire.messages import (
     StatusMessage,
     WelcomeMessage,
 )
-from tests.support.stream_server import FACTS, Served, a_block
+from tests.support.stream_server import MAP_INFO, Served, a_block
 
 NAN, INF = float("nan"), float("inf")
 UNIT = (0.0, 0.0, 0.0, 1.0)
@@ -53,7 +53,7 @@ IMAGE: dict[str, Any] = {
     "body": zstandard.compress(bytes(6)),
 }
 WELCOME = WelcomeMessage(
-    version=1, server="", vehicle="", session="s", map=FACTS, revision=0, resumed=False
+    version=1, server="", vehicle="", session="s", map=MAP_INFO, revision=0, resumed=False
 )
 
 
@@ -93,8 +93,8 @@ def blocks(data: bytes, **more: Any) -> BlocksMessage:
         blocks(body()),
         blocks(b"nothing"),
         blocks(b"", complete=2),
-        ResetMessage(map=msgspec.structs.replace(FACTS, resolution_m=NAN), revision=1),
-        ResetMessage(map=msgspec.structs.replace(FACTS, free_log_odds=9.0), revision=1),
+        ResetMessage(map=msgspec.structs.replace(MAP_INFO, resolution_m=NAN), revision=1),
+        ResetMessage(map=msgspec.structs.replace(MAP_INFO, free_log_odds=9.0), revision=1),
         PoseMessage(**POSE | {"position_m": (NAN, 0.0, 0.0)}),
         PoseMessage(**POSE | {"sonar_position_m": (INF, 0.0, 0.0)}),
         PoseMessage(**POSE | {"orientation_xyzw": (0.0, 0.0, 0.0, 0.0)}),
@@ -158,7 +158,7 @@ def test_only_what_was_held_is_gone_on_with(resumed: bool) -> None:  # noqa: FBT
     protocol.end()
     protocol.begin()
     other = msgspec.structs.replace(
-        WELCOME, resumed=resumed, map=msgspec.structs.replace(FACTS, id="another")
+        WELCOME, resumed=resumed, map=msgspec.structs.replace(MAP_INFO, id="another")
     )
     if resumed:
         with pytest.raises(StreamError, match="does not hold"):
@@ -176,7 +176,7 @@ GOOD = [
     for message in (
         blocks(body(counts=1), complete=1),
         blocks(body(-128, counts=0)),
-        ResetMessage(map=FACTS, revision=2),
+        ResetMessage(map=MAP_INFO, revision=2),
         PoseMessage(**POSE),
         PathMessage(first=0, points=bytes(24)),
         ImageMessage(**IMAGE),

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapperd.client import Interest, MapFacts, MapMirror
+from mapperd.client import Interest, MapInfo, MapMirror
 from mapperd.config.tree import Config
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
 from mapperd.wire.messages import BLOCK_EDGE
-from tests.support.stream_server import FACTS, a_block
+from tests.support.stream_server import MAP_INFO, a_block
 
 KEYS = st.tuples(*[st.integers(-2, 2)] * 3)
 ROUNDS = st.lists(st.dictionaries(KEYS, st.integers(-1, 5), max_size=6), max_size=20)
@@ -32,7 +32,7 @@ def test_mirror_holds_the_newest_of_every_block(
     *,
     counts: bool,
 ) -> None:
-    mirror = MapMirror(FACTS, Interest(detail="counts" if counts else "log_odds"))
+    mirror = MapMirror(MAP_INFO, Interest(detail="counts" if counts else "log_odds"))
     held: dict[tuple[int, int, int], int] = {}
     for sent in rounds:
         mirror.put(block_set(sent, counts=counts), 0)
@@ -42,13 +42,13 @@ def test_mirror_holds_the_newest_of_every_block(
     found = dict(zip(map(tuple, blocks.keys.tolist()), blocks.cells, strict=True))
     assert found.keys() == held.keys()
     assert all((found[key] == a_block(number)).all() for key, number in held.items())
-    again = MapMirror(FACTS, mirror.interest)
+    again = MapMirror(MAP_INFO, mirror.interest)
     again.put(block_set(dict(sorted(held.items())), counts=counts), 7)
     assert again.digest() == mirror.digest()
 
 
 def test_rows_are_used_again() -> None:
-    mirror = MapMirror(FACTS, Interest())
+    mirror = MapMirror(MAP_INFO, Interest())
     for round_ in range(2000):
         mirror.put(block_set({(round_, 0, 0): 1, (round_ - 5, 0, 0): -1}), 0)
     assert len(mirror) == 5
@@ -57,13 +57,13 @@ def test_rows_are_used_again() -> None:
 
 def corner(key: tuple[int, int, int], cell: tuple[int, int, int], level: int) -> list[float]:
     """Centre of a cell, by the document."""
-    edge = 2**level * FACTS.resolution_m
+    edge = 2**level * MAP_INFO.resolution_m
     return [(BLOCK_EDGE * k + c + 0.5) * edge for k, c in zip(key, cell, strict=True)]
 
 
 @pytest.mark.parametrize("level", [0, 2])
 def test_cells_are_where_and_what_they_are(level: int) -> None:
-    mirror = MapMirror(FACTS, Interest(level=level, detail="counts"))
+    mirror = MapMirror(MAP_INFO, Interest(level=level, detail="counts"))
     cells = np.full((1, CELLS), UNKNOWN, np.int8)
     cells[0, 3 + 8 * 1 + 64 * 6] = 12  # 3.0: occupied
     cells[0, 0] = -6  # -1.5: free
@@ -89,7 +89,7 @@ def test_cells_are_where_and_what_they_are(level: int) -> None:
 
 
 def test_a_cell_at_a_threshold_is_of_neither_class() -> None:
-    mirror = MapMirror(MapFacts("m", 0.1, 0.25, 0.5, -0.5), Interest())
+    mirror = MapMirror(MapInfo("m", 0.1, 0.25, 0.5, -0.5), Interest())
     cells = np.full((1, CELLS), UNKNOWN, np.int8)
     cells[0, :4] = [-3, -2, 2, 3]
     mirror.put(BlockSet(np.zeros((1, 3), np.int32), np.zeros(1, np.uint32), cells), 0)
@@ -98,14 +98,14 @@ def test_a_cell_at_a_threshold_is_of_neither_class() -> None:
 
 
 def test_certainty_has_no_log_odds_and_is_asked_for_all_the_same() -> None:
-    mirror = MapMirror(FACTS, Interest())
+    mirror = MapMirror(MAP_INFO, Interest())
     mirror.put(block_set({(0, 0, 0): 1}), 0)
     assert len(mirror.cells(min_probability=1.0)) == 0
     assert len(mirror.cells(min_probability=0.0)) == len(mirror.cells("known"))
 
 
 def test_ages_of_weeks_do_not_wrap() -> None:
-    mirror = MapMirror(FACTS, Interest())
+    mirror = MapMirror(MAP_INFO, Interest())
     blocks = block_set({(0, 0, 0): 1})
     blocks.ages_ms[:] = 2**32 - 1
     mirror.put(blocks, 10**18)
@@ -114,19 +114,19 @@ def test_ages_of_weeks_do_not_wrap() -> None:
 
 
 def test_classes_have_values_that_are_of_their_class() -> None:
-    mirror = MapMirror(FACTS, Interest(detail="classes"))
+    mirror = MapMirror(MAP_INFO, Interest(detail="classes"))
     cells = np.full((1, CELLS), UNKNOWN, np.int8)
     cells[0, :3] = [-1, 0, 1]
     mirror.put(BlockSet(np.zeros((1, 3), np.int32), np.zeros(1, np.uint32), cells), 0)
     known = mirror.cells("known")
-    assert known.log_odds[0] < FACTS.free_log_odds
-    assert FACTS.free_log_odds < known.log_odds[1] < FACTS.occupied_log_odds
-    assert known.log_odds[2] > FACTS.occupied_log_odds
+    assert known.log_odds[0] < MAP_INFO.free_log_odds
+    assert MAP_INFO.free_log_odds < known.log_odds[1] < MAP_INFO.occupied_log_odds
+    assert known.log_odds[2] > MAP_INFO.occupied_log_odds
     assert [len(mirror.cells(kind)) for kind in ("occupied", "free")] == [1, 1]
 
 
 def test_map_of_a_mirror_has_its_cells() -> None:
-    facts = MapFacts("m", 0.1, 0.5, 0.6, -1.4)
+    facts = MapInfo("m", 0.1, 0.5, 0.6, -1.4)
     mirror = MapMirror(facts, Interest(level=1))
     mirror.put(block_set({(0, 0, 0): 1, (-2, 1, 0): 2}), 0)
     sonar_map = mirror.to_map(Config())
@@ -143,8 +143,8 @@ def test_map_of_a_mirror_has_its_cells() -> None:
 
 
 def test_points_beyond_the_reach_are_unknown() -> None:
-    mirror = MapMirror(FACTS, Interest())
+    mirror = MapMirror(MAP_INFO, Interest())
     mirror.put(block_set({(0, 0, 0): 1}), 0)
-    far = 2.0**35 * FACTS.resolution_m  # a key of this wraps around to 0
+    far = 2.0**35 * MAP_INFO.resolution_m  # a key of this wraps around to 0
     points = [[far, 0.05, 0.05], [np.inf, 0.05, 0.05], [np.nan, 0.05, 0.05]]
     assert mirror.classify(points).tolist() == [-1, -1, -1]

@@ -29,7 +29,7 @@ pytestmark = pytest.mark.net
 
 @dataclass
 class Known:
-    """As the mapping thread's facts, as far as the feed reads them."""
+    """As a `StatusSnapshot`, as far as the feed reads them."""
 
     odometry: dict[str, Any] = field(default_factory=lambda: {"source": "odometry"})
     robots: list[dict[str, Any]] = field(default_factory=list)
@@ -84,13 +84,13 @@ def test_robots_come_and_go(short: Path) -> None:
 def test_localization_is_reported_with_its_cloud_and_its_scan(short: Path) -> None:
     async def work() -> None:
         async with running_client(short, "localization") as sent:
-            sent.known.localization = facts = believed(0.2)
+            sent.known.localization = snapshot = believed(0.2)
             first = await sent.next(lambda one: isinstance(one, LocalizationMessage))
             assert first.report["map"] == "tank.yaml"
             assert (first.report["state"], first.report["elsewhere"]) == ("ambiguous", 0.2)
             assert first.report["x_m"] == 1.0
             np.testing.assert_array_equal(
-                floats_of(first.particles, 4), facts.particles.astype(np.float32)
+                floats_of(first.particles, 4), snapshot.particles.astype(np.float32)
             )
             assert floats_of(first.scan, 3).tolist() == [[5.0, 2.0, 0.0]]  # the other is no place
             sent.known.localization = believed(None, state="waiting for a pose", scan_points_m=None)

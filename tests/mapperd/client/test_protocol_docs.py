@@ -29,7 +29,7 @@ def test_every_key_of_what_messages_hold_has_its_row() -> None:
     for name, kind in {
         "interest": messages.Interest,
         "resume": messages.Resume,
-        "map": messages.MapFacts,
+        "map": messages.MapInfo,
     }.items():
         table = re.split(r"\n##", PAGE.split(f"\n`{name}`:")[1])[0].split("\n\n")
         rows = next(part for part in table if "| key |" in part)

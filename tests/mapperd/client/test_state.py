@@ -13,10 +13,10 @@ from mapperd.wire.messages import (
     ResetMessage,
     WelcomeMessage,
 )
-from tests.support.stream_server import FACTS
+from tests.support.stream_server import MAP_INFO
 
 WELCOME = WelcomeMessage(
-    version=1, server="", vehicle="", session="s", map=FACTS, revision=0, resumed=False
+    version=1, server="", vehicle="", session="s", map=MAP_INFO, revision=0, resumed=False
 )
 POINTS = np.ones((2, 3), "<f4").tobytes()
 
@@ -46,7 +46,7 @@ def test_resume_reports_both_what_is_complete_and_the_newest() -> None:
     assert (resume.revision, resume.newest) == (6, 9)
     assert (resume.level, resume.detail, resume.box) == (1, "log_odds", box)
     assert (resume.path, resume.path_version) == (2, 3)
-    client_state.take(ResetMessage(map=FACTS, revision=1))
+    client_state.take(ResetMessage(map=MAP_INFO, revision=1))
     assert client_state.resume() is None
     client_state.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body()))
     resume = client_state.resume()
@@ -62,11 +62,11 @@ def test_blocks_are_read_by_the_interest_of_the_last_reset() -> None:
     client_state.interest = third  # changed twice; the daemon has heeded one yet
     client_state.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
     assert (mirror.interest, client_state.is_complete) == (first, False)
-    client_state.take(ResetMessage(map=FACTS, revision=1, interest=second))
+    client_state.take(ResetMessage(map=MAP_INFO, revision=1, interest=second))
     client_state.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
     assert (mirror.interest, client_state.is_complete) == (second, False)
     assert client_state.resume() is None
-    client_state.take(ResetMessage(map=FACTS, revision=1, interest=third))
+    client_state.take(ResetMessage(map=MAP_INFO, revision=1, interest=third))
     client_state.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
     assert (mirror.interest, client_state.is_complete) == (third, True)
 
@@ -87,12 +87,12 @@ def test_path_is_of_its_session() -> None:
 def test_thresholds_and_origin_may_change_while_the_link_is_away() -> None:
     client_state = known()
     client_state.take(BlocksMessage(revision=1, stamp_ns=1, complete=1, body=body()))
-    facts = msgspec.structs.replace(FACTS, origin_deg=(54.0, 10.0), occupied_log_odds=1.0)
+    facts = msgspec.structs.replace(MAP_INFO, origin_deg=(54.0, 10.0), occupied_log_odds=1.0)
     client_state.begin(
         msgspec.structs.replace(WELCOME, resumed=True, map=facts), client_state.resume()
     )
     assert client_state.mirror is not None
-    assert client_state.mirror.facts == facts
+    assert client_state.mirror.info == facts
     assert len(client_state.mirror) == 1
 
 
@@ -111,7 +111,7 @@ def test_each_message_replaces_the_blocks_before() -> None:
         client_state.take(blocks_of({number % 3: number}, revision=number, complete=number))
         client_state.take(blocks_of({5: number if number % 2 else UNKNOWN}, revision=number))
         if number == 10:
-            client_state.take(ResetMessage(map=FACTS, revision=10))
+            client_state.take(ResetMessage(map=MAP_INFO, revision=10))
     assert client_state.mirror is not None
     held = client_state.mirror.blocks()
     values = dict(zip(held.keys[:, 0].tolist(), held.cells[:, 0].tolist(), strict=True))

@@ -23,7 +23,7 @@ from mapperd.server.map_source import MapSource
 from mapperd.server.state_feed import StateFeed
 from mapperd.server.stream_server import StreamServer
 from mapperd.wire.blocks import UNKNOWN
-from mapperd.wire.messages import MapFacts
+from mapperd.wire.messages import MapInfo
 from tests.support.control_server import FakeDaemon
 from tests.support.waiting import run
 
@@ -63,7 +63,7 @@ async def served(sonar_map: SonarMap, path: Path) -> AsyncIterator[StreamServer]
             yield server
 
 
-def sent_digest(sonar_map: SonarMap, facts: MapFacts, level: int) -> str:
+def sent_digest(sonar_map: SonarMap, facts: MapInfo, level: int) -> str:
     """Of what a mirror ought to hold: rounded, then the highest of each cube, from all voxels."""
     keys, units, counts = sonar_map.core.blocks()
     edge = _core.BLOCK_EDGE
@@ -90,7 +90,7 @@ def digest_of(client: MapClient) -> str:
 async def until_equal(clients: list[MapClient], sonar_map: SonarMap) -> None:
     for client in clients:
         assert client.mirror is not None
-        right = sent_digest(sonar_map, client.mirror.facts, client.mirror.interest.level)
+        right = sent_digest(sonar_map, client.mirror.info, client.mirror.interest.level)
         while digest_of(client) != right:  # noqa: ASYNC110 of another task
             await asyncio.sleep(0.02)
 
@@ -152,11 +152,11 @@ def test_reset_and_another_interest_are_followed(short: Path) -> None:
         assert client.mirror is not None
         assert client.mirror.interest == Interest(level=1)
         await until_equal([client], sonar_map)
-        before = client.mirror.facts.id
+        before = client.mirror.info.id
         sonar_map.core.clear()
         observe(sonar_map, chance, 50)
         await until_equal([client], sonar_map)
-        assert client.mirror.facts.id != before
+        assert client.mirror.info.id != before
         assert client.link.faults == 0
         assert (await client.ask("status")) is not None
 

@@ -38,13 +38,13 @@ class Bench:
         self.orders: list[Request] = []
         self.refusal: Reject | None = None
         self.bad_map = False
-        self.go_on = asyncio.Event()
-        self.go_on.set()
+        self.resume = asyncio.Event()
+        self.resume.set()
         store = ConfigStore(Layered(config_of(ON if settings is None else settings, "")))
         self.requests = LocalizationRequests(store, self.events, folder, self._ask)
 
     async def _ask(self, request: Request) -> Reject | None:
-        await self.go_on.wait()
+        await self.resume.wait()
         if self.bad_map:
             raise MapError("tank.yaml: too large", "too_large")
         self.orders.append(request)
@@ -226,7 +226,7 @@ def test_map_that_cannot_be_loaded_orders_nothing(bench: Bench) -> None:
 
 def test_one_map_is_set_at_a_time(bench: Bench) -> None:
     async def work() -> None:
-        bench.go_on.clear()
+        bench.resume.clear()
         first = asyncio.create_task(bench.requests.set_map("tank.yaml", POSE, "me"))
         while not bench.requests.is_changing_map:  # noqa: ASYNC110 what is waited for has no event
             await asyncio.sleep(0.001)
@@ -234,7 +234,7 @@ def test_one_map_is_set_at_a_time(bench: Bench) -> None:
             async with asyncio.timeout(10):
                 await bench.requests.set_map("tank.yaml", POSE, "me")
         assert caught.value.reason == "busy"
-        bench.go_on.set()
+        bench.resume.set()
         await first
         await bench.requests.set_map("tank.yaml", POSE, "me")
 
@@ -246,5 +246,5 @@ def test_request_that_waits_for_too_long_is_busy(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("mapperd.daemon.localization_service.ORDER_S", 0.0)
-    bench.go_on.clear()
+    bench.resume.clear()
     assert refused(bench.requests.global_localization("me")).reason == "busy"

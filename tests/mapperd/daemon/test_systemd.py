@@ -99,7 +99,7 @@ def test_long_work_gets_time_while_it_makes_progress_only(manager: socket.socket
     parts: list[int] = []
     manager.settimeout(0)
     with closing(Notifier({"NOTIFY_SOCKET": manager.getsockname()})) as notifier:
-        with notifier.patience(lambda: len(parts), limit_s=0.3):
+        with notifier.extended_timeout(lambda: len(parts), limit_s=0.3):
             for part in range(12):
                 time.sleep(0.1)
                 parts.append(part)

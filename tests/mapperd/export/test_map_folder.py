@@ -108,11 +108,11 @@ def test_store_that_cannot_be_read_is_reported(folder: MapFolder) -> None:
 
 
 def test_one_at_a_time(folder: MapFolder, sonar_map: SonarMap) -> None:
-    begun, go_on = threading.Event(), threading.Event()
+    begun, resume = threading.Event(), threading.Event()
 
     def slow() -> SonarMap:
         begun.set()
-        assert go_on.wait(60)
+        assert resume.wait(60)
         return sonar_map
 
     first = threading.Thread(target=folder.save, args=("a.ply", slow))
@@ -120,7 +120,7 @@ def test_one_at_a_time(folder: MapFolder, sonar_map: SonarMap) -> None:
     assert begun.wait(60)
     with pytest.raises(OperationError) as caught:
         folder.save("b.ply", lambda: sonar_map)
-    go_on.set()
+    resume.set()
     first.join()
     assert caught.value.reason == "busy"
     folder.save("b.ply", lambda: sonar_map)

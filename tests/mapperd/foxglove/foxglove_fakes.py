@@ -20,7 +20,7 @@ from mapperd.wire.messages import (
     ImageMessage,
     Interest,
     LocalizationMessage,
-    MapFacts,
+    MapInfo,
     PathMessage,
     PoseMessage,
     ReturnsMessage,
@@ -33,7 +33,7 @@ from mapperd.wire.messages import (
 T0 = 1_790_000_000_000_000_000
 S = 1_000_000_000
 
-FACTS = MapFacts(
+MAP_INFO = MapInfo(
     id="one",
     resolution_m=0.25,
     log_odds_step=0.25,
@@ -114,7 +114,7 @@ class FakeStream:
     """Has all that a client has; `feed` makes it know something."""
 
     def __init__(self) -> None:
-        self.mirror: MapMirror | None = MapMirror(FACTS, Interest())
+        self.mirror: MapMirror | None = MapMirror(MAP_INFO, Interest())
         self.link = CONNECTED
         self.welcome: WelcomeMessage | None = None
         self.pose: PoseMessage | None = None
@@ -147,7 +147,7 @@ class FakeStream:
         """One of each."""
         for change in (
             LinkChanged(CONNECTED),
-            MapReset(FACTS),
+            MapReset(MAP_INFO),
             SETTINGS,
             FAN,
             path_message(0, WAY),

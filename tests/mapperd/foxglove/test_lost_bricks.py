@@ -11,7 +11,7 @@ from mapperd.foxglove.bridge import FoxgloveRelay
 from mapperd.foxglove.channels import ChannelMessage, Channels
 from mapperd.foxglove.map_publisher import LIVE
 from mapperd.wire.messages import Interest
-from tests.mapperd.foxglove.foxglove_fakes import FACTS, STATUS, FakeStream
+from tests.mapperd.foxglove.foxglove_fakes import MAP_INFO, STATUS, FakeStream
 
 
 class Log:
@@ -32,7 +32,7 @@ class Log:
 def test_each_number_of_lost_bricks_is_logged_once(lost: int) -> None:
     stream, log = FakeStream(), Log()
     relay = FoxgloveRelay(cast("Any", stream), cast("Channels", log), LIVE)
-    facts = replace(FACTS, bricks_lost=lost)
+    facts = replace(MAP_INFO, bricks_lost=lost)
     stream.mirror = MapMirror(facts, Interest())
     relay.take(MapReset(facts))
     relay.tick(0.0)  # before the first stamp

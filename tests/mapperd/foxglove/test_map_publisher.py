@@ -12,7 +12,7 @@ from mapperd.foxglove import map_publisher
 from mapperd.foxglove.channels import ChannelMessage
 from mapperd.foxglove.map_publisher import LIVE, RECORDING, MapPublisher, PublishPace
 from mapperd.wire.messages import Interest
-from tests.mapperd.foxglove.foxglove_fakes import FACTS, T0, block, points_of_cloud
+from tests.mapperd.foxglove.foxglove_fakes import MAP_INFO, T0, block, points_of_cloud
 from tests.mapperd.foxglove.test_channels import decoded
 
 KEY = (1, -2, 3)
@@ -22,7 +22,7 @@ class ChangingMap:
     """A map that changes, and its publisher."""
 
     def __init__(self, pace: PublishPace) -> None:
-        self.mirror = MapMirror(FACTS, Interest())
+        self.mirror = MapMirror(MAP_INFO, Interest())
         self.publisher = MapPublisher(pace)
 
     def change(self, cells: dict[int, int], key: tuple[int, int, int] = KEY) -> None:

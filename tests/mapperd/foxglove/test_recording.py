@@ -24,7 +24,7 @@ from mapperd.foxglove.map_publisher import PublishPace
 from mapperd.foxglove.recording import FoxgloveRecording
 from mapperd.wire.framing import StreamError
 from tests.mapperd.foxglove.foxglove_fakes import (
-    FACTS,
+    MAP_INFO,
     PIXELS,
     POSE,
     STATUS,
@@ -321,7 +321,7 @@ def test_another_map_is_reported_as_one_that_is_empty(tmp_path: Path) -> None:
         assert client.mirror is not None
         client.mirror.forget()
         before = recording.messages
-        client.feed(MapReset(FACTS))
+        client.feed(MapReset(MAP_INFO))
         await until(lambda: recording.messages > before)
         client.occupy((4, 4, 4), {0: 8, 1: 8}, T0 + 11)
         await until(lambda: not client.unread)

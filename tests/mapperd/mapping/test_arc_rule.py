@@ -25,7 +25,7 @@ from mapperd.store.map_files import map_in
 from mapperd.store.reader import StoreReader
 from mapperd.store.stored_map import StoredMap
 from mapperd.store.tile_store import TileStore
-from mapperd.wire.messages import MapFacts
+from mapperd.wire.messages import MapInfo
 from oculus_driver.noise import noise_by_range
 
 IWLO = with_values(Config(), {"octree.voxel_resolution": 0.1})
@@ -379,14 +379,14 @@ def test_a_clients_copy_is_of_the_rule_of_the_daemons_map() -> None:
     log_odds = np.array([PLATE, -5.0, 14.0], dtype=np.float32)
     some = np.ones(3, dtype=np.uint16)
     cells = Cells(centres_m, log_odds, log_odds, some, some.astype(np.int64))
-    limits = (math.log(0.12 / 0.88), math.log(0.03 / 0.97))
-    facts = MapFacts("id", 0.1, 0.1, *limits, prior_log_odds=ARC.arc.prior_log_odds)
+    limits = (math.log(0.137 / 0.863), math.log(0.03 / 0.97))
+    facts = MapInfo("id", 0.1, 0.1, *limits, prior_log_odds=ARC.arc.prior_log_odds)
     copy = map_of(cells, 0.1, facts, Config())
     assert copy.config.mapping.rule == "arc"
     assert copy.config.arc.prior == pytest.approx(0.05)
     assert (copy.counts().occupied, copy.counts().free) == (2, 1)
     assert copy.core.query(centres_m)[0] == pytest.approx(log_odds, abs=1e-3)
-    by_iwlo = MapFacts("id", 0.1, 0.1, *limits)
+    by_iwlo = MapInfo("id", 0.1, 0.1, *limits)
     assert map_of(cells, 0.1, by_iwlo, ARC).config.mapping.rule == "iwlo"
 
 

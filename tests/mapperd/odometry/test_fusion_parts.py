@@ -15,7 +15,7 @@ def test_a_last_velocity_is_carried_on_for_a_gap_and_no_longer() -> None:
     reckoning = DeadReckoning(S, 0.1)
     for k in range(3):
         reckoning.add(k * S // 2, np.array([1.0, 0.0, 0.0]), in_map=True)
-    reckoning.go_on(lambda _: None, None)
+    reckoning.advance(lambda _: None, None)
     carried = reckoning.at(2 * S)
     assert carried is not None
     assert carried.value.way_m == pytest.approx([2.0, 0.0, 0.0])

@@ -132,10 +132,10 @@ def test_setting_changes_on_the_way_and_back(name: str, circle: Circle) -> None:
     assert first + rest == outcomes(fusion_of(before), drive)
 
 
-def test_patience_follows() -> None:
+def test_timeout_follows() -> None:
     poses = OdometryPoses(config_of(BASE, ""))
     poses.reconfigure(with_value("time_sync.max_gap_sec", 5.0))
-    assert poses._patience_ns == 5_500_000_000
+    assert poses._timeout_ns == 5_500_000_000
 
 
 def test_a_sender_that_is_known_already_is_judged_again(circle: Circle) -> None:

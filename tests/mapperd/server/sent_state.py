@@ -14,7 +14,7 @@ from mapperd.wire.messages import (
     BLOCK_EDGE,
     BlocksMessage,
     Interest,
-    MapFacts,
+    MapInfo,
     ResetMessage,
     Resume,
 )
@@ -23,7 +23,7 @@ SECOND_NS = 1_000_000_000
 SentState = dict[tuple[int, ...], tuple[bytes, bytes]]
 
 
-def expected(core: _core.VoxelMap, facts: MapFacts, interest: Interest) -> SentState:
+def expected(core: _core.VoxelMap, facts: MapInfo, interest: Interest) -> SentState:
     """Block to cells and counts, of a map that is in memory as a whole."""
     blocks, units, counts = core.blocks()
     edge = _core.BLOCK_EDGE
@@ -45,7 +45,7 @@ def expected(core: _core.VoxelMap, facts: MapFacts, interest: Interest) -> SentS
     }
 
 
-def _values(log_odds: NDArray[np.float64], facts: MapFacts, interest: Interest) -> NDArray[np.int8]:
+def _values(log_odds: NDArray[np.float64], facts: MapInfo, interest: Interest) -> NDArray[np.int8]:
     if interest.detail == "classes":
         occupied = log_odds > facts.occupied_log_odds
         free = log_odds < facts.free_log_odds
@@ -82,7 +82,7 @@ class Client:
         self.session = source.session
         self.view = source.subscribe(self.interest, resume)
         if not self.view.resumed:
-            self.mirror = MapMirror(source.facts(), self.interest)
+            self.mirror = MapMirror(source.info(), self.interest)
 
     def reconnect(self, source: MapSource) -> None:
         resume = self.resume()
@@ -93,7 +93,7 @@ class Client:
         if self.mirror.complete is None or self.mirror.interest != self.interest:
             return None
         return Resume(
-            map=self.mirror.facts.id,
+            map=self.mirror.info.id,
             session=self.session,
             revision=self.mirror.complete,
             level=self.interest.level,
@@ -152,4 +152,4 @@ def look_until_indexed(source: MapSource, now_ns: int = SECOND_NS) -> None:
 
 def assert_same(client: Client, sonar_map: SonarMap) -> None:
     """Assert that a client holds what the map holds within its interest."""
-    assert client.holds() == expected(sonar_map.core, client.mirror.facts, client.interest)
+    assert client.holds() == expected(sonar_map.core, client.mirror.info, client.interest)

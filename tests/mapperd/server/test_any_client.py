@@ -72,7 +72,7 @@ def _assert_same_part(
     client: Client, sonar_map: SonarMap, position: tuple[float, float, float]
 ) -> None:
     interest, holds = client.interest, client.holds()
-    whole = expected(sonar_map.core, client.mirror.facts, interest)
+    whole = expected(sonar_map.core, client.mirror.info, interest)
     assert all(whole.get(key) == sent for key, sent in holds.items())
     keys = np.array(list(whole), np.int32).reshape(-1, 3)
     edge_m = client.mirror.cell_m * 8

@@ -192,12 +192,12 @@ def test_requests_may_be_sent_ahead_and_are_answered_in_order(short: Path) -> No
 def test_nobody_waits_for_a_slow_save(short: Path) -> None:
     async def work(one: Served) -> None:
         async with await one.line() as line, await one.line() as other:
-            one.daemon.go_on.clear()
+            one.daemon.resume.clear()
             saving = asyncio.create_task(line.ask("save", name="a.ply"))
             await asyncio.sleep(0)
             assert "result" in await other.ask("status")
             assert not saving.done()
-            one.daemon.go_on.set()
+            one.daemon.resume.set()
             assert "result" in await saving
 
     go(work, short)

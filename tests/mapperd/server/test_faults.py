@@ -35,11 +35,11 @@ def test_a_fault_of_the_map_is_reported_and_passes(short: Path) -> None:
 def test_requests_are_answered_while_the_map_is_stuck(short: Path) -> None:
     async def work() -> None:
         async with bed_of(short) as bed:
-            begun, go_on, looked = threading.Event(), threading.Event(), bed.source.look
+            begun, resume, looked = threading.Event(), threading.Event(), bed.source.look
 
             def look(*args: Any) -> None:
                 begun.set()
-                assert go_on.wait(60)
+                assert resume.wait(60)
                 looked(*args)
 
             bed.source.look = look
@@ -49,7 +49,7 @@ def test_requests_are_answered_while_the_map_is_stuck(short: Path) -> None:
                 assert (await watcher.ask(do="status", id=9)).result["phase"] == "mapping"
                 await watcher.leave()
             finally:
-                go_on.set()
+                resume.set()
 
     run(work())
 

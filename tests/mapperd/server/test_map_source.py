@@ -33,14 +33,14 @@ def test_every_level_and_detail_ends_with_the_map(level: int, rule: str) -> None
 
 
 @pytest.mark.parametrize("rule", ["iwlo", "arc"])
-def test_facts_are_those_of_the_rule(rule: str) -> None:
+def test_thresholds_are_those_of_the_rule(rule: str) -> None:
     config = with_values(CONFIG, {"mapping.rule": rule})
-    facts = source_of(SonarMap(config)).facts()
+    info = source_of(SonarMap(config)).info()
     limits = np.array([config.free_threshold, config.occupied_threshold])
     free, occupied = np.log(limits / (1 - limits))
-    assert (facts.free_log_odds, facts.occupied_log_odds) == pytest.approx((free, occupied))
+    assert (info.free_log_odds, info.occupied_log_odds) == pytest.approx((free, occupied))
     prior = config.arc.prior_log_odds if rule == "arc" else 0.0
-    assert facts.prior_log_odds == prior
+    assert info.prior_log_odds == prior
 
 
 def test_who_comes_late_is_reported_all_and_then_changes_alone() -> None:
@@ -169,11 +169,11 @@ def test_a_cleared_map_is_another_one() -> None:
     clients = [Client(source), Client(source, Interest(level=2))]
     source.look(SECOND_NS)
     clients[0].hear()
-    before, resume = source.facts().id, clients[0].resume()
+    before, resume = source.info().id, clients[0].resume()
     sonar_map.core.clear()
     integrate(sonar_map, 40)
     source.look(2 * SECOND_NS)
-    assert source.facts().id != before
+    assert source.info().id != before
     for client in clients:
         client.hear()
         assert client.resets == 1

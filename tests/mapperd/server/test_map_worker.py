@@ -38,7 +38,7 @@ def filled(view: Any, room: int = ROOM) -> list[int]:
     nobody: Any = None
     order = _Order(nobody, view, None, SendRoom(near=room))
     context: Any = SimpleNamespace(limits=SimpleNamespace(clients=1))
-    source: Any = SimpleNamespace(facts=lambda: None, revision=0, session="s")
+    source: Any = SimpleNamespace(info=lambda: None, revision=0, session="s")
     MapWorker(nobody, feed, source, [], context)._fill(order)
     return [len(frame) for frame, *_ in order.frames]
 

@@ -72,7 +72,7 @@ class Parked:
         resume_state = ResumeState(ticket, acked, sent * MESSAGE, ends, before)
         self.resume_cache.park(view, resume_state, 0.0)
         self.shown = Resume(
-            map=self.source.facts().id,
+            map=self.source.info().id,
             session=self.source.session,
             level=client.interest.level,
             detail=client.interest.detail,
@@ -95,7 +95,7 @@ class Parked:
         self.client.hear(position_m=self.position_m)
 
     def right(self, sonar_map: SonarMap) -> SentState:
-        return expected(sonar_map.core, self.source.facts(), self.client.interest)
+        return expected(sonar_map.core, self.source.info(), self.client.interest)
 
 
 def test_what_was_sent_and_not_received_is_sent_again_and_nothing_else() -> None:
@@ -195,7 +195,7 @@ def test_another_map_or_interest_meanwhile_is_not_gone_on_with() -> None:
     emptied = Parked(source_of(sonar_map))
     sonar_map.core.clear()
     emptied.source.look(2 * SECOND_NS)
-    assert not emptied.back(map=emptied.source.facts().id)
+    assert not emptied.back(map=emptied.source.info().id)
     changed = Parked(source_of(mapped()))
     changed.client.view.change(Interest())  # a reset is due
     assert not changed.back()

@@ -22,7 +22,7 @@ from mapperd.wire.messages import (
     EventMessage,
     FromClient,
     HelloMessage,
-    MapFacts,
+    MapInfo,
     PathMessage,
     PoseMessage,
     Resume,
@@ -33,7 +33,7 @@ from mapperd.wire.messages import (
 )
 from tests.mapperd.server.shaped import LEAST_ON_ITS_WAY, STEP_S, Link
 
-FACTS = MapFacts("m1", 0.1, 0.25, 0.8, 0.0)
+MAP_INFO = MapInfo("m1", 0.1, 0.25, 0.8, 0.0)
 TICK_S = 0.05
 
 
@@ -108,7 +108,7 @@ class SentState:
         self.map: Any = None
         if has_map:
             self.map = LargeMap()
-        self.session.view_ready(self.map, MapStart(FACTS, 7, "s1"))
+        self.session.view_ready(self.map, MapStart(MAP_INFO, 7, "s1"))
         self.session.view_request = None
 
     @property
@@ -158,7 +158,7 @@ def test_the_welcome_comes_first_and_reports_what_there_is() -> None:
     assert kinds[1] is WelcomeMessage
     (welcome,) = reported.of(WelcomeMessage)
     assert (welcome.revision, welcome.session, welcome.vehicle) == (7, "s1", "rov")
-    assert welcome.map == FACTS
+    assert welcome.map == MAP_INFO
     assert len(reported.of(PoseMessage)) >= 5
     assert reported.of(RobotsMessage) == []
 

@@ -30,7 +30,7 @@ def test_the_nearest_is_reported_first_within_the_bytes_that_are_given() -> None
     client = Client(source)
     source.look(SECOND_NS)
     position = (5.0, -4.0, 1.0)
-    every = np.array([*expected(sonar_map.core, source.facts(), client.interest)], np.int32)
+    every = np.array([*expected(sonar_map.core, source.info(), client.interest)], np.int32)
     nearby = (distances_m(every, 0.8, position) <= NEAR_M).sum()
     assert 0 < nearby < len(every)
     farthest = {True: 0.0, False: 0.0}
@@ -64,7 +64,7 @@ def test_a_box_is_reported_and_nothing_else() -> None:
     client = Client(source, interest)
     source.look(SECOND_NS)
     client.hear()
-    whole = expected(sonar_map.core, source.facts(), interest)
+    whole = expected(sonar_map.core, source.info(), interest)
     low, high = np.array(interest.box.low_m), np.array(interest.box.high_m)  # type: ignore[union-attr]
     inside = {
         key: sent
@@ -163,7 +163,7 @@ def test_blocks_are_reported_as_the_vehicle_comes_and_forgotten_as_it_goes() -> 
     source = source_of(sonar_map)
     client = Client(source, Interest(radius_m=1.5))
     source.look(SECOND_NS)
-    whole = expected(sonar_map.core, source.facts(), client.interest)
+    whole = expected(sonar_map.core, source.info(), client.interest)
     keys = np.array(list(whole), np.int32)
     before = 0
     for x in np.arange(-4.0, 4.0, 0.1):

@@ -59,7 +59,7 @@ class Daemon:
         whole = SonarMap(CONFIG)
         with StoreReader(self.store.path) as reader:
             reader.load(whole)
-        return expected(whole.core, self.source.facts(), client.interest)
+        return expected(whole.core, self.source.info(), client.interest)
 
 
 @contextmanager
@@ -245,15 +245,15 @@ def test_a_reset_makes_another_map_for_good(tmp_path: Path) -> None:
         client = Client(daemon.source)
         daemon.dive(0, 10)
         all_sent(daemon, client)
-        before, resume = daemon.source.facts().id, client.resume()
+        before, resume = daemon.source.info().id, client.resume()
         daemon.store.reset()
         daemon.dive(30, 32)
         all_sent(daemon, client)
-        after = daemon.source.facts().id
+        after = daemon.source.info().id
         assert (client.resets, after != before) == (1, True)
         assert daemon.source.subscribe(Interest(), resume).reason == "another_map"
     with daemon_of(tmp_path / "dive.map") as daemon:
-        assert daemon.source.facts().id == after
+        assert daemon.source.info().id == after
         client.reconnect(daemon.source)
         assert client.view.resumed
 
@@ -276,14 +276,14 @@ def test_a_file_of_before_becomes_a_map_of_its_own(tmp_path: Path) -> None:
         client = Client(daemon.source)
         daemon.dive(0, 2)
         all_sent(daemon, client)
-        before = daemon.source.facts().id
+        before = daemon.source.info().id
     for change in ("DELETE FROM fact", "UPDATE fact SET value = '{'"):
         with sqlite3.connect(tmp_path / "dive.map") as connection:
             connection.execute(f"{change} WHERE name = 'map.identity'")
         connection.close()
         with daemon_of(tmp_path / "dive.map") as daemon:
-            assert daemon.source.facts().id != before
-            before = daemon.source.facts().id
+            assert daemon.source.info().id != before
+            before = daemon.source.info().id
             client.reconnect(daemon.source)
             assert client.view.reason == "another_map"
             all_sent(daemon, client)
@@ -311,7 +311,7 @@ def test_clients_know_how_many_bricks_are_damaged(tmp_path: Path) -> None:
         daemon.dive(0, 40)
         client = Client(daemon.source)
         all_sent(daemon, client)
-        assert client.mirror.facts.bricks_lost == 0
+        assert client.mirror.info.bricks_lost == 0
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE brick SET crc = crc + 1 WHERE rowid = 1")
     connection.close()
@@ -319,7 +319,7 @@ def test_clients_know_how_many_bricks_are_damaged(tmp_path: Path) -> None:
         client = Client(daemon.source)
         look_until_indexed(daemon.source, SECOND_NS)
         client.hear()
-        assert client.mirror.facts.bricks_lost == 1
+        assert client.mirror.info.bricks_lost == 1
         daemon.store.settle_suspects()
         assert len(daemon.store.lost) == 1
 

@@ -21,7 +21,7 @@ from mapperd.wire.blocks import UNKNOWN
 from mapperd.wire.messages import (
     FanMessage,
     ImageMessage,
-    MapFacts,
+    MapInfo,
     PathMessage,
     PoseMessage,
     ReturnsMessage,
@@ -124,14 +124,14 @@ def test_a_daemon_shows_its_map_its_pose_and_what_the_sonar_sees(
                 await watcher.until(lambda: watcher.resets > 0)
             end = bench.map.core.revision  # nothing is mapped any more
             await watcher.until(lambda: (watcher.complete or 0) >= end)
-            assert watcher.cells == cells_of(bench.map, source.facts())
+            assert watcher.cells == cells_of(bench.map, source.info())
             check_scene(watcher)
             assert server.status()["clients"] == 1
 
     run(work())
 
 
-def cells_of(sonar_map: SonarMap, facts: MapFacts) -> dict[Key, bytes]:
+def cells_of(sonar_map: SonarMap, facts: MapInfo) -> dict[Key, bytes]:
     """Blocks of the stream as the map's own blocks have them."""
     found = {}
     for key, odds, counts in zip(*sonar_map.core.blocks(), strict=True):

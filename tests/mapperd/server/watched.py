@@ -30,7 +30,7 @@ from mapperd.wire.messages import (
     GreetingMessage,
     HelloMessage,
     Interest,
-    MapFacts,
+    MapInfo,
     ResetMessage,
     Resume,
     Vector,
@@ -76,7 +76,7 @@ class PlainView:
     def settle(self, _: int) -> None:
         pass
 
-    def go_on(self, _: Interest, __: int) -> bool:
+    def resume(self, _: Interest, __: int) -> bool:
         return False
 
     @property
@@ -90,7 +90,7 @@ class PlainView:
         if source.map_id != self._map_id or self._again:
             self._map_id, self._sent_to, self._again = source.map_id, {}, False
             reset = ResetMessage(
-                map=source.facts(), revision=source.revision, interest=self._interest
+                map=source.info(), revision=source.revision, interest=self._interest
             )
             return framed(reset)
         due = self._due()
@@ -136,8 +136,8 @@ class PlainSource:
     def clear(self, map_id: str) -> None:
         self.cells, self.map_id = {}, map_id
 
-    def facts(self) -> MapFacts:
-        return MapFacts(self.map_id, 0.1, 0.25, 0.8, 0.0)
+    def info(self) -> MapInfo:
+        return MapInfo(self.map_id, 0.1, 0.25, 0.8, 0.0)
 
     def fence(self) -> int:
         return 0

@@ -33,7 +33,7 @@ class Recording:
 
     def __init__(self) -> None:
         self.newest = self.written = 0
-        self.patience_s = 0.0
+        self.timeout_s = 0.0
         self.missing = ""
 
     def place_of(self, number: int) -> RecordingOffset | None:
@@ -46,7 +46,7 @@ class Recording:
         return self.place_of(self.newest)
 
     def wait_for(self, number: int, timeout_s: float) -> bool:
-        self.patience_s = timeout_s
+        self.timeout_s = timeout_s
         return self.written >= number
 
 
@@ -122,7 +122,7 @@ def test_nothing_is_saved_that_is_not_recorded(session: Session) -> None:
     assert session.position().done == 0
     with pytest.raises(StoreError, match="not written"):
         session.store.save()
-    assert session.recording.patience_s == 0.0  # pings do not wait for a disk again and again
+    assert session.recording.timeout_s == 0.0  # pings do not wait for a disk again and again
     session.recording.written = 7
     session.store.save()
     assert session.position().done == 1

@@ -172,7 +172,7 @@ def test_a_damaged_file_is_shown_with_its_holes_named(tmp_path: Path, *, quarant
         async with serving(path) as client:
             await client.complete(60)
             assert client.mirror is not None
-            assert client.mirror.facts.bricks_lost == 1
+            assert client.mirror.info.bricks_lost == 1
             status = await client.ask("status")
             assert [one["code"] for one in status["problems"]] == ["bricks_lost"]
             health = Health()

@@ -22,11 +22,11 @@ from mapperd.client.mirror import MapMirror
 from mapperd.config.live import facts_of
 from mapperd.config.tree import Config
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
-from mapperd.wire.messages import Interest, MapFacts, PoseMessage, SettingsMessage, WelcomeMessage
+from mapperd.wire.messages import Interest, MapInfo, PoseMessage, SettingsMessage, WelcomeMessage
 
 ROOT = Path(__file__).resolve().parents[3]
 STEP = 0.25
-FACTS = MapFacts("one", 0.1, STEP, 0.85, 0.0)
+MAP_INFO = MapInfo("one", 0.1, STEP, 0.85, 0.0)
 
 
 def blocks_of(
@@ -46,7 +46,7 @@ def blocks_of(
 
 
 def mirror_of(blocks: BlockSet, stamp_ns: int = 0) -> MapMirror:
-    mirror = MapMirror(FACTS, Interest(detail="counts"))
+    mirror = MapMirror(MAP_INFO, Interest(detail="counts"))
     mirror.put(blocks, stamp_ns)
     return mirror
 
@@ -58,7 +58,7 @@ def some_map() -> BlockSet:
         vertex = PlyData.read(str(path))["vertex"].data
         centres = np.stack([vertex[axis] for axis in "xyz"], axis=1)
         odds = np.log(vertex["probability"] / (1 - vertex["probability"]))
-        return blocks_of(np.floor(centres / FACTS.resolution_m), odds, vertex["count"])
+        return blocks_of(np.floor(centres / MAP_INFO.resolution_m), odds, vertex["count"])
     floor = np.add(np.indices((90, 80, 2)).reshape(3, -1).T, (-40, -40, -62))
     wall = np.add(np.indices((90, 2, 30)).reshape(3, -1).T, (-40, 38, -60))
     piles = [np.add(np.indices((4, 4, 20)).reshape(3, -1).T, (x, 5, -60)) for x in (-20, 15)]
@@ -86,7 +86,7 @@ class FakePageClient:
     def feed(self, change: ClientChange | None) -> None:
         self._queue.put_nowait(change)
 
-    def connect(self, *, facts: MapFacts = FACTS) -> None:
+    def connect(self, *, facts: MapInfo = MAP_INFO) -> None:
         self._be("connected", "")
         self.mirror = MapMirror(facts, Interest(detail="counts"))
         self.welcome = WelcomeMessage(

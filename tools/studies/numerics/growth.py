@@ -218,7 +218,7 @@ def way(updates: int, seed: int = 2) -> GrowthPanel:
     place = 0
     for k in range(updates + 1):
         reckoning.add(EPOCH_NS + k * S // 10, np.array([speed[k], 0.0, 0.0]), in_map=True)
-        reckoning.go_on(lambda _t_ns: None, None)
+        reckoning.advance(lambda _t_ns: None, None)
         if place < len(at) and k == at[place]:
             end = reckoning.ways.newest
             ours[place] = math.nan if end is None else end.value.way_m[0]

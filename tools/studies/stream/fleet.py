@@ -44,7 +44,7 @@ async def one(
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            relay.go_on()
+            relay.resume()
             await asyncio.shield(settled)
             await client.complete(COMPLETE_TIMEOUT_S)
             following.cancel()
@@ -76,7 +76,7 @@ async def _stalls(relay: Relay, mischief: random.Random) -> None:
         await asyncio.sleep(mischief.expovariate(1 / STALL_EVERY_S))
         relay.stall()
         await asyncio.sleep(mischief.uniform(0.5, MAX_STALL_S))
-        relay.go_on()
+        relay.resume()
 
 
 async def live(args: argparse.Namespace) -> list[dict[str, Any]]:

@@ -58,10 +58,10 @@ class Relay:
             writer.transport.abort()
 
     def stall(self) -> None:
-        """Carry nothing, until `go_on`."""
+        """Carry nothing, until `resume`."""
         self._open.clear()
 
-    def go_on(self) -> None:
+    def resume(self) -> None:
         """Carry again."""
         self._open.set()
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.tile_store import TileStore
-from mapperd.wire.messages import BLOCK_EDGE, MapFacts
+from mapperd.wire.messages import BLOCK_EDGE, MapInfo
 from studies.stream.link import SERVER, LinkShape, NotPermittedError, joined_hosts
 from studies.stream.staleness import Knowledge, Staleness, staleness
 from studies.stream.watching import read_log
@@ -310,11 +310,11 @@ def _fleet(world: StreamWorld, dice: int, clients: int, seconds: float) -> subpr
     return world.start(words, f"fleet-{dice}", piped=True)
 
 
-def _facts(world: StreamWorld) -> MapFacts:
+def _facts(world: StreamWorld) -> MapInfo:
     """Of the map as the stream sends them; what a digest depends on."""
     config = world.config()
     occupied, free = config.occupied_threshold, config.free_threshold
-    return MapFacts(
+    return MapInfo(
         "",
         RESOLUTION_M,
         config.stream.log_odds_step,

@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.wire.messages import MapFacts
+from mapperd.wire.messages import MapInfo
 
 __all__ = ["sent_steps"]
 
 MAX_STEP = 127
 
 
-def sent_steps(log_odds: NDArray[np.floating[Any]], facts: MapFacts) -> NDArray[np.int8]:
+def sent_steps(log_odds: NDArray[np.floating[Any]], facts: MapInfo) -> NDArray[np.int8]:
     """Whole steps of log-odds: the nearest that the thresholds sort as they do these, if any."""
     steps = np.arange(-MAX_STEP, MAX_STEP + 1)
     values = steps * facts.log_odds_step

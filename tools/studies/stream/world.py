@@ -20,7 +20,7 @@ from mapperd.config.loader import load_config
 from mapperd.config.tree import Config, OctreeConfig
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
-from mapperd.wire.messages import BLOCK_EDGE, Interest, MapFacts
+from mapperd.wire.messages import BLOCK_EDGE, Interest, MapInfo
 from studies.report import ROOT
 from studies.stream.sent_steps import sent_steps
 
@@ -194,7 +194,7 @@ class StreamWorld:
         return [str(program), "netns", "exec", name]
 
 
-def mirror_of(path: Path, facts: MapFacts) -> MapMirror:
+def mirror_of(path: Path, facts: MapInfo) -> MapMirror:
     """What a client of everything should hold, made of a map's file by plain numpy."""
     sonar_map = SonarMap(Config(octree=OctreeConfig(voxel_resolution=facts.resolution_m)))
     sonar_map.load(path)

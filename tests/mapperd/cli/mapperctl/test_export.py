@@ -16,7 +16,7 @@ from plyfile import PlyData
 
 from mapperd.cli.mapperctl.arguments import parser
 from mapperd.cli.mapperctl.command import main
-from mapperd.cli.mapperctl.export import _Progress
+from mapperd.cli.mapperctl.export import _ExportProgress
 from mapperd.client import Interest, MapBox, MapMirror
 from mapperd.config.tree import Config
 from mapperd.export.formats import FORMATS
@@ -24,7 +24,7 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.wire.blocks import CELLS, BlockSet, encode_blocks
 from mapperd.wire.messages import MAX_LEVEL, BlocksMessage, ByeMessage
 from tests.mapperd.foxglove.test_recording import read
-from tests.support.stream_server import FACTS, Connection, Served, Server, a_block
+from tests.support.stream_server import MAP_INFO, Connection, Served, Server, a_block
 
 pytestmark = pytest.mark.net
 
@@ -57,7 +57,7 @@ class Watched:
 
     def mirror(self) -> MapMirror:
         """What there is to be exported."""
-        mirror = MapMirror(self.served.facts, Interest())
+        mirror = MapMirror(self.served.info, Interest())
         mirror.put(self.served.since(0), 10**18)
         return mirror
 
@@ -167,7 +167,7 @@ def test_part_and_fineness_are_asked_of_the_daemon(
 
 
 def test_place_on_earth_is_the_maps(tmp_path: Path, export: Call, watched: Watched) -> None:
-    watched.served.facts = replace(FACTS, origin_deg=(-33.9, 151.2))
+    watched.served.info = replace(MAP_INFO, origin_deg=(-33.9, 151.2))
     code, lines, _ = export(tmp_path / "live.laz")
     assert (code, lines[1]) == (0, "coordinate reference system: WGS 84 / UTM zone 56S, EPSG:32756")
     assert laspy.read(tmp_path / "live.laz").header.parse_crs().to_epsg() == 32756
@@ -259,7 +259,7 @@ def test_progress_is_a_line_now_and_then(
 ) -> None:
     now = [0.0]
     monkeypatch.setattr("mapperd.cli.mapperctl.export.time.monotonic", lambda: now[0])
-    progress = _Progress(sys.stderr)
+    progress = _ExportProgress(sys.stderr)
     assert progress.text() == "nothing received"
     for now[0], came, left in ((4.0, 10, 90), (6.0, 50, 50), (7.0, 99, 1), (12.0, 99, 1)):
         progress.received, progress.left = came, left
@@ -286,7 +286,7 @@ def test_numbers_that_cannot_be_are_refused(words: list[str]) -> None:
 def test_a_map_with_holes_is_refused_unless_asked_for(
     tmp_path: Path, export: Call, watched: Watched
 ) -> None:
-    watched.served.facts = replace(watched.served.facts, bricks_lost=2)
+    watched.served.info = replace(watched.served.info, bricks_lost=2)
     path = tmp_path / "live.ply"
     code, lines, error = export(path)
     assert (code, lines, path.exists()) == (1, [], False)

@@ -117,7 +117,7 @@ def blocks_of(sonar_map: SonarMap) -> Blocks:
 
 def receive_all(sonar_map: SonarMap, interest: Interest, step: float) -> StreamClient:
     sender = StreamSender(sonar_map, interest, step, 0)
-    client = StreamClient(sender.facts(), interest)
+    client = StreamClient(sender.info(), interest)
     sender.look(0.0, HERE)
     while messages := sender.messages(1e3, HERE):
         for message, _ in messages:
@@ -162,7 +162,7 @@ def test_what_an_interest_should_be_reported_is_what_it_is_reported(interest: In
     sonar_map = random_map()
     held = blocks_of(sonar_map)
     client = receive_all(sonar_map, interest, 0.25)
-    facts = StreamSender(sonar_map, interest, 0.25, 0).facts()
+    facts = StreamSender(sonar_map, interest, 0.25, 0).info()
     reported, size = coded(held, facts, interest), 2**interest.level
     whole = reported.repeat(size, 1).repeat(size, 2).repeat(size, 3).reshape(len(reported), -1)
     wanted = np.where(whole == -128, np.nan, 1 / (1 + np.exp(-0.25 * whole)))
@@ -205,7 +205,7 @@ def test_plain_floats_are_exact() -> None:
         sender.pacer.note_ack(sender.pacer.sent, 1e3)
     known = held.counts > 0
     assert bytes_sent == pytest.approx(16 * known.sum(), rel=0.25)
-    figures = moment(held, client, sender.facts(), HERE)
+    figures = moment(held, client, sender.info(), HERE)
     assert figures.p_error == pytest.approx(0.0, abs=1e-6)
     assert figures.known == known.sum()
     sender.look(1.0, HERE)
@@ -216,8 +216,8 @@ def test_nothing_known_is_as_wrong_as_not_knowing() -> None:
     sonar_map = random_map()
     held = blocks_of(sonar_map)
     sender = StreamSender(sonar_map, Interest(), 0.25, 0)
-    client = StreamClient(sender.facts(), Interest())
-    figures = moment(held, client, sender.facts(), HERE)
+    client = StreamClient(sender.info(), Interest())
+    figures = moment(held, client, sender.info(), HERE)
     true = 1 / (1 + np.exp(-held.units[held.counts > 0] * 2.0**-24))
     assert figures.p_error == pytest.approx(np.abs(true - 0.5).mean(), rel=1e-5)
     assert (figures.wrong_class_near, figures.known) == (1.0, 0)
@@ -231,7 +231,7 @@ def one_block(log_odds: float) -> Blocks:
 
 
 def test_a_block_is_as_old_as_the_first_change_after_what_was_reported() -> None:
-    facts = StreamSender(random_map(), Interest(), 0.25, 0).facts()
+    facts = StreamSender(random_map(), Interest(), 0.25, 0).info()
     ages = Ages(facts, Interest())
     part = np.array([[2, 0, 0]], np.int32)
     for now_s, log_odds in ((1.0, 1.0), (2.0, 1.01), (3.0, 2.0)):
@@ -246,7 +246,7 @@ def test_a_block_is_as_old_as_the_first_change_after_what_was_reported() -> None
 
 def test_a_block_that_is_again_what_was_reported_is_not_old() -> None:
     """Changes that come and go between two looks are never sent."""
-    facts = StreamSender(random_map(), Interest(), 0.25, 0).facts()
+    facts = StreamSender(random_map(), Interest(), 0.25, 0).info()
     ages = Ages(facts, Interest())
     ages.changed(one_block(1.0), 1.0)
     ages.sent(np.array([[2, 0, 0]], np.int32), 1.0)

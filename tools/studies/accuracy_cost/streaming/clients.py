@@ -18,7 +18,7 @@ from mapperd.server.pacer import Pacer
 from mapperd.server.priority_queue import SendSchedule
 from mapperd.wire.blocks import UNKNOWN, decode_blocks
 from mapperd.wire.framing import client_inbox
-from mapperd.wire.messages import BLOCK_EDGE, BlocksMessage, Interest, MapFacts
+from mapperd.wire.messages import BLOCK_EDGE, BlocksMessage, Interest, MapInfo
 from studies.accuracy_cost.streaming.truth import EDGE, UNIT, stream_keys
 
 __all__ = [
@@ -54,7 +54,7 @@ class Sender(Protocol):
     def memory_bytes(self) -> int:
         """Of what it keeps of the map."""
 
-    def facts(self) -> MapFacts:
+    def info(self) -> MapInfo:
         """About the map."""
 
     def look(self, now_s: float, position_m: NDArray[np.float64]) -> None:
@@ -93,9 +93,9 @@ class StreamSender:
         """As of `Sender`."""
         return self._source.memory_bytes
 
-    def facts(self) -> MapFacts:
+    def info(self) -> MapInfo:
         """As of `Sender`."""
-        return self._source.facts()
+        return self._source.info()
 
     def look(self, now_s: float, position_m: NDArray[np.float64]) -> None:
         """As of `Sender`."""
@@ -148,9 +148,9 @@ class PlainSender:
         seen = sum(block.nbytes for block in self._seen.values())
         return seen + sum(len(message) for message, _ in self._waiting)
 
-    def facts(self) -> MapFacts:
+    def info(self) -> MapInfo:
         """As of `Sender`."""
-        return self._source.facts()
+        return self._source.info()
 
     def look(self, now_s: float, position_m: NDArray[np.float64]) -> None:  # noqa: ARG002 plain
         """As of `Sender`."""
@@ -196,15 +196,15 @@ class StreamClient:
     """Of the map stream.
 
     Args:
-        facts: of the map.
+        info: of the map.
         interest: what to send.
     """
 
-    def __init__(self, facts: MapFacts, interest: Interest) -> None:
+    def __init__(self, info: MapInfo, interest: Interest) -> None:
         self._inbox = client_inbox()
-        self._mirror = MapMirror(facts, interest)
+        self._mirror = MapMirror(info, interest)
         self._interest = interest
-        self._values = _values(facts, interest)
+        self._values = _values(info, interest)
 
     def take(self, message: bytes) -> NDArray[np.int32]:
         """As of `MapReader`."""
@@ -258,14 +258,14 @@ class PlainClient:
         return np.stack([self._held.get(key.tobytes(), nothing) for key in keys])
 
 
-def _values(facts: MapFacts, interest: Interest) -> Floats:
+def _values(info: MapInfo, interest: Interest) -> Floats:
     """(256,) probabilities of sent values from -128 on; a class is a step beyond its threshold."""
     steps = np.arange(-128, 128)
-    log_odds = steps * facts.log_odds_step
+    log_odds = steps * info.log_odds_step
     if interest.detail == "classes":
-        low = facts.free_log_odds - facts.log_odds_step
-        high = facts.occupied_log_odds + facts.log_odds_step
-        middle = (facts.free_log_odds + facts.occupied_log_odds) / 2
+        low = info.free_log_odds - info.log_odds_step
+        high = info.occupied_log_odds + info.log_odds_step
+        middle = (info.free_log_odds + info.occupied_log_odds) / 2
         log_odds = np.choose(np.clip(steps, -1, 1) + 1, [low, middle, high])
     values = (1 / (1 + np.exp(-log_odds))).astype(np.float32)
     values[steps == UNKNOWN] = math.nan

@@ -9,7 +9,7 @@ import numpy as np
 from bench.inputs import Pings
 
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.wire.messages import MapFacts
+from mapperd.wire.messages import MapInfo
 from studies.accuracy_cost.streaming.clients import (
     MapReader,
     PlainClient,
@@ -89,7 +89,7 @@ class MapDeviation:
 
 
 def moment(
-    blocks: Blocks, client: MapReader, facts: MapFacts, position_m: np.ndarray
+    blocks: Blocks, client: MapReader, info: MapInfo, position_m: np.ndarray
 ) -> MapDeviation:
     """Compare all voxels that the daemon knows."""
     known = blocks.counts > 0
@@ -99,7 +99,7 @@ def moment(
     missing = np.isnan(held)
     off = np.abs(np.where(missing, np.float32(0.5), held) - true)
     wide = blocks.keys.astype(np.int64)
-    near = distances_m(wide, facts.resolution_m * EDGE, position_m) <= NEAR_M
+    near = distances_m(wide, info.resolution_m * EDGE, position_m) <= NEAR_M
     both = known & ~missing
     with np.errstate(divide="ignore", invalid="ignore"):
         received = np.clip(np.log(held) - np.log1p(-held), -MAX_LOG_ODDS, MAX_LOG_ODDS)
@@ -108,17 +108,17 @@ def moment(
     return MapDeviation(
         float(off[near][at].mean()) if at.any() else 0.0,
         float(off[known].mean()) if known.any() else 0.0,
-        _wrong_share(true_log_odds[near][at], received[near][at], facts),
+        _wrong_share(true_log_odds[near][at], received[near][at], info),
         float(np.square(apart, dtype=np.float64).sum()),
         int(both.sum()),
     )
 
 
-def _wrong_share(true: np.ndarray, received: np.ndarray, facts: MapFacts) -> float:
+def _wrong_share(true: np.ndarray, received: np.ndarray, info: MapInfo) -> float:
     """Of the voxels that are occupied or free; what is not known (NaN) is neither."""
-    occupied, free = true > facts.occupied_log_odds, true < facts.free_log_odds
-    wrong = (occupied & ~(received > facts.occupied_log_odds)) | (
-        free & ~(received < facts.free_log_odds)
+    occupied, free = true > info.occupied_log_odds, true < info.free_log_odds
+    wrong = (occupied & ~(received > info.occupied_log_odds)) | (
+        free & ~(received < info.free_log_odds)
     )
     decided = occupied | free
     return float(wrong[decided].mean()) if decided.any() else 0.0
@@ -203,7 +203,7 @@ def watched(pings: Pings, plan: StreamPlan, wanted: StreamSetting) -> dict[str, 
             ages_s.append(watch.ages.oldest_s(now_s, position_m, NEAR_M))
         cpu_s.append(watch.sender.cpu_s - before_s)
         if number % plan.judged_every == 0:
-            moments.append(moment(blocks, watch.client, watch.sender.facts(), position_m))
+            moments.append(moment(blocks, watch.client, watch.sender.info(), position_m))
     return summary(moments, ages_s) | {
         "bytes_per_voxel": watch.link.carried / max(watch.changed, 1),
         "kb_per_s": watch.link.carried / (now_s - joined_s) / 1e3,
@@ -223,9 +223,9 @@ def _joined(sonar_map: SonarMap, plan: StreamPlan, wanted: StreamSetting) -> _Wa
         stream = wanted.config.stream
         step, limit = stream.log_odds_step, stream.bytes_per_s
         sender = StreamSender(sonar_map, wanted.interest, step, limit)
-        client = StreamClient(sender.facts(), wanted.interest)
+        client = StreamClient(sender.info(), wanted.interest)
     link = SimulatedLink(plan.link, sender.pacer)
-    return _WatchedClient(sender, client, link, Ages(sender.facts(), wanted.interest))
+    return _WatchedClient(sender, client, link, Ages(sender.info(), wanted.interest))
 
 
 def _map(sonar_map: SonarMap, pings: Pings, number: int) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.wire.blocks import UNKNOWN
-from mapperd.wire.messages import Interest, MapFacts
+from mapperd.wire.messages import Interest, MapInfo
 from studies.stream.sent_steps import sent_steps
 
 __all__ = ["EDGE", "UNIT", "Ages", "Blocks", "coded", "distances_m", "stream_keys"]
@@ -37,15 +37,15 @@ class Blocks:
     counts: NDArray[np.uint16]
 
 
-def coded(blocks: Blocks, facts: MapFacts, interest: Interest) -> NDArray[np.int8]:
+def coded(blocks: Blocks, info: MapInfo, interest: Interest) -> NDArray[np.int8]:
     """Encode blocks as an interest receives them: (M, E, E, E) z, y, x with E = 16 / 2**level."""
     log_odds = blocks.units * UNIT
     if interest.detail == "classes":
         as_held = log_odds.astype(np.float32)
-        occupied, free = as_held > facts.occupied_log_odds, as_held < facts.free_log_odds
+        occupied, free = as_held > info.occupied_log_odds, as_held < info.free_log_odds
         sent = occupied.astype(np.int8) - free.astype(np.int8)
     else:
-        sent = sent_steps(log_odds, facts)
+        sent = sent_steps(log_odds, info)
     sent = np.where(blocks.counts > 0, sent, np.int8(UNKNOWN))
     size = 2**interest.level
     edge = EDGE // size
@@ -67,12 +67,12 @@ class Ages:
     A block that is again what it was is not missed, a message about it under way or not.
 
     Args:
-        facts: of the map.
+        info: of the map.
         interest: of the client.
     """
 
-    def __init__(self, facts: MapFacts, interest: Interest) -> None:
-        self._facts, self._interest = facts, interest
+    def __init__(self, info: MapInfo, interest: Interest) -> None:
+        self._info, self._interest = info, interest
         self._seen: dict[bytes, tuple[NDArray[np.int32], NDArray[np.int8]]] = {}
         # Of each change: when it was, and the block as sent before it.
         self._missed: dict[Key, deque[tuple[float, bytes]]] = {}
@@ -87,7 +87,7 @@ class Ages:
             if old is None or not np.array_equal(old[0], blocks.units[row])
         ]
         some = Blocks(blocks.keys[rows], blocks.units[rows], blocks.counts[rows])
-        sent = _parts(coded(some, self._facts, self._interest), self._interest.level)
+        sent = _parts(coded(some, self._info, self._interest), self._interest.level)
         keys = stream_keys(some.keys, self._interest.level)
         for k, row in enumerate(rows):
             old = before[row]
@@ -115,7 +115,7 @@ class Ages:
             return 0.0, 0.0
         keys = np.array([key for key, _ in missed], np.int64)
         age_s = now_s - np.array([since for _, since in missed])
-        block_m = self._facts.resolution_m * 8 * 2**self._interest.level
+        block_m = self._info.resolution_m * 8 * 2**self._interest.level
         near = distances_m(keys, block_m, position_m) <= near_m
         return float(age_s[near].max(initial=0)), float(age_s[~near].max(initial=0))
 
