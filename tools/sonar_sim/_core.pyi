@@ -194,7 +194,7 @@ class Rays:
                 per unit of direction in m, gain of pressure; in the object's frame, (L, 16).
         """
 
-class Setting:
+class ScatterSetting:
     """Cells, receiver and scattering model."""
 
     def __init__(
@@ -292,11 +292,15 @@ def inserted(rows: NDArray[_Any], after: NDArray[np.int64], more: NDArray[_Any])
     """
 
 def scatter_field(
-    field: NDArray[np.complex64], faces: FaceTable, rays: Rays, setting: Setting, threads: int
+    field: NDArray[np.complex64],
+    faces: FaceTable,
+    rays: Rays,
+    setting: ScatterSetting,
+    threads: int,
 ) -> None:
     """Add the surfaces' random scatterers, in place, (rows, columns)."""
 
 def scatter_power(
-    power: NDArray[np.float32], faces: FaceTable, rays: Rays, setting: Setting, threads: int
+    power: NDArray[np.float32], faces: FaceTable, rays: Rays, setting: ScatterSetting, threads: int
 ) -> None:
     """Add the surfaces' mean powers, in place, (rows, columns)."""

@@ -235,8 +235,8 @@ class PingEngine:
             np.clip(cells, 0.0, None, out=cells)
         return cells
 
-    def _setting(self, physics: Physics, taps: NDArray[np.float32]) -> _core.Setting:
-        return _core.Setting(
+    def _setting(self, physics: Physics, taps: NDArray[np.float32]) -> _core.ScatterSetting:
+        return _core.ScatterSetting(
             loss=self._loss(physics),
             vertical=_vertical(physics),
             taps=taps,

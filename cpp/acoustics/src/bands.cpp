@@ -15,15 +15,14 @@ constexpr std::size_t kBands = 16;
 constexpr double kJitterColumns = 2.0;  // scatterers lie up to half a lattice step outside a cell
 
 // Sine at which a leg hears a point.
-double sine_of(const Leg& leg, const Vector& point_m) {
-  const Vector d{point_m[0] - leg.origin_m[0], point_m[1] - leg.origin_m[1],
-                 point_m[2] - leg.origin_m[2]};
+double sine_of(const Leg& leg, const Vec3& point_m) {
+  const Vec3 d = point_m - leg.origin_m;
   const auto& m = leg.rotation;
-  return -(m[1] * d[0] + m[4] * d[1] + m[7] * d[2]) / std::sqrt(std::max(dot(d, d), 1e-12));
+  return -(m[1] * d.x + m[4] * d.y + m[7] * d.z) / std::sqrt(std::max(dot(d, d), 1e-12));
 }
 
-void widen(const Echoes& echoes, std::size_t hit, double& low, double& high) {
-  const Hits& hits = echoes.hits;
+void widen(const ScatterInput& echoes, std::size_t hit, double& low, double& high) {
+  const RayHits& hits = echoes.hits;
   if (hits.face[hit] < 0) {
     return;
   }
@@ -35,7 +34,7 @@ void widen(const Echoes& echoes, std::size_t hit, double& low, double& high) {
   Footprint patch;
   if (footprint_of(echoes, hit, patch)) {
     for (std::size_t k = 0; k < 4; ++k) {
-      const Vector corner{patch.corner_m[0][k], patch.corner_m[1][k], patch.corner_m[2][k]};
+      const Vec3 corner{patch.corner_m[0][k], patch.corner_m[1][k], patch.corner_m[2][k]};
       const double s = sine_of(hits.legs[hits.receive[hit]], corner);
       low = std::min(low, s);
       high = std::max(high, s);
@@ -44,7 +43,7 @@ void widen(const Echoes& echoes, std::size_t hit, double& low, double& high) {
 }
 
 // First hit of a part of the fan; hits come in the order of their columns.
-std::size_t first_from(const Echoes& echoes, std::size_t part) {
+std::size_t first_from(const ScatterInput& echoes, std::size_t part) {
   if (part == 0 || part >= kBands) {
     return part == 0 ? 0 : echoes.hits.count;
   }
@@ -65,7 +64,7 @@ std::size_t first_from(const Echoes& echoes, std::size_t part) {
   return from;
 }
 
-Band band_of(const Echoes& echoes, std::size_t first, std::size_t last) {
+Band band_of(const ScatterInput& echoes, std::size_t first, std::size_t last) {
   double low = 1.0;
   double high = -1.0;
   for (std::size_t hit = first; hit < last; ++hit) {
@@ -101,7 +100,7 @@ void share(std::size_t count, int threads, const std::function<void(std::size_t)
   }
 }
 
-std::vector<Band> bands_of(const Echoes& echoes, int threads) {
+std::vector<Band> bands_of(const ScatterInput& echoes, int threads) {
   // Cut by bearing, not by number: what is out of earshot then changes no sum's order.
   std::vector<Band> bands(kBands);
   share(kBands, threads, [&](std::size_t i) {

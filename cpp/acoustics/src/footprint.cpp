@@ -49,8 +49,8 @@ MAPPERD_VECTORISED void follow(const Leg& leg, const float* cell, double sign, F
 
 }  // namespace
 
-bool footprint_of(const Echoes& echoes, std::size_t hit, Footprint& patch) {
-  const Hits& hits = echoes.hits;
+bool footprint_of(const ScatterInput& echoes, std::size_t hit, Footprint& patch) {
+  const RayHits& hits = echoes.hits;
   const double* plane = echoes.faces.planes + 4 * hits.face[hit];
   const Leg& leg = hits.legs[hits.seen[hit]];
   const float* cell = hits.cell + 4 * hit;
@@ -60,7 +60,7 @@ bool footprint_of(const Echoes& echoes, std::size_t hit, Footprint& patch) {
   patch.receive_height_m = plane[3] - dot(patch.normal, hits.legs[hits.receive[hit]].origin_m);
   const double middle_w = 0.5 * (static_cast<double>(cell[2]) + cell[3]);
   const Reals reals = reals_of(cell[0], cell[1], middle_w);
-  const Vector middle = direction(leg, 0.5 * (reals.from_s + reals.to_s), middle_w);
+  const Vec3 middle = direction(leg, 0.5 * (reals.from_s + reals.to_s), middle_w);
   const double facing = dot(patch.normal, middle);
   if (!(facing * patch.height_m > 0.0) || !(patch.height_m * patch.transmit_height_m > 0.0) ||
       !(patch.height_m * patch.receive_height_m > 0.0)) {
@@ -104,8 +104,8 @@ double turn_per_m(const double* curved_normal) {
   return std::sqrt(squares);
 }
 
-Vector curved_normal_at(const double* curved_normal, const Vector& point_m) {
-  Vector normal;
+Vec3 curved_normal_at(const double* curved_normal, const Vec3& point_m) {
+  Vec3 normal;
   for (std::size_t row = 0; row < 3; ++row) {
     const double* g = curved_normal + 4 * row;
     normal[row] = g[0] * point_m[0] + g[1] * point_m[1] + g[2] * point_m[2] + g[3];

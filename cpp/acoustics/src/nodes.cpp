@@ -100,7 +100,7 @@ MAPPERD_VECTORISED void times(const float* by, std::size_t count, float* section
 }
 
 // Phase, row, column, and the pressure that is left by spreading.
-MAPPERD_VECTORISED void hear(const Echoes& e, const Leg& receive, const Sights& out,
+MAPPERD_VECTORISED void hear(const ScatterInput& e, const Leg& receive, const Sights& out,
                              const Sights& back, const Nodes& nodes, const float* section,
                              HeardNodes& to) {
   const std::size_t count = nodes.count;

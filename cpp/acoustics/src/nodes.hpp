@@ -33,7 +33,7 @@ inline bool operator==(const SharedTraits& a, const SharedTraits& b) {
 // Properties that the nodes of a patch share.
 struct PatchModel {
   Axes axes;
-  Vector normal;
+  Vec3 normal;
   double offset;  // of the plane n.p
   Lattice lattice;
   double first_i, first_j;                     // from which its nodes are counted
@@ -103,13 +103,13 @@ struct HeardNodes {
 // Computes the echoes of nodes.
 class ScattererKernel {
  public:
-  explicit ScattererKernel(const Echoes& echoes) : e_(echoes) {}
+  explicit ScattererKernel(const ScatterInput& echoes) : e_(echoes) {}
   const HeardNodes& heard(const SharedTraits& traits, const Nodes& nodes);
 
  private:
   void strengths(const SharedTraits& traits, const Nodes& nodes, const Sights& back);
 
-  const Echoes& e_;
+  const ScatterInput& e_;
   Sights out_, back_;
   HeardNodes heard_;
   Each<float> cosine_[3];  // to the transmitter, to the receiver, half-way

@@ -18,7 +18,7 @@ MAPPERD_VECTORISED void points(const PatchModel& patch, std::size_t first, std::
   const double along_v = lattice.along_m * lattice.sine;
   const double across_u = -lattice.across_m * lattice.sine;
   const double across_v = lattice.across_m * lattice.cosine;
-  const Vector& n = patch.normal;
+  const Vec3& n = patch.normal;
   const double slope_u = n[patch.axes.u] / n[patch.axes.c];
   const double slope_v = n[patch.axes.v] / n[patch.axes.c];
   const double height_m = patch.offset / n[patch.axes.c];

@@ -23,7 +23,7 @@ constexpr Indices kEach = {0, 1, 2, 3, 4, 5, 6, 7};
 // The scatterers of one hit after another, into a band's part of the field.
 class Speckler {
  public:
-  Speckler(const Echoes& echoes, const Band& band, std::complex<float>* field)
+  Speckler(const ScatterInput& echoes, const Band& band, std::complex<float>* field)
       : e_(echoes),
         deposit_(echoes.response, echoes.grid.rows, band.column, band.columns, field),
         kernel_(echoes) {}
@@ -59,9 +59,9 @@ class Speckler {
   // hears is the more even the more of its nodes stand in line.
   Lattice lattice_at(std::size_t hit, const Axes& axes, double node_m2, double row_m) const {
     const Corners& corner = footprint_.corner_m;
-    const Vector& origin = e_.hits.legs[e_.hits.seen[hit]].origin_m;
-    const Vector& n = footprint_.normal;
-    Vector d;
+    const Vec3& origin = e_.hits.legs[e_.hits.seen[hit]].origin_m;
+    const Vec3& n = footprint_.normal;
+    Vec3 d;
     for (std::size_t axis = 0; axis < 3; ++axis) {
       const std::array<double, 4>& at = corner[axis];
       d[axis] = 0.25 * (at[0] + at[1] + at[2] + at[3]) - origin[axis];
@@ -78,7 +78,7 @@ class Speckler {
   }
 
   void begin(std::size_t hit, const Axes& axes, const Lattice& lattice) {
-    const Hits& hits = e_.hits;
+    const RayHits& hits = e_.hits;
     const int face = hits.face[hit];
     const std::int32_t smooth = e_.faces.smooth[face];
     const double* curved_normal = smooth < 0 ? nullptr : e_.faces.curved_normal + 12 * smooth;
@@ -166,7 +166,7 @@ class Speckler {
     placed_ = 0;
   }
 
-  const Echoes& e_;
+  const ScatterInput& e_;
   Deposit deposit_;
   ScattererKernel kernel_;
   Footprint footprint_{};
@@ -179,7 +179,7 @@ class Speckler {
 };
 
 // Hits lie anywhere in the table of faces: asks for a face's entry before it is needed.
-void fetch(const Echoes& echoes, std::size_t hit) {
+void fetch(const ScatterInput& echoes, std::size_t hit) {
 #if defined(__GNUC__)
   const std::int32_t face = std::max(echoes.hits.face[hit], 0);
   __builtin_prefetch(echoes.faces.planes + 4 * face);
@@ -203,7 +203,7 @@ void add_part(const Band& band, const std::complex<float>* part, std::ptrdiff_t 
 
 }  // namespace
 
-void scatter_field(const Echoes& echoes, std::complex<float>* field, int threads) {
+void scatter_field(const ScatterInput& echoes, std::complex<float>* field, int threads) {
   const std::vector<Band> bands = bands_of(echoes, threads);
   std::vector<Part> parts(bands.size());
   share(bands.size(), threads, [&](std::size_t i) {

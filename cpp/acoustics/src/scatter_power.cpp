@@ -20,7 +20,7 @@ constexpr double kEven = 0.05;
 // Mean powers of one hit after another, into a band's part of the picture.
 class Averager {
  public:
-  Averager(const Echoes& echoes, const Band& band, float* power)
+  Averager(const ScatterInput& echoes, const Band& band, float* power)
       : e_(echoes), band_(band), power_(power) {}
 
   // Cuts a hit's cell into pieces so small that each lies within about one row.
@@ -58,7 +58,7 @@ class Averager {
   }
 
   void begin(std::size_t hit) {
-    const Hits& hits = e_.hits;
+    const RayHits& hits = e_.hits;
     const int face = hits.face[hit];
     seen_ = &hits.legs[hits.seen[hit]];
     transmit_ = &hits.legs[hits.transmit[hit]];
@@ -72,7 +72,7 @@ class Averager {
     strength_ = Strength(e_.model, e_.faces.table[e_.faces.materials[face]], step_rad * turn);
     gain_ = hits.gain[hit] * transmit_->gain * receive_->gain;
     const auto& m = seen_->rotation;
-    const Vector& n = patch_.normal;
+    const Vec3& n = patch_.normal;
     for (std::size_t axis = 0; axis < 3; ++axis) {
       normal_[axis] = m[axis] * n[0] + m[3 + axis] * n[1] + m[6 + axis] * n[2];
     }
@@ -114,17 +114,17 @@ class Averager {
       return;
     }
     const double s = bearing.s;
-    const Vector d = direction(*seen_, s, w);
+    const Vec3 d = direction(*seen_, s, w);
     const double facing = dot(patch_.normal, d);
     if (facing * patch_.height_m <= 0.0 || std::fabs(facing) < patch_.min_facing) {
       return;
     }
     const double range_m = std::clamp(patch_.height_m / facing, patch_.min_m, patch_.max_m);
-    Vector point_m;
+    Vec3 point_m;
     for (std::size_t axis = 0; axis < 3; ++axis) {
       point_m[axis] = seen_->origin_m[axis] + range_m * d[axis];
     }
-    const Vector normal =
+    const Vec3 normal =
         curved_normal_ != nullptr ? curved_normal_at(curved_normal_, point_m) : patch_.normal;
     const double cosine =
         std::max(std::fabs(dot(normal, d)), curved_normal_ != nullptr ? kMinCosine : 0.0);
@@ -137,7 +137,7 @@ class Averager {
           std::min(extent.across_m + extent.along_m, patch_.far_m - patch_.near_m));
   }
 
-  [[nodiscard]] double cross_section(const Sight& out, const Sight& back, const Vector& n) const {
+  [[nodiscard]] double cross_section(const Sight& out, const Sight& back, const Vec3& n) const {
     return strength_.at(std::fabs(dot(n, out.direction)), std::fabs(dot(n, back.direction)),
                         half_cosine(n, out.direction, back.direction));
   }
@@ -180,7 +180,7 @@ class Averager {
     }
   }
 
-  const Echoes& e_;
+  const ScatterInput& e_;
   const Band& band_;
   float* power_;
   Footprint patch_{};
@@ -189,13 +189,13 @@ class Averager {
   const Leg* transmit_ = nullptr;
   const Leg* receive_ = nullptr;
   const double* curved_normal_ = nullptr;
-  Vector normal_{};  // sonar's frame
+  Vec3 normal_{};  // sonar's frame
   double gain_ = 0.0;
 };
 
 }  // namespace
 
-void scatter_power(const Echoes& echoes, float* power, int threads) {
+void scatter_power(const ScatterInput& echoes, float* power, int threads) {
   const std::vector<Band> bands = bands_of(echoes, threads);
   std::vector<std::unique_ptr<float[]>> parts(bands.size());
   share(bands.size(), threads, [&](std::size_t i) {

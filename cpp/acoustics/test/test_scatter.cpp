@@ -44,7 +44,7 @@ struct Wall {
     }
   }
 
-  acoustics::Echoes echoes(std::uint64_t key, std::size_t count) const {
+  acoustics::ScatterInput echoes(std::uint64_t key, std::size_t count) const {
     return {{1, planes.data(), objects.data(), materials.data(), smooth.data(), nullptr, &material},
             {count, none.data(), none.data(), none.data(), none.data(), cell.data(), span.data(),
              gain.data(), &leg},

@@ -49,16 +49,16 @@ FaceTable face_table(Array<double> planes, Array<std::uint32_t> objects,
   return {planes, curved_normal, table, objects, materials, smooth};
 }
 
-struct Setting {
+struct ScatterSetting {
   Array<float> loss, vertical, taps;
   acoustics::EchoGrid grid{};
   acoustics::ScatterModel model{};
 };
 
-Setting setting(Array<float> loss, Array<float> vertical, Array<float> taps, py::ssize_t columns,
-                double row_m, double first_sine, double sine_pitch, double range_scale,
-                bool lambert, bool specular, bool spreading, double turns_per_m,
-                double nodes_per_cell, std::uint64_t key) {
+ScatterSetting setting(Array<float> loss, Array<float> vertical, Array<float> taps,
+                       py::ssize_t columns, double row_m, double first_sine, double sine_pitch,
+                       double range_scale, bool lambert, bool specular, bool spreading,
+                       double turns_per_m, double nodes_per_cell, std::uint64_t key) {
   require(loss.ndim() == 1 && vertical.size() >= 2, "loss must be (rows,), vertical (2 or more,)");
   require(taps.ndim() == 2 && taps.shape(1) % 2 == 0 && taps.size() > 0, "taps must be (F, even)");
   return {loss,
@@ -93,7 +93,8 @@ void check(const FaceTable& faces, const RayArrays& rays) {
   }
 }
 
-acoustics::Echoes echoes_of(const FaceTable& faces, const RayArrays& rays, const Setting& s) {
+acoustics::ScatterInput echoes_of(const FaceTable& faces, const RayArrays& rays,
+                                  const ScatterSetting& s) {
   check(faces, rays);
   return {
       faces.view(),
@@ -107,23 +108,23 @@ acoustics::Echoes echoes_of(const FaceTable& faces, const RayArrays& rays, const
 }
 
 template <typename T>
-T* cells_of(Array<T>& grid, const Setting& s) {
+T* cells_of(Array<T>& grid, const ScatterSetting& s) {
   require(grid.ndim() == 2 && grid.shape(0) == s.grid.rows && grid.shape(1) == s.grid.columns,
           "the grid must be (rows, columns)");
   return grid.mutable_data();
 }
 
 void scatter_field(Array<std::complex<float>> field, const FaceTable& faces, const RayArrays& rays,
-                   const Setting& s, int threads) {
-  const acoustics::Echoes echoes = echoes_of(faces, rays, s);
+                   const ScatterSetting& s, int threads) {
+  const acoustics::ScatterInput echoes = echoes_of(faces, rays, s);
   auto* cells = cells_of(field, s);
   const py::gil_scoped_release unlocked;
   acoustics::scatter_field(echoes, cells, threads);
 }
 
 void scatter_power(Array<float> power, const FaceTable& faces, const RayArrays& rays,
-                   const Setting& s, int threads) {
-  const acoustics::Echoes echoes = echoes_of(faces, rays, s);
+                   const ScatterSetting& s, int threads) {
+  const acoustics::ScatterInput echoes = echoes_of(faces, rays, s);
   auto* cells = cells_of(power, s);
   const py::gil_scoped_release unlocked;
   acoustics::scatter_power(echoes, cells, threads);
@@ -145,7 +146,7 @@ void bind_scatter(py::module_& module) {
   py::class_<RayArrays>(module, "Rays")
       .def(py::init(&rays_of), arg("face"), arg("seen"), arg("transmit"), arg("receive"),
            arg("cell"), arg("span_m"), arg("gain"), arg("legs"));
-  py::class_<Setting>(module, "Setting")
+  py::class_<ScatterSetting>(module, "ScatterSetting")
       .def(py::init(&setting), arg("loss"), arg("vertical"), arg("taps"), arg("columns"),
            arg("row_m"), arg("first_sine"), arg("sine_pitch"), arg("range_scale"), arg("lambert"),
            arg("specular"), arg("spreading"), arg("turns_per_m"), arg("nodes_per_cell"),

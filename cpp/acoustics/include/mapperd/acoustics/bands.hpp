@@ -22,7 +22,7 @@ struct Band {
   std::ptrdiff_t column, columns;
 };
 
-std::vector<Band> bands_of(const Echoes& echoes, int threads);
+std::vector<Band> bands_of(const ScatterInput& echoes, int threads);
 
 /// Column of a direction cosine s, relative to the grid's first column.
 double column_of(const EchoGrid& grid, double s);

@@ -13,8 +13,9 @@
 
 namespace mapperd::acoustics {
 
+/// Pressure per cell of range and bearing, borrowed.
 struct CellGrid {
-  const float* cells;
+  const float* cells;  ///< (rows, columns, parts)
   std::size_t rows, columns;
   std::size_t parts;  ///< 1 or 2
 };

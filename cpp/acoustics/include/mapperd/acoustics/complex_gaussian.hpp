@@ -15,6 +15,7 @@
 
 namespace mapperd::acoustics {
 
+/// A complex number with independent normal parts.
 struct Gaussian {
   float re, im;
 };

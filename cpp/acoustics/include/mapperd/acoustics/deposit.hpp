@@ -27,6 +27,7 @@ struct Scatterers {
   const float* column;  ///< of the grid
 };
 
+/// Adds the echoes of scatterers to the cells of a complex field.
 class Deposit {
  public:
   /// Writes to a field with the grid's rows and `columns` columns from `first_column` on, at least

@@ -10,17 +10,12 @@
 #include <cstddef>
 
 #include "mapperd/acoustics/scatter.hpp"
+#include "mapperd/common/vec.hpp"
 
 namespace mapperd::acoustics {
 
-using Vector = std::array<double, 3>;
-
-inline double dot(const Vector& a, const Vector& b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
 /// Unit vector in the object's frame with direction cosines s (starboard) and w (up).
-inline Vector direction(const Leg& leg, double s, double w) {
+inline Vec3 direction(const Leg& leg, double s, double w) {
   const double x = std::sqrt(std::fmax(1.0 - s * s - w * w, 1e-9));
   const auto& m = leg.rotation;
   return {m[0] * x - m[1] * s + m[2] * w, m[3] * x - m[4] * s + m[5] * w,
@@ -40,8 +35,9 @@ inline Reals reals_of(double from_s, double to_s, double w) {
 /// Four points, axis by axis.
 using Corners = std::array<std::array<double, 4>, 3>;
 
+/// The patch of a face's plane that one ray's cell covers, in the object's frame.
 struct Footprint {
-  Vector normal;
+  Vec3 normal;               ///< of length 1
   double height_m;           ///< of the plane over the seeing origin, along the normal
   double transmit_height_m;  ///< over the transmitting one
   double receive_height_m;   ///< over the receiving one
@@ -58,7 +54,7 @@ constexpr double kMaxRangeFactor = 1.6;
 constexpr double kMinCosine = 0.05;
 
 /// Returns false if no footprint exists: a leg is behind the plane or does not see it.
-bool footprint_of(const Echoes& echoes, std::size_t hit, Footprint& patch);
+bool footprint_of(const ScatterInput& echoes, std::size_t hit, Footprint& patch);
 
 /// Lobes weaker than exp(-this) are ignored.
 constexpr double kFaintest = 25.0;
@@ -92,8 +88,8 @@ class Strength {
 };
 
 /// Cosine between a normal and the half-way direction of two unit vectors.
-inline double half_cosine(const Vector& normal, const Vector& a, const Vector& b) {
-  const Vector sum{a[0] + b[0], a[1] + b[1], a[2] + b[2]};
+inline double half_cosine(const Vec3& normal, const Vec3& a, const Vec3& b) {
+  const Vec3 sum = a + b;
   return std::fabs(dot(normal, sum)) / std::sqrt(std::fmax(dot(sum, sum), 1e-12));
 }
 
@@ -101,6 +97,6 @@ inline double half_cosine(const Vector& normal, const Vector& a, const Vector& b
 double turn_per_m(const double* curved_normal);
 
 /// Normal of a round surface at a point of one of its faces.
-Vector curved_normal_at(const double* curved_normal, const Vector& point_m);
+Vec3 curved_normal_at(const double* curved_normal, const Vec3& point_m);
 
 }  // namespace mapperd::acoustics

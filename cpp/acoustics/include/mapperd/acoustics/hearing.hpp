@@ -27,19 +27,16 @@ inline float vertical_at(const Hearing& response, double w) {
 /// A point relative to a leg.
 struct Sight {
   double range_m, s, w;
-  Vector direction;  ///< object's frame
+  Vec3 direction;  ///< object's frame
 };
 
-inline Sight sight_of(const Leg& leg, const Vector& point_m) {
-  const Vector d{point_m[0] - leg.origin_m[0], point_m[1] - leg.origin_m[1],
-                 point_m[2] - leg.origin_m[2]};
+inline Sight sight_of(const Leg& leg, const Vec3& point_m) {
+  const Vec3 d = point_m - leg.origin_m;
   const double range_m = std::sqrt(std::max(dot(d, d), 1e-12));
   const double part = 1.0 / range_m;
   const auto& m = leg.rotation;
-  return {range_m,
-          -(m[1] * d[0] + m[4] * d[1] + m[7] * d[2]) * part,
-          (m[2] * d[0] + m[5] * d[1] + m[8] * d[2]) * part,
-          {d[0] * part, d[1] * part, d[2] * part}};
+  return {range_m, -(m[1] * d.x + m[4] * d.y + m[7] * d.z) * part,
+          (m[2] * d.x + m[5] * d.y + m[8] * d.z) * part, part * d};
 }
 
 /// Columns over which an echo between columns spreads.

@@ -23,7 +23,7 @@ struct Axes {
   std::size_t u, v, c;
 };
 
-inline Axes axes_of(const Vector& normal) {
+inline Axes axes_of(const Vec3& normal) {
   const double x = std::fabs(normal[0]);
   const double y = std::fabs(normal[1]);
   const double z = std::fabs(normal[2]);

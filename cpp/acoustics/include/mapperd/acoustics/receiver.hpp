@@ -10,6 +10,7 @@
 
 namespace mapperd::acoustics {
 
+/// How amplitudes become pixels.
 struct Receiver {
   const float* gain;  ///< full-scale amplitude per unit of a beam's amplitude, one per row
   float gamma;        ///< a pixel is amplitude^gamma

@@ -10,17 +10,20 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "mapperd/common/vec.hpp"
+
 namespace mapperd::acoustics {
 
 /// Pose of transmitter or receiver in the frame of the insonified object. The mirror image of the
 /// sonar is a leg with a reflecting rotation.
 struct Leg {
-  std::array<double, 3> origin_m;
+  Vec3 origin_m;
   std::array<double, 9> rotation;  ///< object from sonar, row by row; sonar x ahead, y port, z up
-  std::array<double, 3> drift_m;   ///< apparent range grows by this times the direction to the echo
+  Vec3 drift_m;                    ///< apparent range grows by this times the direction to the echo
   double gain;                     ///< of pressure, signed
 };
 
+/// How a surface scatters sound.
 struct Material {
   double mu;                ///< Lambert's coefficient
   double reflection_power;  ///< squared coefficient of reflection
@@ -40,7 +43,7 @@ struct Faces {
 };
 
 /// Hits of the rays. Each covers a cell of directions, in the frame of the leg that saw it.
-struct Hits {
+struct RayHits {
   std::size_t count;
   const std::int32_t* face;      ///< negative: no echo
   const std::int32_t* seen;      ///< leg that looked
@@ -72,27 +75,29 @@ struct Hearing {
   std::size_t tap_count;
 };
 
+/// Parts of the model of scattering, and its random scatterers.
 struct ScatterModel {
-  bool lambert;
-  bool specular;
-  bool spreading;
+  bool lambert;           ///< diffuse echoes fall with both cosines; otherwise they do not
+  bool specular;          ///< round the mirror's direction a rough surface has a lobe
+  bool spreading;         ///< pressure falls with the range, out and back
   double turns_per_m;     ///< of phase: 1 / wavelength
   double nodes_per_cell;  ///< scatterers per cell of row and column
-  std::uint64_t key;
+  std::uint64_t key;      ///< of the random numbers
 };
 
-struct Echoes {
+/// All that the echo of a ping depends on; borrowed, not copied.
+struct ScatterInput {
   Faces faces;
-  Hits hits;
+  RayHits hits;
   EchoGrid grid;
   Hearing response;
   ScatterModel model;
 };
 
 /// Adds the pressure of random scatterers on the surfaces to a complex field (rows, columns).
-void scatter_field(const Echoes& echoes, std::complex<float>* field, int threads);
+void scatter_field(const ScatterInput& echoes, std::complex<float>* field, int threads);
 
 /// Adds the surfaces' mean power to a field (rows, columns).
-void scatter_power(const Echoes& echoes, float* power, int threads);
+void scatter_power(const ScatterInput& echoes, float* power, int threads);
 
 }  // namespace mapperd::acoustics

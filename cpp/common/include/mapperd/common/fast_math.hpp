@@ -127,6 +127,7 @@ MAPPERD_INLINE double fast_exp(double power) {
   return series * double_of((bits_of(rounded) << 52) + (std::uint64_t{1023} << 52));
 }
 
+/// A positive number as mantissa * 2^exponent.
 struct Split {
   double mantissa;  ///< in [sqrt(1/2), sqrt(2))
   double exponent;
@@ -160,6 +161,7 @@ MAPPERD_INLINE double fast_log(double value) {
   return s * series + parts.exponent * 0.69314718055994530942;
 }
 
+/// Sine and cosine of one angle.
 struct SineCosine {
   double sine, cosine;
 };

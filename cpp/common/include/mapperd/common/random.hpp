@@ -24,6 +24,7 @@ MAPPERD_INLINE std::uint64_t joined(std::uint64_t first, std::uint64_t second) {
   return mix(mix(first) ^ second);
 }
 
+/// Four random words, 128 bits.
 struct Words {
   std::uint32_t word[4];
 };

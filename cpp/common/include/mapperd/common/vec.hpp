@@ -7,13 +7,19 @@
 
 #include <array>
 #include <cmath>
+#include <cstddef>
 
 namespace mapperd {
 
+/// A vector of three coordinates, of any unit.
 struct Vec3 {
   double x = 0.0;
   double y = 0.0;
   double z = 0.0;
+
+  /// Coordinate along axis 0, 1 or 2.
+  double operator[](std::size_t axis) const { return axis == 0 ? x : axis == 1 ? y : z; }
+  double& operator[](std::size_t axis) { return axis == 0 ? x : axis == 1 ? y : z; }
 };
 
 inline Vec3 operator+(const Vec3& a, const Vec3& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }

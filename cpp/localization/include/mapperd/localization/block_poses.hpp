@@ -13,6 +13,7 @@
 
 namespace mapperd::localization {
 
+/// Poses of a block of particles, one array per quantity.
 struct BlockPoses {
   double u[kBlock];
   double v[kBlock];

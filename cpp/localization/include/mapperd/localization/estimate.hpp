@@ -14,6 +14,7 @@ namespace mapperd::localization {
 
 inline constexpr double kMinVariance = 1e-12;  ///< m^2, rad^2
 
+/// Mean and covariance of weighted poses; metres and radians.
 struct Estimate {
   Pose2 mean;
   /// Order x, y, yaw; m^2, m rad, rad^2. For x and y: unbiased for reliability weights, sum w d d^T

@@ -31,6 +31,7 @@ struct GridFrame {
   std::size_t cells() const { return rows * columns; }
 };
 
+/// A planar map of free, occupied and unknown cells.
 struct OccupancyGrid {
   GridFrame frame;
   std::vector<std::int8_t> cells;  ///< row-major

@@ -29,12 +29,14 @@ struct HitModel {
 /// \throws std::invalid_argument for negative or not finite values, and where nothing is left of p.
 void check_hit_model(const HitModel& model);
 
+/// How unknown cells weigh an end point.
 enum class UnknownSpace {
   kAsFree,      ///< only its distance to obstacles counts
   kBackground,  ///< p at max_distance_m
   kUniform,     ///< 1 / max_range: the reference's `model_unknown_space`, which draws poses outward
 };
 
+/// Which cells reflect, and what unknown ones count as.
 struct ObstacleParams {
   bool only_boundaries = false;  ///< occupied cells with a free one at a side; the rest is far
   UnknownSpace unknown = UnknownSpace::kAsFree;

@@ -9,6 +9,7 @@
 
 namespace mapperd::localization {
 
+/// How a vehicle moves between two odometry poses.
 enum class MotionModel { kDifferential, kOmnidirectional, kStationary };
 
 /// Noise variances by motion squared: of rotation from rotation, of rotation from translation

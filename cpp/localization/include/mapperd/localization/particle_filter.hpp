@@ -21,19 +21,20 @@
 
 namespace mapperd::localization {
 
+/// Parameters of a particle filter.
 struct FilterParams {
   ResampleParams resample;
-  double alpha_slow = 0.0;
-  double alpha_fast = 0.0;
+  double alpha_slow = 0.0;            ///< gain of the slow average weight, 0 ... alpha_fast
+  double alpha_fast = 0.0;            ///< gain of the fast one, up to 1; both 0: no recovery
   std::size_t resample_interval = 1;  ///< in updates
   bool selective = false;             ///< only when the effective size is below half the particles
-  double max_step_m = 1e6;            ///< longer steps of odometry are refused
+  double max_step_m = 1e6;            ///< longer steps of odometry are refused, m
   /// A scan's likelihoods are raised to a power below 1 where else less than this share of the
   /// effective size was left: 0 never. A scan that a cloud is too sparse for must not choose a
   /// mode.
   double least_effective_share = 0.0;
   /// Draws go by weights to this power, and children keep the rest of the weight: below 1 light
-  /// modes keep particles. 1 draws as published.
+  /// modes keep particles. 1 draws as AMCL does.
   double draw_exponent = 1.0;
 };
 

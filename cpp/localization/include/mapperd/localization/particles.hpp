@@ -21,10 +21,11 @@ struct Pose2 {
 /// Symmetric, in the order x, y, yaw.
 using Matrix3 = std::array<std::array<double, 3>, 3>;
 
+/// Weighted poses, one array per quantity.
 struct Particles {
-  std::vector<double> x;
-  std::vector<double> y;
-  std::vector<double> yaw;         ///< in (-pi, pi]
+  std::vector<double> x;           ///< m
+  std::vector<double> y;           ///< m
+  std::vector<double> yaw;         ///< rad, in (-pi, pi]
   std::vector<double> log_weight;  ///< the weights' sum is 1
 
   std::size_t size() const { return x.size(); }

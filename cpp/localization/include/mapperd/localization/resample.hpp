@@ -14,11 +14,13 @@
 
 namespace mapperd::localization {
 
+/// How particles are drawn by their weights.
 enum class Scheme {
   kLowVariance,  ///< one random offset and a comb: each is drawn in proportion to its weight, +-1
   kMultinomial,  ///< independent draws
 };
 
+/// How many particles are drawn, and how.
 struct ResampleParams {
   std::size_t min_particles = 100;
   std::size_t max_particles = 5000;
@@ -26,6 +28,7 @@ struct ResampleParams {
   Scheme scheme = Scheme::kLowVariance;
 };
 
+/// Result of resampling: where each new particle comes from.
 struct Drawn {
   std::vector<std::size_t> parent;  ///< kRandom: drawn from the free space
   std::size_t buckets = 0;          ///< 0: not counted, the number of particles is fixed

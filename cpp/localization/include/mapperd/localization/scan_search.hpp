@@ -14,11 +14,12 @@
 
 namespace mapperd::localization {
 
+/// Parameters of a search of all free space for poses that explain a scan.
 struct Search {
-  std::size_t poses = 0;  ///< drawn from all free space and weighted
-  double kappa = 1.0;     ///< tempering; reduced if few poses would carry the weight
-  double jitter_m = 0.1;  ///< noise added to the poses that are kept
-  double jitter_rad = 0.02;
+  std::size_t poses = 0;     ///< drawn from all free space and weighted
+  double kappa = 1.0;        ///< tempering; reduced if few poses would carry the weight
+  double jitter_m = 0.1;     ///< noise added to the poses that are kept, m
+  double jitter_rad = 0.02;  ///< the same for their headings, rad
 };
 
 /// Draws `count` poses of equal weight from `search.poses` random poses, weighted by the scan. The

@@ -28,6 +28,7 @@ inline constexpr int kBlockCells = kBlockVoxels / kCellVoxels;
 /// Block coordinates stay within +-kMaxBlock, so that voxel indices and sums of them fit easily.
 inline constexpr std::int32_t kMaxBlock = 1 << 30;
 
+/// Position of a block of 16^3 voxels, in blocks from the map's origin.
 struct BlockKey {
   std::int32_t x = 0;
   std::int32_t y = 0;
@@ -86,6 +87,7 @@ using CellSet = std::uint64_t;
 inline constexpr CellSet kAllCells = ~CellSet{0};
 constexpr CellSet cell_bit(int cell) { return CellSet{1} << cell; }
 
+/// 16^3 voxels as 4^3 cells: uniform cells hold one value, mixed ones their voxels.
 class Block {
  public:
   /// Creates a block of unknown voxels.

@@ -27,12 +27,14 @@ inline BlockKey brick_holding(const BlockKey& block) {
   return {block.x >> kBrickShift, block.y >> kBrickShift, block.z >> kBrickShift};
 }
 
+/// An encoded block, as the store keeps it.
 struct Brick {
   BlockKey key;                ///< in bricks
   std::uint64_t revision = 0;  ///< of the block that changed last
   std::string bytes;
 };
 
+/// Blocks that changed since a revision, encoded.
 struct ChangedBricks {
   std::uint64_t revision = 0;  ///< of the map, when they were taken
   std::vector<Brick> bricks;   ///< in ascending order
@@ -41,6 +43,7 @@ struct ChangedBricks {
 /// Resident bricks with a block that changed after a revision of the map, all of one state.
 ChangedBricks bricks_since(const VoxelMap& map, std::uint64_t revision);
 
+/// An encoded block in memory that another object owns.
 struct BrickView {
   BlockKey key;
   std::string_view bytes;

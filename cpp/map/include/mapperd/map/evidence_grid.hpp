@@ -42,6 +42,7 @@ inline constexpr double kOccupiedShare = 0.02;
 inline constexpr double kFreeShare = 0.5;
 inline constexpr double kOccupiedSlack = 0.5;  ///< beyond the aperture's faces, in voxel edges
 
+/// A ping's image, filtered with the footprint of a voxel: one look-up gives a voxel's evidence.
 class EvidenceGrid : public PolarGrid {
  public:
   /// Uses `memory` during its lifetime.

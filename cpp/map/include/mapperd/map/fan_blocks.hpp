@@ -23,6 +23,7 @@ namespace mapperd::map {
 /// Blocks are worked on in cubes of so many along an edge: what one thread takes at once.
 inline constexpr int kCubeBlocks = 4;
 
+/// A cube of blocks.
 struct BlockCube {
   BlockKey first;  ///< relative to the sonar's block
   int blocks;      ///< along an edge
@@ -36,6 +37,7 @@ struct BlockView {
   bool is_linear;
 };
 
+/// The blocks that a ping's fan reaches, and their poses relative to the sonar.
 class FanBlocks {
  public:
   FanBlocks(const VoxelMap& map, const PolarGrid& grid, const Transform& map_T_sonar,

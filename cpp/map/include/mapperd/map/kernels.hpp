@@ -82,6 +82,7 @@ struct GridTask {
 /// Memory for one row: see scratch_floats().
 std::size_t scratch_floats(const GridTask& task);
 
+/// The evidence grid, as the kernels read it.
 struct GridView {
   const std::uint8_t* codes;
   const std::uint8_t* shares;
@@ -126,11 +127,13 @@ struct CellPlaces {
   float height[64];
 };
 
+/// Voxels of a cell with evidence of each kind.
 struct CodeCounts {
   int occupied;
   int free;
 };
 
+/// The inner loops, for one instruction set of the processor.
 struct Kernels {
   const char* name;
   void (*build_rows)(const GridTask& task, int first, int end, float* scratch);

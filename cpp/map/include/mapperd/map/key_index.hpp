@@ -14,6 +14,7 @@
 
 namespace mapperd::map {
 
+/// Numbers keys in the order of their first use.
 class KeyIndex {
  public:
   static constexpr std::uint32_t kNone = 0xFFFFFFFFU;

@@ -15,10 +15,11 @@ namespace mapperd::map {
 inline constexpr int kOctomapDepth = 16;
 inline constexpr std::int64_t kOctomapKeyOrigin = 32768;  ///< the key of voxel 0, on each axis
 
+/// What the text at the beginning of an OctoMap file states.
 struct OctomapHeader {
-  bool binary = false;      ///< .bt: two bits a child; else .ot: log-odds
-  std::uint64_t nodes = 0;  ///< as stated, inner ones included
-  double resolution_m = 0.0;
+  bool binary = false;         ///< .bt: two bits a child; else .ot: log-odds
+  std::uint64_t nodes = 0;     ///< as stated, inner ones included
+  double resolution_m = 0.0;   ///< edge of a voxel, m
   std::size_t data_begin = 0;  ///< where the text ends
 };
 

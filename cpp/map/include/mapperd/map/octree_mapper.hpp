@@ -2,10 +2,11 @@
 /// \brief OctreeMapper: occupancy by points and rays, with one probability for hits and one for
 /// misses.
 ///
-/// Names and defaults are those of `OctreeMapper` of sonar_3d_reconstruction (octree_mapper.cpp),
-/// so that programs written for it compile against this map. Points are anything with members x(),
-/// y() and z() (Eigen::Vector3d, octomap::point3d); matrices are anything with rows() and (i, j).
-/// Comments name the defects of that class in which this one differs.
+/// The methods have the names, parameters and defaults of `OctreeMapper` of sonar_3d_reconstruction
+/// (octree_mapper.cpp). Points are anything with members x(), y() and z() (Eigen::Vector3d,
+/// octomap::point3d); matrices are anything with rows() and (i, j). The namespace and the types of
+/// results are this library's own: callers of the original adapt to them. Comments name the defects
+/// of the original that this class does not have.
 #pragma once
 
 #include <array>
@@ -19,6 +20,7 @@
 
 namespace mapperd::map {
 
+/// Size of a map in memory.
 struct MemoryStats {
   std::size_t num_nodes = 0;       ///< observed voxels, and the blocks of 16^3 that hold them
   std::size_t num_leaf_nodes = 0;  ///< observed voxels
@@ -26,6 +28,7 @@ struct MemoryStats {
   double memory_efficiency = 0.0;  ///< leaf nodes / nodes
 };
 
+/// Occupancy of voxels, updated by points and rays.
 class OctreeMapper {
  public:
   /// x, y, z of a voxel's centre in metres, and its probability.

@@ -17,6 +17,7 @@
 
 namespace mapperd::map {
 
+/// How occupied and free evidence of one ping combine in a voxel.
 enum class Aggregation {
   kOccupiedFirst,  ///< occupied evidence beats free evidence inside one ping
   kMean,           ///< both kinds by their shares, averaged as in the reference implementation
@@ -34,18 +35,20 @@ struct PingImage {
   double max_range_m() const { return static_cast<double>(rows) * range_resolution_m; }
 };
 
+/// How a ping is integrated.
 struct PingParams {
   double vertical_aperture_rad = 0.349065850398866;  ///< 20 degrees
-  double min_range_m = 0.5;
-  bool carve_no_return = false;
+  double min_range_m = 0.5;                          ///< nearer samples are ignored, m
+  bool carve_no_return = false;                      ///< beams without a return mark free space
   Aggregation aggregation = Aggregation::kOccupiedFirst;
   double detail = 1.0;  ///< of the evidence grid; its pitch shrinks as this grows
   int threads = 1;      ///< the map does not depend on it
 };
 
+/// What a ping changed: numbers of voxels and blocks.
 struct PingStats {
-  std::size_t occupied = 0;
-  std::size_t free = 0;
+  std::size_t occupied = 0;  ///< voxels with occupied evidence
+  std::size_t free = 0;      ///< voxels with free evidence
   std::size_t blocks_visited = 0;
   std::size_t blocks_created = 0;
 };

@@ -21,9 +21,10 @@
 
 namespace mapperd::map {
 
+/// Motion of the sonar, constant over one ping.
 struct PingMotion {
-  Vec3 linear_mps;       ///< of the sonar, in the map frame
-  Vec3 angular_radps;    ///< in the sonar's frame
+  Vec3 linear_mps;       ///< velocity of the sonar, map frame, m/s
+  Vec3 angular_radps;    ///< rate of turn, sonar's frame, rad/s
   double valid_s = 0.0;  ///< map_T_sonar is the pose at this time after transmission
   double speed_of_sound_mps = 1500.0;
 
@@ -51,6 +52,7 @@ struct SeenAxes {
   double volume() const { return dot(x, cross(y, z)); }
 };
 
+/// Where a place appears in a moving sonar's image, m.
 struct Seen {
   Vec3 at;
   SeenAxes axes;
@@ -75,6 +77,7 @@ struct MotionBound {
   double bend = 0.0;     ///< m, from what `SeenAxes` of its centre make of it
 };
 
+/// Converts between places at transmission and where a moving sonar's image shows them.
 class MovingView {
  public:
   /// `map_R_sonar` at transmission.

@@ -21,6 +21,7 @@ struct StepLimits {
   double high = 0.0;
 };
 
+/// Points with their observations, one array per quantity; borrowed.
 struct ObservedPoints {
   Points points;
   const double* intensity = nullptr;  ///< 0 .. intensity_max; used where occupied

@@ -15,6 +15,7 @@
 
 namespace mapperd::map {
 
+/// What is known of a voxel.
 enum class Occupancy : std::int8_t { kUnknown = -1, kFree = 0, kOccupied = 1 };
 
 /// Log-odds above which a voxel is occupied and below which it is free. Observed voxels between
@@ -63,6 +64,7 @@ std::vector<double> ray_cast_depth(const VoxelMap& map, const Points& origins,
                                    const Points& directions, double max_range_m,
                                    double occupied_log_odds);
 
+/// An observed voxel and its state.
 struct KnownVoxel {
   VoxelIndex voxel;
   VoxelState state;

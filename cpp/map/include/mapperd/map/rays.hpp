@@ -25,10 +25,11 @@
 
 namespace mapperd::map {
 
+/// How a ping is integrated by sampled rays.
 struct RaysParams {
-  double vertical_aperture_rad = 0.349065850398866;
-  double min_range_m = 0.5;
-  double angular_cone_width = 0.5;  ///< a factor of the beam spacing, not an angle
+  double vertical_aperture_rad = 0.349065850398866;  ///< 20 degrees
+  double min_range_m = 0.5;                          ///< nearer samples are ignored, m
+  double angular_cone_width = 0.5;                   ///< a factor of the beam spacing, not an angle
 };
 
 /// Integrates one ping. Errors are those of integrate_evidence_grid().

@@ -20,6 +20,7 @@ namespace mapperd::map {
 /// Makes tiles resident with the content that they had when dropped; throws on failure.
 using FetchTiles = std::function<void(const std::vector<BlockKey>& tiles)>;
 
+/// Which tiles of a map on disk are in memory; fetches the others.
 class Residency {
  public:
   Residency() = default;

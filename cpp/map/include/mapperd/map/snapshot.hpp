@@ -15,6 +15,7 @@
 
 namespace mapperd::map {
 
+/// Size of a map.
 struct MapSize {
   std::size_t blocks = 0;
   std::size_t known_voxels = 0;
