@@ -59,7 +59,7 @@ class _Line:
         return self.offset_ns + round(self.slope * (arrival_ns - self.arrival_ns))
 
 
-class _Points:
+class _StampPoints:
     """The points that count, in the order in which they came, and their lower convex hull.
 
     As long as arrivals rise, the hull of all points but the last is carried on with each point that
@@ -155,7 +155,7 @@ class ClockFit:
     """Offset and drift of one remote clock, estimated from arriving stamps."""
 
     def __init__(self) -> None:
-        self._points = _Points()
+        self._points = _StampPoints()
         self._line: _Line | None = None
         self._last_stamp_ns: int | None = None
         self._suspect: tuple[int, int] | None = None  # (stamp, arrival)
@@ -246,7 +246,7 @@ class ClockFit:
         return True
 
 
-def _line_below(points: _Points) -> _Line:
+def _line_below(points: _StampPoints) -> _Line:
     """Return the line that is below all points, of which there is one, and closest on average."""
     hull = points.hull()
     rate_error = 0.0

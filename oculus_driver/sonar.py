@@ -9,7 +9,7 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from oculus_driver.discovery.listener import Search
+from oculus_driver.discovery.listener import SonarSearch
 from oculus_driver.errors import DiscoveryError, LinkError, SettingsError
 from oculus_driver.link.confirmation import (
     CONFIRM_TIMEOUT_NS,
@@ -106,10 +106,10 @@ class OculusSonar:
         self._on_state = on_state
         self._on_status = on_status
         self._queue = PingQueue(max_pings)
-        self._search = Search(serial, discovery) if host is None else None
-        self._statuses: Search | None = None
+        self._search = SonarSearch(serial, discovery) if host is None else None
+        self._statuses: SonarSearch | None = None
         if host is not None and on_status is not None:
-            self._statuses = Search(serial, discovery, host)
+            self._statuses = SonarSearch(serial, discovery, host)
         self._thermal = ThermalGuard(max_temperature_c)
         self._holds: dict[str, str] = {}
         self._last_ping: PingHeader | None = None

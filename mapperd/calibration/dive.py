@@ -170,7 +170,7 @@ class _Path:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Kept:
+class _KeptImage:
     t_ns: int
     image: NDArray[np.float32]
     row_m: float
@@ -184,10 +184,10 @@ class _Thinned:
 
     def __init__(self) -> None:
         self.count = 0
-        self.kept: list[_Kept] = []
+        self.kept: list[_KeptImage] = []
         self._every = 1
 
-    def add(self, ping: _Kept) -> None:
+    def add(self, ping: _KeptImage) -> None:
         if self.count % self._every == 0:
             self.kept.append(ping)
         self.count += 1
@@ -236,7 +236,7 @@ def _works(
     yield decoder.end(), None
 
 
-def _pings(works: Sequence[Work], config: Config) -> Iterator[_Kept]:
+def _pings(works: Sequence[Work], config: Config) -> Iterator[_KeptImage]:
     for work in works:
         if not isinstance(work, PosedPing) or work.t_ns is None or isinstance(work.pose, Reject):
             continue
@@ -247,7 +247,7 @@ def _pings(works: Sequence[Work], config: Config) -> Iterator[_Kept]:
         yield _kept(image, work.t_ns, work.ping.credible_speed_of_sound_mps)
 
 
-def _kept(image: PingImage, t_ns: int, sound_mps: float) -> _Kept:
+def _kept(image: PingImage, t_ns: int, sound_mps: float) -> _KeptImage:
     """Average rows and beams to the kept size."""
     rows, beams = image.intensity.shape
     by_row, by_beam = -(-rows // MAX_ROWS), -(-beams // MAX_BEAMS)
@@ -257,10 +257,10 @@ def _kept(image: PingImage, t_ns: int, sound_mps: float) -> _Kept:
     sines = np.sin(image.bearings_rad[: width * by_beam]).reshape(width, by_beam).mean(axis=1)
     step = float(sines[-1] - sines[0]) / max(width - 1, 1)
     row_m = image.range_resolution_m * by_row
-    return _Kept(t_ns, small.astype(np.float32), row_m, float(sines[0]), step, sound_mps)
+    return _KeptImage(t_ns, small.astype(np.float32), row_m, float(sines[0]), step, sound_mps)
 
 
-def _dive(kept: list[_Kept], path: _Path) -> CalibrationDive:
+def _dive(kept: list[_KeptImage], path: _Path) -> CalibrationDive:
     zero_ns = path.t_ns[0] if path.t_ns else 0
     path_s = (np.array(path.t_ns) - zero_ns) / 1e9
     t_s = np.array([(one.t_ns - zero_ns) / 1e9 for one in kept])

@@ -129,7 +129,7 @@ async def supervised(
             None leaves that to Python.
         print_line: prints diagnostics of a hang.
     """
-    session = _Session(daemon, workers, notifier, watchdog_s, print_line)
+    session = _SupervisedTasks(daemon, workers, notifier, watchdog_s, print_line)
     loop = asyncio.get_running_loop()
     actions: dict[signal.Signals, Callable[[], None]] = {
         signal.SIGHUP: lambda: session.begin(session.reload()),
@@ -166,7 +166,7 @@ async def supervised(
                 signal.signal(number, before[number])
 
 
-class _Session:
+class _SupervisedTasks:
     def __init__(
         self,
         daemon: DaemonApi,

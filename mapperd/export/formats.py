@@ -23,7 +23,7 @@ ALL = Heights()
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
+class _FormatOptions:
     heights: Heights
     origin: Origin | None
     calibration: ProbabilityCalibration | None
@@ -41,7 +41,7 @@ def write_map(
     origin: Origin | None = None,
     calibration: ProbabilityCalibration | None = None,
 ) -> list[Path]:
-    """Write one state of a map, whole or not at all, while pings may go on changing it.
+    """Write one state of a map, whole or not at all, while pings may still change it.
 
     Args:
         sonar_map: in memory as a whole, or read from its file.
@@ -64,7 +64,7 @@ def write_map(
     check_calibration(path, calibration)
     if isinstance(sonar_map, SonarMap):
         sonar_map.check_whole()
-    return write(sonar_map, path, _Asked(heights, origin, calibration))
+    return write(sonar_map, path, _FormatOptions(heights, origin, calibration))
 
 
 def check_calibration(path: Path, calibration: ProbabilityCalibration | None) -> None:
@@ -96,59 +96,59 @@ def crs_of(path: Path, origin: Origin | None) -> str | None:
 _PROJECTIONS = MappingProxyType({".las": utm_zone, ".laz": utm_zone, ".tif": local_projection})
 
 
-def _map(sonar_map: MapContent, path: Path, _: _Asked) -> list[Path]:
+def _map(sonar_map: MapContent, path: Path, _: _FormatOptions) -> list[Path]:
     sonar_map.save(path)
     return [path]
 
 
-def _octomap(sonar_map: MapContent, path: Path, _: _Asked) -> list[Path]:
+def _octomap(sonar_map: MapContent, path: Path, _: _FormatOptions) -> list[Path]:
     sonar_map.save_octomap(path)
     return [path]
 
 
-def _ply(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
+def _ply(sonar_map: MapContent, path: Path, asked: _FormatOptions) -> list[Path]:
     occupied = asked.occupied(sonar_map)
     with atomic_file(path) as file:
         write_ply(file, occupied, sonar_map.resolution_m)
     return [path]
 
 
-def _pcd(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
+def _pcd(sonar_map: MapContent, path: Path, asked: _FormatOptions) -> list[Path]:
     occupied = asked.occupied(sonar_map)
     with atomic_file(path) as file:
         write_pcd(file, occupied, sonar_map.resolution_m)
     return [path]
 
 
-def _xyz(sonar_map: MapContent, path: Path, _: _Asked) -> list[Path]:
+def _xyz(sonar_map: MapContent, path: Path, _: _FormatOptions) -> list[Path]:
     occupied = sonar_map.occupied()
     with atomic_file(path) as file:
         write_xyz(file, occupied)
     return [path]
 
 
-def _asc(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
+def _asc(sonar_map: MapContent, path: Path, asked: _FormatOptions) -> list[Path]:
     tops = Tops(sonar_map, asked.heights)
     with atomic_file(path) as file:
         write_ascii_grid(file, tops, sonar_map.resolution_m)
     return [path]
 
 
-def _las(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
+def _las(sonar_map: MapContent, path: Path, asked: _FormatOptions) -> list[Path]:
     occupied = asked.occupied(sonar_map)
     with atomic_file(path) as file:
         write_las(file, occupied, asked.origin, packed=path.suffix == ".laz")
     return [path]
 
 
-def _tif(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
+def _tif(sonar_map: MapContent, path: Path, asked: _FormatOptions) -> list[Path]:
     tops = Tops(sonar_map, asked.heights)
     with atomic_file(path) as file:
         write_geotiff(file, tops, sonar_map.resolution_m, asked.origin)
     return [path]
 
 
-def _pgm(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
+def _pgm(sonar_map: MapContent, path: Path, asked: _FormatOptions) -> list[Path]:
     """Both files are written before either takes its place."""
     cells = known_cells(sonar_map, asked.heights)
     beside = path.with_suffix(".yaml")
@@ -162,7 +162,7 @@ def _pgm(sonar_map: MapContent, path: Path, asked: _Asked) -> list[Path]:
 PROBABILITY_FORMATS = (".ply", ".pcd", ".las", ".laz")
 """Formats with a probability per voxel that are not read back as maps."""
 
-FORMATS: Mapping[str, Callable[[MapContent, Path, _Asked], list[Path]]] = MappingProxyType(
+FORMATS: Mapping[str, Callable[[MapContent, Path, _FormatOptions], list[Path]]] = MappingProxyType(
     {
         ".bt": _octomap,
         ".ot": _octomap,

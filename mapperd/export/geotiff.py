@@ -12,7 +12,7 @@ from mapperd.errors import ExportError, ExportExtraError, missing_extra
 from mapperd.export.cells import NO_TOP, Tops
 from mapperd.geometry.geodesy import Origin, TransverseMercator, local_projection
 
-__all__ = ["NO_DATA", "Band", "GridPlace", "write_geotiff", "write_tiles"]
+__all__ = ["NO_DATA", "GridPlace", "RasterBand", "write_geotiff", "write_tiles"]
 
 
 NO_DATA = -9999.0
@@ -43,7 +43,7 @@ Floats32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
-class Band:
+class RasterBand:
     """One number a cell.
 
     Attributes:
@@ -67,8 +67,8 @@ class GridPlace:
 
 
 TOPS = (
-    Band("height of the highest occupied voxel's centre", "m"),
-    Band("pings that observed that voxel"),
+    RasterBand("height of the highest occupied voxel's centre", "m"),
+    RasterBand("pings that observed that voxel"),
 )
 
 
@@ -120,7 +120,7 @@ def write_tiles(
     file: BinaryIO,
     tiles: Iterator[Floats32 | None],
     place: GridPlace,
-    bands: Sequence[Band],
+    bands: Sequence[RasterBand],
     origin: Origin | None,
     *,
     edge: int,
@@ -171,7 +171,7 @@ def _library() -> Callable[..., object]:
     return write
 
 
-def _tags(place: GridPlace, bands: Sequence[Band], origin: Origin | None) -> list[Any]:
+def _tags(place: GridPlace, bands: Sequence[RasterBand], origin: Origin | None) -> list[Any]:
     items = "".join(
         f'<Item name="{key}" sample="{number}" role="{role}">{text}</Item>'
         for number, band in enumerate(bands)

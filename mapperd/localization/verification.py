@@ -171,7 +171,7 @@ BISECTIONS = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Evidence:
+class _KeyframeWindow:
     """A window on a map, with the odometry of the candidates."""
 
     weighing: MapWeighing
@@ -227,7 +227,7 @@ def verify(
     if full is None or window.last is None or not weighing.can_search(full.scan):
         return None
     random = np.random.default_rng(seed)
-    evidence = _Evidence(weighing, window.keyframes, window.last)
+    evidence = _KeyframeWindow(weighing, window.keyframes, window.last)
     poses = weighing.drawn(full.scan, full.base_height_m, int(random.integers(2**62)))
     poses = _moved(poses, full.odom, window.last)
     for one in ROUNDS[:-1]:

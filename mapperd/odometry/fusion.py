@@ -73,7 +73,7 @@ class FusedPose:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Placed:
+class _AnchoredPosition:
     """A position and its origin."""
 
     value: BasePosition
@@ -295,11 +295,13 @@ class Fusion:
             position is None or not position.value.has_height
         )
 
-    def _placed(self, t_ns: int) -> _Placed | Reject:
+    def _placed(self, t_ns: int) -> _AnchoredPosition | Reject:
         """Return the position: interpolated, by dead reckoning, extrapolated, or fixed."""
         if self._is_fixed:
             covariance = self._settings.position_std**2 * np.eye(3)
-            return _Placed(BasePosition(np.zeros(3), np.zeros(3), covariance, has_height=False), 0)
+            return _AnchoredPosition(
+                BasePosition(np.zeros(3), np.zeros(3), covariance, has_height=False), 0
+            )
         series = self._in.position.series
         before, after = series.around(t_ns)
         interpolates = self._reach.policy == "interpolate"
@@ -310,9 +312,9 @@ class Fusion:
         found = value_at(series, t_ns, self._reach, POSITION)
         if not series and isinstance(found, Reject):
             return Reject("no_position", NO_POSITION)
-        return found if isinstance(found, Reject) else _Placed(found.value, found.segment)
+        return found if isinstance(found, Reject) else _AnchoredPosition(found.value, found.segment)
 
-    def _reckoned(self, last: "Sample[BasePosition] | None", t_ns: int) -> _Placed | None:
+    def _reckoned(self, last: "Sample[BasePosition] | None", t_ns: int) -> _AnchoredPosition | None:
         """Return the position by dead reckoning from the last one, or from 0 without any source."""
         end = self._in.reckoning.at(t_ns)
         if end is None or (last is not None and last.t_ns == t_ns):
@@ -325,7 +327,7 @@ class Fusion:
             value = BasePosition(
                 end.value.way_m, end.value.velocity_mps, covariance, has_height=False
             )
-            return _Placed(value, end.segment)
+            return _AnchoredPosition(value, end.segment)
         start = self._in.reckoning.at(last.t_ns)
         seconds = (t_ns - last.t_ns) / 1e9
         if (
@@ -341,10 +343,10 @@ class Fusion:
             last.value.covariance_m2 + grown,
             last.value.has_height,
         )
-        return _Placed(value, last.segment, seconds)
+        return _AnchoredPosition(value, last.segment, seconds)
 
     def _fused(
-        self, t_ns: int, attitude: "Sample[Attitude]", placed: _Placed
+        self, t_ns: int, attitude: "Sample[Attitude]", placed: _AnchoredPosition
     ) -> FusedPose | Reject:
         position_m, map_q_base = placed.value.position_m, attitude.value.map_q_base
         velocity = self._velocity(t_ns, placed)
@@ -382,7 +384,7 @@ class Fusion:
             return Reject("no_depth", f"no depth: {height.detail}")
         return float(height.value[0])
 
-    def _velocity(self, t_ns: int, placed: _Placed) -> Floats | None:
+    def _velocity(self, t_ns: int, placed: _AnchoredPosition) -> Floats | None:
         """Return the velocity: of its source, of the positions, or from positions around the time.
 
         None if the positions lie farther apart than the vehicle can move: that is noise.

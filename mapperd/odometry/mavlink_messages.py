@@ -70,7 +70,7 @@ ORDER = (
 
 
 @dataclass(frozen=True, slots=True)
-class _Odometry:
+class _MavlinkOdometry:
     """Return the known parts of an ODOMETRY; NaN or unset parts are None."""
 
     position: Sequence[float] | None
@@ -81,7 +81,7 @@ class _Odometry:
     velocity_covariance: Sequence[float] | None
 
     @classmethod
-    def of(cls, m: Any) -> "_Odometry":  # noqa: ANN401 pymavlink's message
+    def of(cls, m: Any) -> "_MavlinkOdometry":  # noqa: ANN401 pymavlink's message
         """Of a message."""
         return cls(
             _known((m.x, m.y, m.z)),
@@ -124,7 +124,7 @@ def _odometry(m: Any, _: FormatSettings) -> Fields | Reject:  # noqa: ANN401
         return bad
     if m.quality == FAILED:
         return {"valid": False}
-    known = _Odometry.of(m)
+    known = _MavlinkOdometry.of(m)
     if bad := known.problem():
         return bad
     axes, flu, q = WORLD_TO_ENU[world], BODY_TO_FLU["frd"], known.quaternion

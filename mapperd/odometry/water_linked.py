@@ -194,7 +194,7 @@ class _Head(Struct):
     format: str
 
 
-class _Velocity(Struct):
+class _VelocityMessage(Struct):
     vx: float
     vy: float
     vz: float
@@ -208,7 +208,7 @@ class _Velocity(Struct):
     tracking_mode: str = "bottom"
 
 
-class _Position(Struct):
+class _PositionMessage(Struct):
     ts: float
     x: float
     y: float
@@ -221,8 +221,8 @@ class _Position(Struct):
 
 
 _HEAD = msgspec.json.Decoder(_Head)
-_VELOCITY = msgspec.json.Decoder(_Velocity)
-_POSITION = msgspec.json.Decoder(_Position)
+_VELOCITY = msgspec.json.Decoder(_VelocityMessage)
+_POSITION = msgspec.json.Decoder(_PositionMessage)
 
 
 def read_water_linked_json(
@@ -254,7 +254,7 @@ def _report(line: bytes, counters: DecoderCounters) -> Odometry | Reject | None:
     return None
 
 
-def _json_velocity(wire: _Velocity, counters: DecoderCounters) -> Odometry | Reject | None:
+def _json_velocity(wire: _VelocityMessage, counters: DecoderCounters) -> Odometry | Reject | None:
     if wire.status & OVERHEATING:
         counters.warnings["overheating"] += 1
     if wire.tracking_mode != "bottom":  # through the water, not over ground

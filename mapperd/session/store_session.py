@@ -40,7 +40,7 @@ COST = 50
 
 
 @dataclass(slots=True)
-class _Point:
+class _SavePoint:
     """A checkpoint between two chunks."""
 
     number: int
@@ -114,8 +114,8 @@ class SqlitePersistence:
         self._unrecorded = () if earlier is None else earlier.unrecorded
         self._damage_reported = store.counters.bricks_damaged
         self._done = 0
-        self._next: _Point | None = None
-        self._wanted: _SnapshotRequest | None = None
+        self._next: _SavePoint | None = None
+        self._wanted: _PendingSnapshot | None = None
         self._saving = threading.Lock()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._save_on, name="saving", daemon=True)
@@ -376,7 +376,7 @@ class SqlitePersistence:
 
     def _request_snapshot(self) -> Snapshot:
         """Request a snapshot from the mapping thread and wait for it."""
-        request = _SnapshotRequest()
+        request = _PendingSnapshot()
         self._wanted = request
         self._wake()
         until_s = time.monotonic() + TIMEOUT_S
@@ -389,9 +389,9 @@ class SqlitePersistence:
         assert request.snapshot is not None  # noqa: S101 it is ready
         return request.snapshot
 
-    def _point_at(self, number: int, works: int) -> _Point:
+    def _point_at(self, number: int, works: int) -> _SavePoint:
         decoder = self._decoder
-        return _Point(
+        return _SavePoint(
             number,
             works,
             msgspec.to_builtins(decoder.config),
@@ -407,7 +407,7 @@ class SqlitePersistence:
                 self._complete(self._point)
             self._next = None
 
-    def _complete(self, point: _Point) -> None:
+    def _complete(self, point: _SavePoint) -> None:
         """Add the states that depend on the work before the checkpoint."""
         if self._map.surface is not None:
             point.surface = encode_state(self._map.surface.state())
@@ -420,7 +420,7 @@ class SqlitePersistence:
         point, done = self._point, self._done - self._point.works
         self.store.advance(partial(self._sealed, point, done, self._offsets.newest))
 
-    def _sealed(self, point: _Point, done: int, newest: int) -> bytes:
+    def _sealed(self, point: _SavePoint, done: int, newest: int) -> bytes:
         """Return the position to write; the recording up to it is written before."""
         self._await(newest)
         point.place = point.place or self._offsets.place_of(point.number)
@@ -474,7 +474,7 @@ class SqlitePersistence:
                 self._on_trouble(None)
 
 
-class _SnapshotRequest:
+class _PendingSnapshot:
     """A pending request for a snapshot."""
 
     def __init__(self) -> None:

@@ -12,8 +12,8 @@ from mapperd.wire.messages import BLOCK_EDGE
 __all__ = [
     "FIRST_SPAN",
     "Chunk",
+    "ChunkSurface",
     "Chunks",
-    "Drawn",
     "Filter",
     "coarser",
     "drawn_of",
@@ -146,7 +146,7 @@ class Filter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
+class ChunkSurface:
     """The visible cells of a chunk.
 
     Attributes:
@@ -171,7 +171,7 @@ class Drawn:
         return len(self.local)
 
 
-def drawn_of(mirror: MapMirror, chunks: Chunks, chunk: Chunk, chosen: Filter) -> Drawn:
+def drawn_of(mirror: MapMirror, chunks: Chunks, chunk: Chunk, chosen: Filter) -> ChunkSurface:
     """Return the cells of a chunk that pass a filter and have a free side."""
     cell_m, edge = mirror.cell_m, chunks.edge
     cells = mirror.cells(
@@ -187,7 +187,7 @@ def drawn_of(mirror: MapMirror, chunks: Chunks, chunk: Chunk, chosen: Filter) ->
     at = np.flatnonzero(inside)
     shown, normals = faces_shown(filled, index[at] + 1)
     at = at[shown]
-    return Drawn(
+    return ChunkSurface(
         np.asarray(chunk) * (edge * cell_m),
         cell_m,
         index[at].astype(np.int16),
@@ -223,12 +223,12 @@ def faces_shown(
     return shown, normals / np.maximum(length, 1)
 
 
-def coarser(drawn: Drawn, factor: int) -> Drawn:
+def coarser(drawn: ChunkSurface, factor: int) -> ChunkSurface:
     """Merge factor**3 cells into one, which has the values of one of them."""
     if factor == 1:
         return drawn
     local, first = np.unique(drawn.local // factor, axis=0, return_index=True)
-    return Drawn(
+    return ChunkSurface(
         drawn.origin_m,
         drawn.cell_m * factor,
         local,
@@ -239,6 +239,6 @@ def coarser(drawn: Drawn, factor: int) -> Drawn:
     )
 
 
-def points_m(drawn: Drawn) -> NDArray[np.float64]:
+def points_m(drawn: ChunkSurface) -> NDArray[np.float64]:
     """Centres of the cells, (N, 3), map frame."""
     return drawn.origin_m + (drawn.local + 0.5) * drawn.cell_m

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.viewer.chunks import Drawn, points_m
+from mapperd.viewer.chunks import ChunkSurface, points_m
 
 __all__ = [
     "MODES",
@@ -77,7 +77,7 @@ class Legend:
     colours: tuple[str, ...]
 
 
-def values_of(drawn: Drawn, mode: Mode, now_ns: int) -> NDArray[np.float64]:
+def values_of(drawn: ChunkSurface, mode: Mode, now_ns: int) -> NDArray[np.float64]:
     """Value of each cell: z in m, probability, age in s, or number of observations."""
     if mode == "height":
         return points_m(drawn)[:, 2]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapperd.client.mirror import MapMirror
-from mapperd.viewer.chunks import Chunk, Chunks, Drawn, Filter, coarser, drawn_of
+from mapperd.viewer.chunks import Chunk, Chunks, ChunkSurface, Filter, coarser, drawn_of
 from mapperd.viewer.colours import Scale, colours_of, linear, shaded, values_of
 from mapperd.viewer.shapes import Nodes, cube
 
@@ -72,7 +72,7 @@ class MapLayer:
         self.sent_bytes = 0
         self._nodes = Nodes()
         self._chunks = Chunks(max_nodes)
-        self._drawn: dict[Chunk, Drawn] = {}
+        self._drawn: dict[Chunk, ChunkSurface] = {}
         self._fine: dict[Chunk, int] = {}
         self._factor: dict[Chunk, int] = {}
         self._many = False
@@ -106,7 +106,7 @@ class MapLayer:
         return sum(map(len, self._drawn.values()))
 
     @property
-    def drawn(self) -> list[Drawn]:
+    def drawn(self) -> list[ChunkSurface]:
         """Chunks that the browser shows."""
         return list(self._drawn.values())
 
@@ -216,7 +216,7 @@ class MapLayer:
             self._cubes = cubes
             self._chunks.touch_all()
 
-    def _show(self, chunk: Chunk, drawn: Drawn, now_ns: int) -> int:
+    def _show(self, chunk: Chunk, drawn: ChunkSurface, now_ns: int) -> int:
         self._chunks.shows(chunk, something=len(drawn) > 0)
         if len(drawn) == 0:
             self._fine.pop(chunk, None)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapperd.viewer.camera import VIEWS, CameraMode
-from mapperd.viewer.chunks import Drawn
+from mapperd.viewer.chunks import ChunkSurface
 
 if TYPE_CHECKING:
     from viser import ClientHandle, GuiTabHandle
@@ -19,7 +19,7 @@ __all__ = ["Measuring", "Tools", "distance_text", "pick"]
 
 
 def pick(
-    drawn: Iterable[Drawn], origin_m: ArrayLike, towards: ArrayLike
+    drawn: Iterable[ChunkSurface], origin_m: ArrayLike, towards: ArrayLike
 ) -> NDArray[np.float64] | None:
     """Return the centre of the first cell that a ray hits, (3,) map frame, or None.
 

@@ -82,7 +82,7 @@ class Discovery:
         listening = _listening_socket(self._host, self._port)
         self._port = listening.getsockname()[1]
         self._closed = loop.create_future()
-        receiver = _Receiver(self._take, self._fail, self._closed)
+        receiver = _DatagramReceiver(self._take, self._fail, self._closed)
         try:
             self._transport, _ = await loop.create_datagram_endpoint(
                 lambda: receiver, sock=listening
@@ -184,7 +184,7 @@ class DiscoveryUpdates:
         self._wake.set()
 
 
-class _Receiver(asyncio.DatagramProtocol):
+class _DatagramReceiver(asyncio.DatagramProtocol):
     """Passes datagrams and errors of the socket on."""
 
     def __init__(
@@ -250,7 +250,7 @@ class AnnouncementSource(Protocol):
 DiscoveryFactory = Callable[[], AbstractAsyncContextManager[AnnouncementSource]]
 
 
-class Search:
+class SonarSearch:
     """Searches for one sonar, in a task.
 
     Args:

@@ -125,7 +125,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever the fields hold
 
 
 @dataclass(slots=True)
-class _Stream:
+class _SonarStream:
     """State of reading one sonar's stream."""
 
     parser: StreamParser = field(default_factory=lambda: StreamParser(confirm=True))
@@ -138,7 +138,7 @@ def describe(recording: Recording) -> RecordingInfo:
     At most a million pings are listed, which takes about 200 MB; everything else is small.
     """
     info = RecordingInfo(recording.format, recording.size_bytes)
-    streams: dict[str, _Stream] = {}
+    streams: dict[str, _SonarStream] = {}
     for chunk in recording:
         _count(info, chunk)
         if chunk.encoding == OCULUS_STATUS:
@@ -167,10 +167,10 @@ def describe(recording: Recording) -> RecordingInfo:
     return info
 
 
-def _stream(streams: dict[str, _Stream], link: str) -> _Stream | None:
+def _stream(streams: dict[str, _SonarStream], link: str) -> _SonarStream | None:
     """Return the stream of a link, None beyond the maximum number of streams."""
     if link not in streams and len(streams) < _MAX_STREAMS:
-        streams[link] = _Stream()
+        streams[link] = _SonarStream()
     return streams.get(link)
 
 
@@ -183,7 +183,7 @@ def _count(info: RecordingInfo, chunk: Chunk) -> None:
         link.bytes += len(chunk.data)
 
 
-def _take(info: RecordingInfo, link: str, stream: _Stream, message: Message) -> None:
+def _take(info: RecordingInfo, link: str, stream: _SonarStream, message: Message) -> None:
     if message.message_id == MessageId.FULL_PING_RESULT:
         full = decode_full_ping(message)
         if isinstance(full, FullPing):
@@ -227,7 +227,7 @@ def _take_status(info: RecordingInfo, data: bytes) -> None:
         info.rejects[status.reason] += 1
 
 
-def _add_up(info: RecordingInfo, stream: _Stream) -> None:
+def _add_up(info: RecordingInfo, stream: _SonarStream) -> None:
     counters, sequence = stream.parser.counters, stream.sequence
     info.messages += counters.messages.total()
     info.messages_by_id += counters.messages

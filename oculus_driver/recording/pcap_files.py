@@ -68,11 +68,11 @@ def read_pcap_packets(file: BinaryIO, size: int, progress: Progress) -> Iterator
     order, unit_ns = PCAP_MAGICS[head[:4]]
     (link_type,) = struct.unpack_from(order + "I", head, _LINK_TYPE_AT)
     # The upper half of the link type describes frame checksums.
-    yield from _Records(file, size, progress, order, unit_ns, link_type & 0xFFFF).read()
+    yield from _PcapRecords(file, size, progress, order, unit_ns, link_type & 0xFFFF).read()
 
 
 @dataclass(slots=True)
-class _Records:
+class _PcapRecords:
     file: BinaryIO
     size: int
     progress: Progress
@@ -178,7 +178,7 @@ _BINARY_RESOLUTION: Final = 0x80
 
 def read_pcapng_packets(file: BinaryIO, size: int, progress: Progress) -> Iterator[Packet]:
     """Yield the packets of a pcapng file of `size` bytes; update `progress`."""
-    return _Blocks(file, size, progress).read()
+    return _PcapngBlocks(file, size, progress).read()
 
 
 class _DamagedBlockError(Exception):
@@ -194,7 +194,7 @@ class _Interface:
 
 
 @dataclass(slots=True)
-class _Blocks:
+class _PcapngBlocks:
     file: BinaryIO
     size: int
     progress: Progress

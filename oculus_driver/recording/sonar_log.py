@@ -73,7 +73,7 @@ class LogPosition(NamedTuple):
     messages: int
 
 
-class _Piece(NamedTuple):
+class _LogPiece(NamedTuple):
     link: str
     data: bytes
     arrival_ns: int
@@ -173,7 +173,7 @@ class SonarLog:
         self._torn = False  # a part of the current message was dropped
         self._gap = False  # so bytes are missing before the next ones
         self._hold = hold
-        self._held: _Piece | None = None
+        self._held: _LogPiece | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -332,7 +332,7 @@ class SonarLog:
         if not data:
             return True
         now_ns = arrival_ns if now_ns is None else now_ns
-        piece = _Piece(link, data, arrival_ns, gap_before)
+        piece = _LogPiece(link, data, arrival_ns, gap_before)
         if self._retry_at_ns is not None and now_ns < self._retry_at_ns:
             return self._defer(piece, self._paused_for)
         try:
@@ -350,7 +350,7 @@ class SonarLog:
         self._sync_if_due(now_ns)
         return True
 
-    def _write(self, piece: _Piece, now_ns: int) -> None:
+    def _write(self, piece: _LogPiece, now_ns: int) -> None:
         writer = self._writer or self._open(now_ns)
         gap = piece.gap_before or (piece.link == _SONAR and self._gap)
         writer.write(self._numbers[piece.link], piece.data, piece.arrival_ns, gap_before=gap)
@@ -360,7 +360,7 @@ class SonarLog:
         self._finish("failure")
         self._pause("disk", str(error), now_ns)
 
-    def _defer(self, piece: _Piece, reason: str) -> bool:
+    def _defer(self, piece: _LogPiece, reason: str) -> bool:
         if not self._hold:
             return self._refuse(piece.link, reason, len(piece.data))
         self._held = piece

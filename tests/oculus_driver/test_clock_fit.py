@@ -15,7 +15,7 @@ from oculus_driver.clock_fit import (
     WINDOW_NS,
     ClockFit,
     _line_below,
-    _Points,
+    _StampPoints,
 )
 
 MS = 1_000_000
@@ -135,8 +135,8 @@ points = st.lists(
 ).map(lambda some: sorted((10**18 + x * BUCKET_NS // 2, y * 1000) for x, y in some))
 
 
-def points_of(some: list[tuple[int, int]]) -> _Points:
-    made = _Points()
+def points_of(some: list[tuple[int, int]]) -> _StampPoints:
+    made = _StampPoints()
     for point in some:
         made.add(point)
     return made
@@ -153,7 +153,7 @@ def points_of(some: list[tuple[int, int]]) -> _Points:
     )
 )
 def test_the_hull_is_the_same_however_the_points_came(steps: list[tuple[str, int, int]]) -> None:
-    carried, plain, x = _Points(), list[tuple[int, int]](), 0
+    carried, plain, x = _StampPoints(), list[tuple[int, int]](), 0
     for step, on, y in steps:
         x += on
         if step == "drop" and len(plain) > 1:

@@ -11,7 +11,7 @@ from mapper_survey.surface import NO_TOP, tops_of
 from mapper_survey.tally import Tally
 from mapper_survey.windows import ColumnWindow, Tiling, WindowedMap
 from mapperd.export.cells import UNKNOWN, Heights, known_cells
-from mapperd.export.geotiff import NO_DATA, Band
+from mapperd.export.geotiff import NO_DATA, RasterBand
 from mapperd.mapping.sonar_map import SonarMap
 
 __all__ = ["BANDS", "MAX_PIXELS", "Coverage", "Pictures", "Raster", "cover"]
@@ -95,8 +95,8 @@ class Raster:
 
 
 BANDS = (
-    Band("dives that have a surface in the cell"),
-    Band("highest less lowest of their surfaces", "m"),
+    RasterBand("dives that have a surface in the cell"),
+    RasterBand("highest less lowest of their surfaces", "m"),
 )
 
 Floats32 = NDArray[np.float32]

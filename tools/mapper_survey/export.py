@@ -16,7 +16,7 @@ from mapper_survey.windows import WINDOW_BRICKS, ColumnWindow, Tiling, WindowedM
 from mapperd.config.tree import Config
 from mapperd.export.cells import Heights
 from mapperd.export.clouds import write_points
-from mapperd.export.geotiff import NO_DATA, Band, GridPlace, write_tiles
+from mapperd.export.geotiff import NO_DATA, GridPlace, RasterBand, write_tiles
 from mapperd.export.las import las_cloud
 from mapperd.geometry.geodesy import Origin, local_projection, utm_zone
 from mapperd.io import atomic_file, make_folder
@@ -272,12 +272,12 @@ class _Export:
             digits = (DEGREE_DIGITS, DEGREE_DIGITS, DEPTH_DIGITS)
             write_points(positions, np.column_stack([longitude, latitude, depth_m]), digits)
 
-    def _bands(self) -> tuple[Band, ...]:
+    def _bands(self) -> tuple[RasterBand, ...]:
         options = self._options
         return (
-            Band(f"depth, positive down, of the {options.rule} voxel of the surface", "m"),
-            Band("uncertainty of the depth, one standard deviation", "m"),
-            Band("pings that observed the cell's best seen voxel"),
+            RasterBand(f"depth, positive down, of the {options.rule} voxel of the surface", "m"),
+            RasterBand("uncertainty of the depth, one standard deviation", "m"),
+            RasterBand("pings that observed the cell's best seen voxel"),
         )
 
 

@@ -17,7 +17,7 @@ from mapper_survey.engine import Engine
 from mapper_survey.errors import SurveyError
 from mapper_survey.fingerprint import digest_of, facts_of, known_map_facts, program_digest
 from mapper_survey.folder import Folder, mark, marked
-from mapper_survey.request import Request, SurveyDive, Transform
+from mapper_survey.request import DiveTransform, Request, SurveyDive
 from mapper_survey.spool import Frame, RowFile, Rows, SpoolMap
 from mapperd.config.tree import Config
 from mapperd.errors import ReplayError
@@ -60,7 +60,7 @@ class PlanTask(Struct, frozen=True):
     name: str
     recording: str
     config: Config
-    transform: Transform | None
+    transform: DiveTransform | None
     folder: str
     fingerprint: str
     odometry: OdometryOptions | None = None

@@ -21,12 +21,12 @@ from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 from mapperd.odometry.odometry_files import OdometryOptions
 
-__all__ = ["Request", "Survey", "SurveyDive", "SurveyOrigin", "Transform", "read_survey"]
+__all__ = ["DiveTransform", "Request", "Survey", "SurveyDive", "SurveyOrigin", "read_survey"]
 
 Metres = Annotated[float, Meta(ge=-1e7, le=1e7)]
 
 
-class Transform(Struct, frozen=True, forbid_unknown_fields=True):
+class DiveTransform(Struct, frozen=True, forbid_unknown_fields=True):
     """Pose of a dive's map frame in the survey's: rotated by yaw, then shifted."""
 
     x: Metres = 0.0
@@ -63,7 +63,7 @@ class SurveyDive(Struct, frozen=True, forbid_unknown_fields=True):
 
     name: Annotated[str, Meta(pattern="^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
     recording: Annotated[str, Meta(min_length=1)]
-    transform: Transform | None = None
+    transform: DiveTransform | None = None
     localization: str | None = None
     odometry: list[Annotated[str, Meta(min_length=1)]] = []
     odometry_offset: Annotated[float, Meta(ge=-1e10, le=1e10)] = 0.0
@@ -201,7 +201,7 @@ def _survey_of(tree: object, path: Path) -> Survey:
 
 
 def _unknown(field: str, place: str) -> str:
-    kinds = {"transform": Transform, "origin": SurveyOrigin, "$": Survey}
+    kinds = {"transform": DiveTransform, "origin": SurveyOrigin, "$": Survey}
     last = place.rpartition(".")[2]
     known = kinds.get(last, SurveyDive).__struct_fields__
     near = difflib.get_close_matches(field, known, n=1)

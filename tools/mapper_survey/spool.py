@@ -15,7 +15,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from mapper_survey.request import Transform
+from mapper_survey.request import DiveTransform
 from mapperd.config.tree import Config
 from mapperd.errors import MapperdError
 from mapperd.geometry.motion import PingMotion
@@ -45,7 +45,7 @@ class Frame:
         transform: transform of the dive; None leaves poses bit-exact.
     """
 
-    def __init__(self, transform: Transform | None) -> None:
+    def __init__(self, transform: DiveTransform | None) -> None:
         self._survey_T_dive = None if transform is None else transform.matrix()
 
     def pose(self, dive_T_sonar: Floats) -> Floats:  # noqa: N803 frames are named

@@ -10,14 +10,14 @@ import pytest
 import rasterio
 from numpy.typing import NDArray
 
-from mapperd.export.geotiff import NO_DATA, Band, GridPlace, write_tiles
+from mapperd.export.geotiff import NO_DATA, GridPlace, RasterBand, write_tiles
 from mapperd.export.las import las_cloud, write_las
 from mapperd.geometry.geodesy import Origin
 from mapperd.mapping.sonar_map import SonarMap, Voxels
 
 KIEL = Origin.of_degrees(54.36, 10.16)
 EDGE = 16
-BANDS = (Band("depth of the shoalest voxel", "m"), Band("pings"))
+BANDS = (RasterBand("depth of the shoalest voxel", "m"), RasterBand("pings"))
 PLACE = GridPlace(west_m=-8.0, north_m=4.0, cell_m=0.5, width=40, height=20)
 
 

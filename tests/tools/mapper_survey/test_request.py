@@ -10,7 +10,7 @@ import pytest
 from mapper_survey.command import main
 from mapper_survey.errors import SurveyError
 from mapper_survey.memory import bytes_of, edge_for, voxel_bytes_of
-from mapper_survey.request import Transform, read_survey
+from mapper_survey.request import DiveTransform, read_survey
 
 from oculus_driver.command_line import ExitCode
 
@@ -115,7 +115,7 @@ def test_a_dive_has_one_place_alone(tmp_path: Path) -> None:
 
 
 def test_a_transform_turns_then_shifts() -> None:
-    matrix = Transform(x=10.0, y=20.0, z=-1.0, yaw_deg=90.0).matrix()
+    matrix = DiveTransform(x=10.0, y=20.0, z=-1.0, yaw_deg=90.0).matrix()
     np.testing.assert_allclose(matrix @ [1.0, 0.0, 2.0, 1.0], [10.0, 21.0, 1.0, 1.0], atol=1e-12)
 
 

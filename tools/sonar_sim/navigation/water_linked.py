@@ -191,7 +191,7 @@ BEAM_AZIMUTHS_RAD = tuple(math.radians(45.0 + 90.0 * beam) for beam in range(4))
 UNKNOWN_FOM_MPS = 10.0
 
 
-class _Words(Protocol):
+class _ReportFormat(Protocol):
     """How reports are written."""
 
     def velocity(self, report: VelocityReport) -> list[bytes]:
@@ -204,7 +204,7 @@ class _Words(Protocol):
 class _Dvl:
     """Makes reports of fixes."""
 
-    def __init__(self, words: _Words) -> None:
+    def __init__(self, words: _ReportFormat) -> None:
         self._words = words
         self._dead_reckoning = RateLimiter(DEAD_RECKONING_S)
         self._last_s: float | None = None

@@ -42,12 +42,12 @@ def add_targets(
     for target in targets:
         position = target.position_at_m(here.time_s)
         for there, back, gain in _ways(here, position):
-            way = _Way(here, there, back, position)
+            way = _TargetPath(here, there, back, position)
             pressure = gain * 10.0 ** (target.target_strength_db / 20.0) * way.factor
             _deposit(cells, way, pressure, sonar, loss=loss, taps=taps, turns_per_m=turns_per_m)
 
 
-class _Way:
+class _TargetPath:
     """Where a target shows by one way, and what the way leaves of its pressure."""
 
     def __init__(
@@ -144,7 +144,7 @@ def _swallowed(here: PingGeometry, position_m: NDArray[np.float64]) -> float:
 
 def _deposit(
     cells: NDArray[np.complex64] | NDArray[np.float32],
-    way: _Way,
+    way: _TargetPath,
     pressure: float,
     sonar: SonarSettings,
     *,

@@ -78,7 +78,7 @@ class Meshes:
     def __init__(self, scene: Scene) -> None:
         still = [i for i, surface in enumerate(scene.surfaces) if surface.motion is None]
         moving = [[i] for i, surface in enumerate(scene.surfaces) if surface.motion is not None]
-        parts = [_Part(scene, members) for members in ([still] if still else []) + moving]
+        parts = [_MeshPart(scene, members) for members in ([still] if still else []) + moving]
         self._sea = scene.sea is not None
         self.groups: list[FrameGroup] = []
         count = 0
@@ -222,7 +222,7 @@ def _run(
     return range_m, face
 
 
-class _Part:
+class _MeshPart:
     """Faces of some surfaces, on their way into the tables."""
 
     def __init__(self, scene: Scene, members: list[int]) -> None:

@@ -124,12 +124,12 @@ def outcomes(
 ) -> Generator[Outcome]:
     """Do jobs in processes, and yield what came of each as it comes."""
     context = multiprocessing.get_context("spawn")
-    waiting, busy = deque(jobs), list[_Worker]()
-    idle = list[_Worker]()
+    waiting, busy = deque(jobs), list[_StudyProcess]()
+    idle = list[_StudyProcess]()
     try:
         while waiting or busy:
             while waiting and len(busy) < workers:
-                worker = idle.pop() if idle else _Worker(context)
+                worker = idle.pop() if idle else _StudyProcess(context)
                 worker.begin(waiting.popleft())
                 busy.append(worker)
             for worker in _ready(busy, longest_s):
@@ -145,7 +145,7 @@ def outcomes(
             worker.end()
 
 
-class _Worker:
+class _StudyProcess:
     """A process and the pipe to it."""
 
     def __init__(self, context: SpawnContext) -> None:
@@ -178,7 +178,7 @@ class _Worker:
         self._process.join()
 
 
-def _ready(busy: list[_Worker], longest_s: float) -> list[_Worker]:
+def _ready(busy: list[_StudyProcess], longest_s: float) -> list[_StudyProcess]:
     """Wait for the workers that have an answer, or are dead, or have had their time."""
     last_s = min(worker.began_s for worker in busy) + longest_s
     answered = wait([worker.pipe for worker in busy], max(0.0, last_s - time.monotonic()))

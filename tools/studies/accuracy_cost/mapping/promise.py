@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from studies.accuracy_cost.mapping.knobs import PUBLISHED, PUBLISHED_FILE, PUBLISHED_SHIPPED
 from studies.accuracy_cost.mapping.measuring import COST, ERROR
 
-__all__ = ["CHEAPER", "MORE_EXACT", "Evidence", "Kept", "evidence", "kept", "sentences"]
+__all__ = ["CHEAPER", "MORE_EXACT", "EvidenceComparison", "Kept", "evidence", "kept", "sentences"]
 
 CHEAPER, MORE_EXACT = 10.0, 2.0
 RAYS = "mapping.integrator=rays"
@@ -51,7 +51,7 @@ class Kept:
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class EvidenceComparison:
     """The same for the evidence of each voxel, on one dive: log-odds beside the converged map's.
 
     Attributes:
@@ -102,11 +102,11 @@ def kept(rows: Rows, published: str = PUBLISHED.key, error: str = ERROR) -> Kept
     )
 
 
-def evidence(rows: Rows) -> Evidence:
+def evidence(rows: Rows) -> EvidenceComparison:
     """Compare the default with sampled sub-rays in log-odds."""
     rays, default = rows[RAYS], rows[""]
     name = "log_odds_error"
-    return Evidence(rays[name], rays[COST], default[name], default[COST])
+    return EvidenceComparison(rays[name], rays[COST], default[name], default[COST])
 
 
 def _at_equal_error(found: Kept) -> str:

@@ -28,7 +28,7 @@ MIN_AMPLITUDE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class OwnPicture:
     """One ping's picture.
 
     Attributes:
@@ -70,7 +70,7 @@ class Ours:
             tracemalloc.stop()
         return (most - before) / 1e6
 
-    def pictures(self) -> list[Seen]:
+    def pictures(self) -> list[OwnPicture]:
         """Of the first ping of each stretch."""
         planner = self._planner()
         return [self._seen(planner, stretch[0]) for stretch in moments_of(self._dive)]
@@ -121,11 +121,11 @@ class Ours:
         planned = planner.at(moment.map_T_sonar, moment.number, moment.time_s, moment.motion)
         return planned.physics
 
-    def _seen(self, planner: Planner, moment: PingInstant) -> Seen:
+    def _seen(self, planner: Planner, moment: PingInstant) -> OwnPicture:
         physics = self._physics(planner, moment)
         picture = expected(self._engine, self.sonar, moment, physics)
         beams = scenario_of(self._dive).sonar.beams
-        return Seen(widened(picture, beams), physics.quantised)
+        return OwnPicture(widened(picture, beams), physics.quantised)
 
     def _made(self, moment: PingInstant, physics: Physics) -> EnginePing:
         return _ping(self._engine, moment, physics)
