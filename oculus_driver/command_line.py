@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-__all__ = ["CommandParser", "ExitCode", "GroupedHelp", "did_you_mean"]
+__all__ = ["CommandParser", "ExitCode", "GroupedHelp", "did_you_mean", "hint_at_name"]
 
 
 class ExitCode(IntEnum):
@@ -35,13 +35,28 @@ class ExitCode(IntEnum):
 
 
 SHELLS = ("bash", "zsh", "tcsh")
+MAX_SHOWN = 3
+"""Commands that are named as having an option."""
+
 UNKNOWN = "unrecognized arguments: "
+
+
+def hint_at_name(name: str, known: Iterable[str], otherwise: str = "") -> str:
+    """Return `did you mean NAME?` for the nearest known name.
+
+    Args:
+        name: was given and is not known.
+        known: all names.
+        otherwise: is returned if none is near.
+    """
+    near = difflib.get_close_matches(name, [one for one in known if one != name], n=1)
+    return f"did you mean {near[0]}?" if near else otherwise
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return `; did you mean NAME?` for the nearest known name, or nothing."""
-    near = difflib.get_close_matches(name, list(known), n=1)
-    return f"; did you mean {near[0]}?" if near else ""
+    hint = hint_at_name(name, known)
+    return f"; {hint}" if hint else ""
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -57,7 +72,7 @@ class CommandParser(argparse.ArgumentParser):
         """Exit with code 2."""
         if message.startswith(UNKNOWN):
             word = message.removeprefix(UNKNOWN).split()[0].partition("=")[0]
-            message += did_you_mean(word, self._options())
+            message += self._hint(word)
         self.exit(ExitCode.USAGE, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
     def add_completion(self, whole: Callable[[], argparse.ArgumentParser] | None = None) -> None:
@@ -91,13 +106,24 @@ class CommandParser(argparse.ArgumentParser):
             formatter.groups = self.groups
         return formatter
 
-    def _options(self) -> set[str]:
-        """Return the options of the command and of its subcommands."""
-        options = set(self._option_string_actions)
+    def _hint(self, word: str) -> str:
+        """Return where an option belongs, else the nearest option, else nothing."""
+        commands = self._options()
+        if word in commands[""]:
+            return f"; it belongs before the command: {self.prog} {word} ..."
+        having = [f"{self.prog} {name}" for name, options in commands.items() if word in options]
+        if having:
+            shown = having if len(having) <= MAX_SHOWN else [*having[:MAX_SHOWN], "other commands"]
+            return f"; it is an option of {', '.join(shown)}"
+        return did_you_mean(word, set().union(*commands.values()))
+
+    def _options(self) -> dict[str, set[str]]:
+        """Return the options of the command, as "", and of its subcommands, by their names."""
+        options = {"": set(self._option_string_actions)}
         for action in self._actions:
             if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001 as above
-                for command in action.choices.values():
-                    options |= set(command._option_string_actions)  # noqa: SLF001 as above
+                for name, command in action.choices.items():
+                    options[name] = set(command._option_string_actions)  # noqa: SLF001 as above
         return options
 
 

@@ -5,7 +5,6 @@ their section: `adaptive_threshold`), so that ranges and defaults stand in one p
 effect takes only the value that describes the behaviour: no setting is silently ignored.
 """
 
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, make_dataclass
@@ -30,6 +29,7 @@ from mapperd.config.tree import (
     TerrainDetectionConfig,
 )
 from mapperd.errors import ConfigError
+from oculus_driver.command_line import hint_at_name
 
 __all__ = ["SonarMapperConfig", "config_from_flat"]
 
@@ -133,8 +133,7 @@ def _check_fixed(key: str, value: object) -> None:
             raise ConfigError(f"{key}: only {only} is allowed: {reason}", key)
         return
     known = [*_PLACES, *_VECTORS, *_ONLY]
-    near = difflib.get_close_matches(str(key), known, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"allowed: {', '.join(known)}"
+    hint = hint_at_name(str(key), known, f"allowed: {', '.join(known)}")
     raise ConfigError(f"{key}: there is no such setting; {hint}", str(key))
 
 

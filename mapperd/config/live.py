@@ -5,7 +5,6 @@ as a whole or not at all, and only if everything that it concerns follows it. Di
 two trees of settings, and settings as plain values, are here too.
 """
 
-import difflib
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from mapperd.config.layers import DEFAULT, Layered
 from mapperd.config.loader import check_value, config_of
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
+from oculus_driver.command_line import did_you_mean
 
 __all__ = [
     "Applied",
@@ -325,8 +325,7 @@ class ConfigStore:
 def _unknown(name: str) -> str:
     if name in IGNORED:
         return f"has no effect: {IGNORED[name]}"
-    near = difflib.get_close_matches(name, parameters(), n=1)
-    return f"there is no such setting{f'; did you mean {near[0]}?' if near else ''}"
+    return f"there is no such setting{did_you_mean(name, parameters())}"
 
 
 def _what(error: ConfigError) -> str:

@@ -1,6 +1,5 @@
 """Read settings from YAML files; reject unknown, duplicate and invalid values."""
 
-import difflib
 import re
 import textwrap
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ from mapperd.config.aliases import tree_renamed, tree_updated
 from mapperd.config.catalog import hint_at, rule_text, section_of
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, os_reason
+from oculus_driver.command_line import hint_at_name
 
 __all__ = [
     "MAX_DEPTH",
@@ -326,8 +326,7 @@ def _fields_at(path: str) -> tuple[str, ...]:
 
 def _unknown_field(field: str, path: str, name: str) -> ConfigError:
     known = _fields_at(path)
-    near = difflib.get_close_matches(field, known, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"allowed: {', '.join(known)}"
+    hint = hint_at_name(field, known, f"allowed: {', '.join(known)}")
     where = f"{path}.{field[:60]}"
     return ConfigError(f"{name}: {where}: there is no such setting; {hint}", where)
 

@@ -1,6 +1,5 @@
 """Reads and checks the request of a survey, `survey.yaml`."""
 
-import difflib
 import math
 import re
 from pathlib import Path
@@ -20,6 +19,7 @@ from mapperd.config.loader import MAX_FILE_BYTES, YamlProblem, parse_yaml
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 from mapperd.odometry.odometry_files import OdometryOptions
+from oculus_driver.command_line import hint_at_name
 
 __all__ = ["DiveTransform", "Request", "Survey", "SurveyDive", "SurveyOrigin", "read_survey"]
 
@@ -204,8 +204,7 @@ def _unknown(field: str, place: str) -> str:
     kinds = {"transform": DiveTransform, "origin": SurveyOrigin, "$": Survey}
     last = place.rpartition(".")[2]
     known = kinds.get(last, SurveyDive).__struct_fields__
-    near = difflib.get_close_matches(field, known, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"allowed: {', '.join(known)}"
+    hint = hint_at_name(field, known, f"allowed: {', '.join(known)}")
     return f"there is no {field[:60]}; {hint}"
 
 
@@ -244,12 +243,8 @@ def _values_of(survey: Survey, path: Path) -> dict[str, object]:
             elif isinstance(value, dict) and any(p.startswith(f"{name}.") for p in parameters()):
                 walk(value, f"{name}.")
             else:
-                near = difflib.get_close_matches(name, list(parameters()), n=1)
-                hint = (
-                    f"did you mean {near[0]}?"
-                    if near
-                    else "docs/reference/configuration.md has them all"
-                )
+                page = "docs/reference/configuration.md has them all"
+                hint = hint_at_name(name, parameters(), page)
                 raise SurveySettingsError(
                     f"{path}: $.settings.{name}: there is no such setting; {hint}"
                 )

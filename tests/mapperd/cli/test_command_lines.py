@@ -50,6 +50,12 @@ def test_every_command_has_a_version(name: str, capsys: pytest.CaptureFixture[st
         ("oculus", ["discver"], "did you mean discover?"),
         ("sonar-sim", ["serv"], "did you mean serve?"),
         ("mapper-survey", ["rn"], "did you mean run?"),
+        (
+            "sonar-sim",
+            ["capture", "tank", "--out", "x", "--duration", "3"],
+            "; it is an option of sonar-sim serve (",
+        ),
+        ("mapperctl", ["reset", "--version"], "; it belongs before the command: mapperctl "),
     ],
 )
 def test_a_typing_error_names_the_nearest(

@@ -1,6 +1,5 @@
 """Read scene files: YAML with places, checked against the schema."""
 
-import difflib
 import math
 import re
 import textwrap
@@ -9,6 +8,7 @@ from pathlib import Path
 import msgspec
 import yaml
 
+from oculus_driver.command_line import did_you_mean
 from sonar_sim.errors import SceneError, SceneMissingError
 from sonar_sim.scene_file import schema
 from sonar_sim.scene_file.schema import Section
@@ -128,8 +128,7 @@ def _explained(message: str, tree: object) -> str:
 
 def _hint(name: str, section: object) -> str:
     names = sorted(FIELD_NAMES - set(section if isinstance(section, dict) else ()))
-    near = difflib.get_close_matches(name, names, n=1)
-    return f"; did you mean {near[0]}?" if near else ""
+    return did_you_mean(name, names)
 
 
 def _at(tree: object, place: str) -> object:
