@@ -124,7 +124,7 @@ def add_sonar_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         nargs="?",
         type=address,
-        help="of the sonar (default: discover it)",
+        help="address of the sonar (default: discover it)",
     )
     add("--serial", metavar="ID", type=count, help="serial number of the sonar to use")
     add("--port", type=port, default=TCP_PORT, help="TCP port (default: %(default)s)")
@@ -132,7 +132,7 @@ def add_sonar_arguments(parser: argparse.ArgumentParser) -> None:
         "--version",
         type=int,
         choices=(1, 2),
-        help="of fire messages (default: 2 with fallback to 1)",
+        help="version of the fire messages (default: 2 with fallback to 1)",
     )
     add_status_arguments(parser)
 
@@ -142,25 +142,52 @@ def add_settings_arguments(parser: argparse.ArgumentParser, *, rate: str = "norm
     group = parser.add_argument_group("settings of the sonar")
     add = group.add_argument
     add(
-        "--mode", type=int, choices=[int(mode) for mode in Mode], default=1, help="1 wide, 2 narrow"
+        "--mode",
+        type=int,
+        choices=[int(mode) for mode in Mode],
+        default=1,
+        help="frequency mode: 1 is wide and looks far, 2 is narrow and sharp",
     )
     add("--rate", choices=RATES, default=rate, help=f"{_RATE_HELP} (default: {rate})")
     reach = group.add_mutually_exclusive_group()
     reach.add_argument(
-        "--range", metavar="M", type=float, dest="range_m", default=10.0, help="metres"
+        "--range",
+        metavar="M",
+        type=float,
+        dest="range_m",
+        default=10.0,
+        help="range of the pings in metres",
     )
     reach.add_argument(
-        "--range-percent", metavar="P", type=float, help="percent of the mode's maximum range"
+        "--range-percent", metavar="P", type=float, help="range in percent of the mode's maximum"
     )
-    add("--gain", metavar="P", type=float, dest="gain_percent", default=50.0, help="percent")
-    add("--gamma", type=int, default=255, help="0 to 255 (default: 255, linear)")
-    add("--speed-of-sound", metavar="MPS", type=float, help="m/s (default: computed by the sonar)")
-    add("--salinity", metavar="PPT", type=float, default=35.0, help="0 fresh water, 35 sea")
+    add(
+        "--gain", metavar="P", type=float, dest="gain_percent", default=50.0, help="gain in percent"
+    )
+    add("--gamma", type=int, default=255, help="display exponent, 0 to 255 (default: 255, linear)")
+    add(
+        "--speed-of-sound",
+        metavar="MPS",
+        type=float,
+        help="speed of sound in m/s (default: computed by the sonar)",
+    )
+    add(
+        "--salinity",
+        metavar="PPT",
+        type=float,
+        default=35.0,
+        help="salinity of the water: 0 fresh water, 35 sea",
+    )
     add("--beams", type=int, choices=(256, 512), default=512)
     add("--bits", type=int, choices=(8, 16, 32), default=8)
     add("--no-gain-words", action="store_true", help="do not request the gain of each row")
     add("--gain-assist", action="store_true", help="let the sonar select the gain")
-    add("--network-limit", metavar="MBPS", type=int, help="Mbit/s (default: link speed)")
+    add(
+        "--network-limit",
+        metavar="MBPS",
+        type=int,
+        help="limit of the data rate in Mbit/s (default: link speed)",
+    )
 
 
 def settings_of(args: argparse.Namespace, *, triggered: bool = False) -> FireSettings:

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         nargs="?",
         type=address,
-        help="of the sonar (default: the first one discovered)",
+        help="address of the sonar (default: the first one discovered)",
     )
     add("--port", type=port, default=TCP_PORT, help="TCP port (default: %(default)s)")
     add(
@@ -42,7 +42,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="duration of each step (default: 4)",
     )
     add("--ping", action="store_true", help="request pings, then standby: only under water")
-    add("--version", type=int, choices=(1, 2), default=2, help="of fire messages (default: 2)")
+    add(
+        "--version",
+        type=int,
+        choices=(1, 2),
+        default=2,
+        help="version of the fire messages (default: 2)",
+    )
     add_status_arguments(parser)
 
 

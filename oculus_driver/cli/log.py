@@ -48,9 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         type=Path,
         default=Path("sonar-log"),
-        help="folder (default: %(default)s)",
+        help="folder of the files (default: %(default)s)",
     )
-    add("--prefix", default="sonar", help="of the file names (default: %(default)s)")
+    add("--prefix", default="sonar", help="prefix of the file names (default: %(default)s)")
     add("--duration", metavar="S", type=positive, help="stop after S seconds")
     add(
         "--every",

@@ -52,7 +52,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--every", metavar="N", type=count, default=1, help="draw every Nth ping")
     add("--limit", metavar="N", type=count, help="draw at most N pings")
     add("--ping", metavar="ID", type=non_negative_int, help="only pings with this id")
-    add("--height", metavar="PX", type=count, default=900, help="of the image (default: 900)")
+    add(
+        "--height",
+        metavar="PX",
+        type=count,
+        default=900,
+        help="height of the image in pixels (default: 900)",
+    )
     add("--colours", choices=("inferno", "viridis", "grey"), default="inferno")
     add("--gamma", type=positive, default=0.7, help="display exponent (default: %(default)s)")
     add("--keep-gains", action="store_true", help="do not divide by the rows' gain words")

@@ -392,20 +392,35 @@ def pose_from_args(args: argparse.Namespace) -> dict[str, Any] | None:
 
 def _add_pose(command: argparse.ArgumentParser, nargs: Literal["?"] | None = None) -> None:
     add = command.add_argument
-    add("x", metavar="X", type=_coordinate, help="m, map frame", nargs=nargs)
-    add("y", metavar="Y", type=_coordinate, help="m", nargs=nargs)
+    add("x", metavar="X", type=_coordinate, help="x in the map frame, m", nargs=nargs)
+    add("y", metavar="Y", type=_coordinate, help="y in the map frame, m", nargs=nargs)
     about = "heading, counter-clockwise from x"
     add("yaw_deg", metavar="YAW_DEG", type=_degrees, help=about, nargs=nargs)
-    add("--std-xy", metavar="M", type=_deviation_m, help=f"default: {STD_XY_M:g} m")
+    add(
+        "--std-xy",
+        metavar="M",
+        type=_deviation_m,
+        help=f"standard deviation of x and y; default: {STD_XY_M:g} m",
+    )
     default_deg = math.degrees(STD_YAW_RAD)
-    add("--std-yaw-deg", metavar="DEG", type=_deviation_deg, help=f"default: {default_deg:g} deg")
+    add(
+        "--std-yaw-deg",
+        metavar="DEG",
+        type=_deviation_deg,
+        help=f"that of the heading; default: {default_deg:g} deg",
+    )
     add(
         "--covariance",
         metavar="XX,XY,XA,YY,YA,AA",
         type=_covariance,
-        help="instead of the standard deviations, in m2, m rad and rad2",
+        help="covariance in place of the standard deviations, in m2, m rad and rad2",
     )
-    add("--frame", metavar="NAME", default="", help="default: amcl.global_frame_id")
+    add(
+        "--frame",
+        metavar="NAME",
+        default="",
+        help="frame of the pose; default: amcl.global_frame_id",
+    )
 
 
 def _coordinate(text: str) -> float:

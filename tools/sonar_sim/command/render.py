@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--camera", metavar="WxH", type=size, help="pixels of the depth and normal images")
     add("--height", metavar="PX", type=count, help="height of the fan picture (default: 900)")
     add("--scan-rows", metavar="N", type=count, default=400, help="rows of the raw scan")
-    add("--colours", choices=tuple(COLOURS), help="of the fan picture (default: inferno)")
+    add("--colours", choices=tuple(COLOURS), help="colours of the fan picture (default: inferno)")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -76,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--ends",
         choices=ROUTE_ENDS,
         default="back",
-        help="at the end of the path (default: %(default)s)",
+        help="what happens at the end of the path (default: %(default)s)",
     )
     add("--duration", metavar="S", type=positive, help="stop after S seconds")
     add("--seed", type=seed, default=0, help="seed of all random numbers")
