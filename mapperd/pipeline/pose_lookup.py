@@ -208,7 +208,7 @@ class FixedPose:
 
     def restore(self, state: PoseLookupState) -> None:
         """As `PoseLookup.restore`."""
-        if state.fixed is None:
+        if state.fixed is None or state.odometry is not None:
             raise ValueError("a fixed pose was expected")
         self.pose = Pose(*state.fixed)
         self._pose = fixed_pose(self.pose)
@@ -287,7 +287,7 @@ class OdometryPoses:
 
     def restore(self, state: PoseLookupState) -> None:
         """As `PoseLookup.restore`."""
-        if state.odometry is None:
+        if state.odometry is None or state.fixed is not None or state.ignored:
             raise ValueError("odometry was expected")
         self.odometry.restore(state.odometry)
         self._pings = deque((_ping_of(values), t_ns) for values, t_ns in state.pings)
