@@ -101,7 +101,7 @@ class Served:
 
     daemon: FakeDaemon
     server: StreamServer
-    doors: dict[str, Listener]
+    listeners: dict[str, Listener]
     trusted: ssl.SSLContext | None = None
 
     @property
@@ -110,10 +110,10 @@ class Served:
 
     async def raw(self, kind: str) -> "Line":
         """Connect without sending hello."""
-        door = self.doors[kind]
-        at = door.socket.getsockname()
-        if door.socket.family == socket.AF_UNIX:
-            streams = await asyncio.open_unix_connection(door.name.removeprefix("unix "))
+        listener = self.listeners[kind]
+        at = listener.socket.getsockname()
+        if listener.socket.family == socket.AF_UNIX:
+            streams = await asyncio.open_unix_connection(listener.name.removeprefix("unix "))
         elif kind == "tls":
             streams = await asyncio.open_connection(
                 at[0], at[1], ssl=self.trusted, server_hostname="localhost"
@@ -252,17 +252,17 @@ async def served(
     tls: tuple[ssl.SSLContext, ssl.SSLContext] | None = None,
 ) -> AsyncIterator[Served]:
     daemon = FakeDaemon()
-    doors = {"unix": open_unix_listener(folder / "mapperd.sock", 0o660)}
+    listeners = {"unix": open_unix_listener(folder / "mapperd.sock", 0o660)}
     if "tcp" in kinds:
-        doors["tcp"] = open_tcp_listener("127.0.0.1:0", TOKEN, None)
+        listeners["tcp"] = open_tcp_listener("127.0.0.1:0", TOKEN, None)
     if "open" in kinds:
-        doors["open"] = open_tcp_listener("127.0.0.1:0", None, None)
+        listeners["open"] = open_tcp_listener("127.0.0.1:0", None, None)
     if tls is not None:
-        doors["tls"] = open_tcp_listener("127.0.0.1:0", TOKEN, tls[0])
+        listeners["tls"] = open_tcp_listener("127.0.0.1:0", TOKEN, tls[0])
     feed = StateFeed(daemon, lambda: None, 1000)
-    server = StreamServer(daemon, list(doors.values()), feed, EmptySource(), limits=limits)
+    server = StreamServer(daemon, list(listeners.values()), feed, EmptySource(), limits=limits)
     async with server:
-        yield Served(daemon, server, doors, tls[1] if tls else None)
+        yield Served(daemon, server, listeners, tls[1] if tls else None)
 
 
 def descriptors() -> int:

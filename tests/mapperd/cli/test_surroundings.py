@@ -1,7 +1,6 @@
 """`mapperd` without settings lists what it hears, sends nothing and states how to start."""
 
 import asyncio
-import contextlib
 import socket
 from pathlib import Path
 
@@ -11,19 +10,9 @@ from mapperd.cli.mapperd import main
 from mapperd.cli.surroundings import listen, odometry_lines, sonar_lines
 from oculus_driver.command_line import ExitCode
 from oculus_driver.encode import encode_status
+from tests.support.process import free_ports
 
 MAVLINK = b"\xfd" + bytes(20)
-
-
-def free_ports(count: int) -> list[int]:
-    with contextlib.ExitStack() as stack:
-        sockets = [
-            stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            for _ in range(count)
-        ]
-        for one in sockets:
-            one.bind(("127.0.0.1", 0))
-        return [one.getsockname()[1] for one in sockets]
 
 
 async def heard(status_port: int, ports: list[int], sent: dict[int, bytes]) -> list[str]:
@@ -38,7 +27,7 @@ async def heard(status_port: int, ports: list[int], sent: dict[int, bytes]) -> l
 
 @pytest.mark.slow
 def test_sonars_and_odometry_are_listed() -> None:
-    status, autopilot, boat, program = ports = free_ports(4)
+    status, autopilot, boat, program = ports = free_ports(*[socket.SOCK_DGRAM] * 4)
     datagram = encode_status(device_id=4711, address="192.168.2.3", client_address="192.168.2.9")
     sent = {status: datagram, autopilot: MAVLINK, boat: b"$GPGGA,1", program: b"{}"}
     lines = asyncio.run(heard(status, ports[1:], sent))
@@ -54,7 +43,7 @@ def test_sonars_and_odometry_are_listed() -> None:
 
 @pytest.mark.slow
 def test_silence_and_a_port_in_use_are_named() -> None:
-    status, quiet = free_ports(2)
+    status, quiet = free_ports(socket.SOCK_DGRAM, socket.SOCK_DGRAM)
     lines = asyncio.run(heard(status, [quiet], {}))
     assert lines[0].startswith(f"no sonar: no status received on UDP port {status}")
     assert lines[1:] == [f"no odometry on the UDP ports {quiet}"]

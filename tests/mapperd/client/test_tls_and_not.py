@@ -15,7 +15,7 @@ pytestmark = pytest.mark.net
 
 
 @pytest.mark.parametrize(
-    ("door", "speaks_tls", "hint"),
+    ("listener", "speaks_tls", "hint"),
     [
         ("open", True, "TLS"),
         ("tls", False, "TLS"),
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.net
 def test_the_wrong_door_is_reported(
     short: Path,
     tls: tuple[ssl.SSLContext, ssl.SSLContext],
-    door: str,
+    listener: str,
     speaks_tls: bool,  # noqa: FBT001 of a parameter set
     hint: str,
 ) -> None:
@@ -32,7 +32,7 @@ def test_the_wrong_door_is_reported(
 
     async def work() -> None:
         async with bed_of(short, tls[0], Limits(hello_s=0.2)) as bed:
-            host, port = bed.doors[door].socket.getsockname()
+            host, port = bed.listeners[listener].socket.getsockname()
             trusted = tls[1] if speaks_tls else None
             async with MapClient(f"{host}:{port}", tls=trusted) as client:
                 async for change in client.changes():
@@ -49,7 +49,7 @@ def test_the_wrong_door_is_reported(
 def test_no_hint_where_the_daemon_reported_something(short: Path) -> None:
     async def work() -> None:
         async with bed_of(short) as bed:
-            host, port = bed.doors["open"].socket.getsockname()
+            host, port = bed.listeners["open"].socket.getsockname()
             async with MapClient(f"{host}:{port}") as client:
                 await until(client, "connected")
                 (connection,) = bed.server._clients

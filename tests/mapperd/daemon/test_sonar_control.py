@@ -130,8 +130,8 @@ def test_a_range_beyond_the_model_is_refused_once_the_model_is_known(
 def test_a_range_of_the_start_that_the_model_limits_is_an_event(ping_bytes: MakeBytes) -> None:
     async def work(bench: Bench, _: PlaybackSonar) -> None:
         event = await bench.event("sonar_limited")
-        text = "device.range: a range of 200 m: M750d reaches 120 m in mode 1; the sonar gets that"
-        assert event.text == text
+        for part in ("device.range", "200 m", "M750d", "120 m"):
+            assert part in event.text
         assert bench.live.control.status()["requested"]["range_m"] == 120.0
 
     session(ping_bytes, "range: 200", work)
@@ -143,7 +143,7 @@ def test_standby_keeps_the_connection(ping_bytes: MakeBytes) -> None:
         await asyncio.sleep(0.2)
         bench.change("standby: true")
         event = await bench.event("sonar_settings")
-        assert event.text == "sonar settings are in force: the sonar reports standby"
+        assert "standby" in event.text
         assert sonar.device.request is not None
         assert sonar.device.request.standby
         assert bench.live.link.state == "standby"

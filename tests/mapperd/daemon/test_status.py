@@ -15,7 +15,8 @@ def snapshot(*, refused: int = 0, late: bool = False) -> Any:
 
 
 def test_refused_pings_are_reported_with_their_reason_and_not_one_by_one() -> None:
-    counters = PipelineCounters(first_drop={"fan_too_large": "a swath of 90 m holds 2e+09 voxels"})
+    reason = "a swath of 90 m holds 2e+09 voxels"
+    counters = PipelineCounters(first_drop={"fan_too_large": reason})
     live: Any = SimpleNamespace(counters=counters)
     events = EventLog(lambda: 0)
     watch = Watch(events, live)
@@ -23,6 +24,6 @@ def test_refused_pings_are_reported_with_their_reason_and_not_one_by_one() -> No
         watch.update(snapshot(refused=refused))
     reported = events.since(0)[0]
     assert {one.code for one in reported} == {"pings_refused"}
-    assert reported[0].text == "pings are refused: a swath of 90 m holds 2e+09 voxels"
+    assert reason in reported[0].text
     assert [one.facts["pings"] for one in reported][:3] == [1, 3, 7]
     assert len(reported) < 12

@@ -31,7 +31,7 @@ from tests.support.peers.autopilot import Autopilot
 from tests.support.peers.dvl import Dvl
 from tests.support.peers.nmea_talker import NmeaTalker
 from tests.support.peers.serial_pty import SerialPty
-from tests.support.process import free_port
+from tests.support.process import free_port, free_tcp_port
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.net
@@ -204,7 +204,7 @@ def check_dvl(bench: Bench, before_m: float, seconds: float) -> float:
 
 
 def test_dvl_over_tcp_is_reset_and_comes_back() -> None:
-    port = free_port(socket.SOCK_STREAM)
+    port = free_tcp_port()
     bench = Bench("water_linked_json", f"tcp://127.0.0.1:{port}")
 
     async def work() -> None:
@@ -268,7 +268,7 @@ def test_dvl_on_a_serial_line_is_unplugged_and_comes_back(
 
 
 def test_nmea_talker_over_tcp_is_cut_and_comes_back() -> None:
-    port = free_port(socket.SOCK_STREAM)
+    port = free_tcp_port()
     bench = Bench("nmea", f"tcp://127.0.0.1:{port}")
     talker = NmeaTalker()
     minute_m = 1856.94  # one minute of latitude at 60° north, WGS-84

@@ -28,7 +28,7 @@ class Recorded:
         return self.newest
 
 
-def inlet_with(max_bytes: int) -> tuple[Ingest, Recorded, ChunkQueue]:
+def ingest_with(max_bytes: int) -> tuple[Ingest, Recorded, ChunkQueue]:
     recorded, queue = Recorded(), ChunkQueue(max_bytes)
     recorder: Any = recorded
     return Ingest(recorder, queue, {"vehicle": "odometry-native"}, lambda: T0), recorded, queue
@@ -43,52 +43,52 @@ def framing_of(begin: int = 0) -> Framing:
 
 
 def test_recorder_and_mapper_get_the_same_in_one_order() -> None:
-    inlet, recorded, queue = inlet_with(1 << 20)
-    inlet.receive(SONAR, b"a", 1, gap=False)
-    inlet.order(Reset(1))
-    inlet.receive("vehicle", b"b", 2, gap=True)
+    ingest, recorded, queue = ingest_with(1 << 20)
+    ingest.receive(SONAR, b"a", 1, gap=False)
+    ingest.order(Reset(1))
+    ingest.receive("vehicle", b"b", 2, gap=True)
     assert recorded.seen == [b"a", Reset(1), Gap("vehicle"), b"b"]
     assert recorded.gaps == [False, False, False, True]
     assert taken(queue) == recorded.seen
 
 
 def test_the_recorder_gets_the_message_boundaries() -> None:
-    inlet, recorded, _ = inlet_with(1024)
+    ingest, recorded, _ = ingest_with(1024)
     for data in (b"a" * 600, b"b" * 600):  # the second has no room in the queue
-        inlet.receive(SONAR, data, 1, framing_of(), gap=False)
+        ingest.receive(SONAR, data, 1, framing_of(), gap=False)
     assert recorded.bounds == [MessageBounds(0, 400), None, MessageBounds(0, 400)]
 
 
 def test_remark_is_for_the_recorder_alone() -> None:
-    inlet, recorded, queue = inlet_with(1 << 20)
-    inlet.remark(Drop(3))
+    ingest, recorded, queue = ingest_with(1 << 20)
+    ingest.remark(Drop(3))
     assert (recorded.seen, taken(queue)) == ([Drop(3)], [])
 
 
 def test_empty_bytes_are_nothing_but_their_gap_counts() -> None:
-    inlet, recorded, queue = inlet_with(1 << 20)
-    inlet.receive(SONAR, b"", 1, gap=True)
+    ingest, recorded, queue = ingest_with(1 << 20)
+    ingest.receive(SONAR, b"", 1, gap=True)
     assert recorded.seen == taken(queue) == [Gap(SONAR)]
 
 
 def test_what_has_no_room_is_recorded_with_a_note_before_it() -> None:
-    inlet, recorded, queue = inlet_with(1024)
+    ingest, recorded, queue = ingest_with(1024)
     for data in (b"a" * 600, b"b" * 600, b"c" * 700):
-        inlet.receive(SONAR, data, 1, gap=False)
+        ingest.receive(SONAR, data, 1, gap=False)
     skips = [Skip(SONAR, 600), Skip(SONAR, 700)]
     assert recorded.seen == [b"a" * 600, skips[0], b"b" * 600, skips[1], b"c" * 700]
     assert (queue.chunks_refused, queue.bytes_refused) == (2, 1300)
     assert taken(queue) == [b"a" * 600]
-    inlet.receive("vehicle", b"d", 2, gap=False)
+    ingest.receive("vehicle", b"d", 2, gap=False)
     assert taken(queue) == [Skip(SONAR, 1300), b"d"]  # in one, however many there were
     assert recorded.seen[5:] == [b"d"]
 
 
 def test_order_comes_through_a_full_queue() -> None:
-    inlet, _, queue = inlet_with(512)
-    inlet.receive(SONAR, b"a", 1, gap=False)
-    inlet.receive(SONAR, b"b", 1, gap=False)
-    inlet.order(Reset(1))
+    ingest, _, queue = ingest_with(512)
+    ingest.receive(SONAR, b"a", 1, gap=False)
+    ingest.receive(SONAR, b"b", 1, gap=False)
+    ingest.order(Reset(1))
     assert taken(queue) == [b"a", Skip(SONAR, 1), Reset(1)]
 
 
@@ -112,10 +112,10 @@ def test_reader_that_waits_is_woken() -> None:
 
 
 def test_the_mapper_gets_the_drivers_messages_unless_much_waits() -> None:
-    inlet, _, queue = inlet_with(4 * MAX_FRAMED_BYTES)
+    ingest, _, queue = ingest_with(4 * MAX_FRAMED_BYTES)
     data = bytes(MAX_FRAMED_BYTES // 2 + 1)
     for k in range(3):
-        inlet.receive(SONAR, data, k, framing_of(k), gap=False)
+        ingest.receive(SONAR, data, k, framing_of(k), gap=False)
     assert [one.framing for one in queue.take(0) or []] == [framing_of(0), framing_of(1), None]
-    inlet.receive(SONAR, data, 3, framing_of(3), gap=False)
+    ingest.receive(SONAR, data, 3, framing_of(3), gap=False)
     assert [one.framing for one in queue.take(0) or []] == [framing_of(3)]

@@ -19,8 +19,8 @@ class Mark:
     is_limit: bool
 
 
-LEAST_ON_ITS_WAY = 3_000
-"""Of a calm TCP."""
+MIN_IN_FLIGHT_BYTES = 3_000
+"""Bytes that a calm TCP sends without an acknowledgement."""
 
 
 @dataclass
@@ -32,7 +32,7 @@ class Link:
         there_s, back_s: of the wire alone.
         stalled: whether nothing comes out at a time, and then all at once what was held: as after
             a packet that is lost and sent again. Packets behind it arrive, and are not given out.
-        calm: TCP has no more on its way than twice what the wire holds, as BBR; otherwise all that
+        calm: TCP has at most twice in flight what the wire holds, as BBR; otherwise all that
             it is given, which waits at the narrowest place.
 
     Rates and round trips are those that Linux reports: the last rate that is not limited by what
@@ -78,7 +78,7 @@ class Link:
     def step(self) -> None:
         """A little time passes."""
         self.now_s += STEP_S
-        self._put_on_its_way()
+        self._put_in_flight()
         left = self.rate(self.now_s) * STEP_S
         while self._queue and left > 0:
             head, mark = self._queue[0]
@@ -98,11 +98,11 @@ class Link:
         while self._acks and self._acks[0][0] <= self.now_s:
             assert self.pacer.note_ack(self._acks.popleft()[1], self.now_s)
 
-    def _put_on_its_way(self) -> None:
+    def _put_in_flight(self) -> None:
         wire = self.rate(self.now_s) * (self.there_s + self.back_s)
         while self._unsent:
-            on_its_way = sum(head[0] for head, _ in self._queue) + wire * bool(self._queue)
-            if self.calm and on_its_way > max(2 * wire, LEAST_ON_ITS_WAY):
+            in_flight = sum(head[0] for head, _ in self._queue) + wire * bool(self._queue)
+            if self.calm and in_flight > max(2 * wire, MIN_IN_FLIGHT_BYTES):
                 return
             size, given_s = self._unsent.popleft()
             is_limit = self.calm and bool(self._unsent)
@@ -132,13 +132,13 @@ class Link:
         while len(self._trips) > 1 and self._trips[0][0] < self.now_s - (10 if self.calm else 300):
             self._trips.popleft()
         best = max((rate for _, rate in self._best), default=0.0)
-        on_its_way = sum(head[0] for head, _ in self._queue)
-        on_its_way += sum(size for at_s, size, _ in self._wire if at_s > self.now_s)
+        in_flight = sum(head[0] for head, _ in self._queue)
+        in_flight += sum(size for at_s, size, _ in self._wire if at_s > self.now_s)
         self.pacer.note_link(
             self.unsent,
             min(trip for _, trip in self._trips),
             self._round_trip_s,
-            int(on_its_way) + int(self.tcp_rate * self.back_s),
+            int(in_flight) + int(self.tcp_rate * self.back_s),
             best if self.calm else self.tcp_rate,
         )
 

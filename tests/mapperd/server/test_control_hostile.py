@@ -85,7 +85,7 @@ def test_silent_connection_is_cut_before_it_is_a_client(
     short: Path, tls: Contexts, kind: str
 ) -> None:
     async def work(one: Served) -> None:
-        at = one.doors[kind].socket.getsockname()
+        at = one.listeners[kind].socket.getsockname()
         silent = Line(*await asyncio.open_connection(at[0], at[1]))  # no TLS handshake either
         assert await silent.is_cut()
         await until(lambda: one.server.status()["newcomers"] == 0)
@@ -187,7 +187,7 @@ def test_flood_of_connections_does_not_keep_others_out(
     short: Path, tls: Contexts, kind: str
 ) -> None:
     async def work(one: Served) -> None:
-        at = one.doors[kind].socket.getsockname()
+        at = one.listeners[kind].socket.getsockname()
         before = descriptors()
         silent = [Line(*await asyncio.open_connection(at[0], at[1])) for _ in range(100)]
         await until(lambda: one.counters["accepted"] == 100)
@@ -205,7 +205,7 @@ def test_flood_of_connections_does_not_keep_others_out(
 
 def test_flood_of_connections_leaves_the_loop_to_others(short: Path) -> None:
     async def work(one: Served) -> None:
-        at = one.doors["tcp"].socket.getsockname()
+        at = one.listeners["tcp"].socket.getsockname()
         silent = [Line(*await asyncio.open_connection(at[0], at[1])) for _ in range(40)]
         async with await one.line("unix") as good:
             assert "result" in await good.ask("status")

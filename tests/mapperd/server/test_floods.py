@@ -16,9 +16,9 @@ from tests.mapperd.server.watched import bed_of
 from tests.support.waiting import run
 
 
-@pytest.mark.parametrize("door", ["unix", "tls"])
+@pytest.mark.parametrize("listener", ["unix", "tls"])
 def test_many_messages_are_heard_in_many_turns(
-    short: Path, tls: tuple[object, object], door: str, monkeypatch: pytest.MonkeyPatch
+    short: Path, tls: tuple[object, object], listener: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     taken: list[int] = []
     take = ClientSession.take
@@ -29,8 +29,8 @@ def test_many_messages_are_heard_in_many_turns(
 
     async def work() -> None:
         async with bed_of(short, tls[0]) as bed:  # type: ignore[arg-type]
-            watcher = await bed.watcher(door, tls[1] if door == "tls" else None)  # type: ignore[arg-type]
-            await watcher.hello(b"correct-horse-battery-staple" if door == "tls" else None)
+            watcher = await bed.watcher(listener, tls[1] if listener == "tls" else None)  # type: ignore[arg-type]
+            await watcher.hello(b"correct-horse-battery-staple" if listener == "tls" else None)
             monkeypatch.setattr(ClientSession, "take", noted)
             output = 10_000 * framed(ChangeMessage()) + framed(ChangeMessage(bytes_per_s=77_777))
             watcher.writer.write(output)

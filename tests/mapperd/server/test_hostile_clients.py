@@ -184,7 +184,7 @@ def test_newcomers_do_not_crowd_each_other_out_for_long(short: Path) -> None:
 def test_no_hello_in_tls_costs_nothing(short: Path, tls: tuple[object, object]) -> None:
     async def work() -> None:
         async with bed_of(short, tls[0], limits=Limits(hello_s=0.2)) as bed:  # type: ignore[arg-type]
-            address = bed.doors["tls"].socket.getsockname()
+            address = bed.listeners["tls"].socket.getsockname()
             reader, writer = await asyncio.open_connection(*address)
             writer.write(HELLO)
             assert await reader.read() is not None

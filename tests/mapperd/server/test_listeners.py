@@ -27,13 +27,13 @@ pytestmark = pytest.mark.net
 def test_socket_has_its_permissions_whatever_the_umask(short: Path, mode: int) -> None:
     before = os.umask(0)
     try:
-        door = open_unix_listener(short / "sock", mode)
+        listener = open_unix_listener(short / "sock", mode)
         assert os.umask(0) == 0
     finally:
         os.umask(before)
     assert stat.S_IMODE((short / "sock").stat().st_mode) == mode
     assert is_listening(short / "sock")
-    door.close()
+    listener.close()
     assert [path.name for path in short.iterdir()] == [".sock.lock"]
 
 
@@ -47,17 +47,17 @@ def test_socket_of_a_dead_process_is_replaced(short: Path) -> None:
     subprocess.run([sys.executable, "-c", code, path], check=False, timeout=60)  # noqa: S603
     assert path.is_socket()
     assert not is_listening(path)
-    door = open_unix_listener(path, 0o600)
+    listener = open_unix_listener(path, 0o600)
     assert is_listening(path)
-    door.close()
+    listener.close()
 
 
 def test_living_daemon_keeps_its_socket(short: Path) -> None:
-    door = open_unix_listener(short / "sock", 0o600)
+    listener = open_unix_listener(short / "sock", 0o600)
     with pytest.raises(LiveError, match="another process listens there"):
         open_unix_listener(short / "sock", 0o600)
     assert is_listening(short / "sock")
-    door.close()
+    listener.close()
 
 
 def test_another_program_keeps_its_socket_even_without_a_lock(short: Path) -> None:
@@ -95,11 +95,11 @@ def test_what_is_no_socket_is_left_alone(short: Path, kind: str) -> None:
 
 def test_socket_that_was_replaced_is_not_removed(short: Path) -> None:
     path = short / "sock"
-    door = open_unix_listener(path, 0o600)
+    listener = open_unix_listener(path, 0o600)
     path.unlink()
     (short / ".sock.lock").unlink()
     other = open_unix_listener(path, 0o600)
-    door.close()
+    listener.close()
     assert is_listening(path)
     other.close()
 
@@ -112,12 +112,12 @@ def test_socket_that_cannot_be_is_one_line(path: str) -> None:
 
 
 def test_address_in_use_is_one_line() -> None:
-    door = open_tcp_listener("127.0.0.1:0", TOKEN, None)
-    port = door.socket.getsockname()[1]
-    assert door.name == f"tcp 127.0.0.1:{port}"
+    listener = open_tcp_listener("127.0.0.1:0", TOKEN, None)
+    port = listener.socket.getsockname()[1]
+    assert listener.name == f"tcp 127.0.0.1:{port}"
     with pytest.raises(LiveError, match="in use"):
         open_tcp_listener(f"127.0.0.1:{port}", TOKEN, None)
-    door.close()
+    listener.close()
 
 
 @pytest.mark.parametrize(
@@ -193,9 +193,9 @@ def test_place_of_the_socket() -> None:
 class TestSetup:
     def test_loopback_alone_without_a_word(self, short: Path) -> None:
         events = EventLog(lambda: 0)
-        (door,) = open_listeners(Config(), events, {"XDG_RUNTIME_DIR": str(short)})
-        assert door.name == f"unix {short}/mapperd.sock"
-        door.close()
+        (listener,) = open_listeners(Config(), events, {"XDG_RUNTIME_DIR": str(short)})
+        assert listener.name == f"unix {short}/mapperd.sock"
+        listener.close()
         assert events.last == 0
 
     @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])  # noqa: S104 a port of its own
@@ -205,9 +205,9 @@ class TestSetup:
         server = ServerConfig(address=f"{host}:0", token_file=f"{short}/token", mode="600")
         events = EventLog(lambda: 0)
         environ = {"XDG_RUNTIME_DIR": str(short)}
-        for door in open_listeners(Config(server=server), events, environ):
-            assert (door.token is None) == door.name.startswith("unix")
-            door.close()
+        for listener in open_listeners(Config(server=server), events, environ):
+            assert (listener.token is None) == listener.name.startswith("unix")
+            listener.close()
         sent = [(event.severity, event.code) for event in events.since(0)[0]]
         in_clear = [(Severity.WARNING, "server_in_clear")]
         assert sent == ([] if host == "127.0.0.1" else in_clear)

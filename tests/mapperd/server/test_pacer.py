@@ -13,7 +13,7 @@ from mapperd.server.pacer import (
     UNSENT_S,
     Pacer,
 )
-from tests.mapperd.server.shaped import LEAST_ON_ITS_WAY, Link
+from tests.mapperd.server.shaped import MIN_IN_FLIGHT_BYTES, Link
 
 CALM = pytest.mark.parametrize("calm", [True, False])
 
@@ -26,7 +26,7 @@ def most_waiting_s(rate: float, round_trip_s: float, piece: int, *, calm: bool) 
     """
     unsent_s = max(UNSENT_S, MIN_UNSENT / rate)
     if calm:
-        return unsent_s + max(round_trip_s, LEAST_ON_ITS_WAY / rate) + 2 * piece / rate
+        return unsent_s + max(round_trip_s, MIN_IN_FLIGHT_BYTES / rate) + 2 * piece / rate
     return max(2 * QUEUE_S, MIN_WINDOW / rate) + 2 * piece / rate
 
 

@@ -31,7 +31,7 @@ from mapperd.wire.messages import (
     StatusMessage,
     WelcomeMessage,
 )
-from tests.mapperd.server.shaped import LEAST_ON_ITS_WAY, STEP_S, Link
+from tests.mapperd.server.shaped import MIN_IN_FLIGHT_BYTES, STEP_S, Link
 
 MAP_INFO = MapInfo("m1", 0.1, 0.25, 0.8, 0.0)
 TICK_S = 0.05
@@ -167,7 +167,7 @@ def test_a_slow_link_has_fresh_poses_and_skips_the_others() -> None:
     reported = SentState(6_000, wants=["pose"])
     reported.tick(1200, poses=True)
     # The wire, what is not sent yet, and a calm TCP's last packets; more until the rate is known.
-    wire_s = 0.1 + TICK_S + (LEAST_ON_ITS_WAY + 500) / 6_000
+    wire_s = 0.1 + TICK_S + (MIN_IN_FLIGHT_BYTES + 500) / 6_000
     assert max(reported.late_s()) < wire_s + UNSENT_S * FIRST_RATE / 6_000
     assert max(reported.late_s()[50:]) < wire_s + MIN_UNSENT / 6_000
     assert len(reported.late_s()) > 60

@@ -37,12 +37,12 @@ MakeBytes = Callable[..., bytes]
 
 
 def doors_of(text: str, environ: dict[str, str]) -> tuple[list[str], list[str]]:
-    """Names of the doors, and codes of events."""
+    """Names of the listeners, and codes of events."""
     events = EventLog(lambda: 1)
-    doors = open_listeners(config_from_text(text), events, environ)
-    names = [door.name for door in doors]
-    for door in doors:
-        door.close()
+    listeners = open_listeners(config_from_text(text), events, environ)
+    names = [listener.name for listener in listeners]
+    for listener in listeners:
+        listener.close()
     return names, [event.code for event in events.since(0)[0]]
 
 
@@ -90,9 +90,11 @@ def test_a_socket_of_the_service_manager_is_used(short: Path) -> None:
     with socket.socket(socket.AF_UNIX) as mine:
         mine.bind(str(short / "given"))
         mine.listen()
-        doors = open_listeners(config_from_text("{}"), EventLog(lambda: 1), {}, {"control": mine})
-        assert [door.name for door in doors] == [f"unix {short}/given"]
-        doors[0].close()
+        listeners = open_listeners(
+            config_from_text("{}"), EventLog(lambda: 1), {}, {"control": mine}
+        )
+        assert [listener.name for listener in listeners] == [f"unix {short}/given"]
+        listeners[0].close()
     with (
         socket.socket(socket.AF_INET) as wrong,
         pytest.raises(ConfigError, match="listening Unix socket"),

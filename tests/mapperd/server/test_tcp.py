@@ -25,17 +25,17 @@ pytestmark = pytest.mark.net
 Pair = tuple[socket.socket, socket.socket]
 
 
-def connected(door: socket.socket) -> Pair:
-    here = socket.create_connection(door.getsockname())
-    there, _ = door.accept()
+def connected(listener: socket.socket) -> Pair:
+    here = socket.create_connection(listener.getsockname())
+    there, _ = listener.accept()
     return here, there
 
 
 @pytest.fixture
 def pair() -> Iterator[Pair]:
-    with socket.create_server(("127.0.0.1", 0)) as door:
-        door.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        here, there = connected(door)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        here, there = connected(listener)
         with here, there:
             yield here, there
 

@@ -169,18 +169,18 @@ class Bed:
         self.daemon.settings.apply({"stream.rate": 20.0}, "test")
         self.source: Any = source or PlainSource()
         self.feed = StateFeed(self.daemon, lambda: None, 1000)
-        self.doors = {
+        self.listeners = {
             "unix": open_unix_listener(folder / "map.sock", 0o600),
             "token": open_tcp_listener("127.0.0.1:0", TOKEN, None),
             "open": open_tcp_listener("127.0.0.1:0", None, None),
         }
         if tls is not None:
-            self.doors["tls"] = open_tcp_listener("127.0.0.1:0", TOKEN, tls)
+            self.listeners["tls"] = open_tcp_listener("127.0.0.1:0", TOKEN, tls)
         self.shift_s = 0.0
         self.watchers: list[Watcher] = []
         self.server = StreamServer(
             self.daemon,
-            [*self.doors.values()],
+            [*self.listeners.values()],
             self.feed,
             self.source,
             limits=limits,
@@ -195,8 +195,8 @@ class Bed:
         self, kind: str = "unix", trusted: ssl.SSLContext | None = None, size: int = 0
     ) -> "Watcher":
         """Connected and greeted."""
-        door = self.doors[kind]
-        plain = await asyncio.to_thread(_connected, door, size)
+        listener = self.listeners[kind]
+        plain = await asyncio.to_thread(_connected, listener, size)
         name = "localhost" if trusted else None
         streams = await (
             asyncio.open_unix_connection(sock=plain)
@@ -214,12 +214,12 @@ class Bed:
         return watcher
 
 
-def _connected(door: Listener, size: int) -> socket.socket:
-    plain = socket.socket(door.socket.family, socket.SOCK_STREAM)
+def _connected(listener: Listener, size: int) -> socket.socket:
+    plain = socket.socket(listener.socket.family, socket.SOCK_STREAM)
     if size:
         plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size)
-    is_unix = door.name.startswith("unix ")
-    plain.connect(door.name.removeprefix("unix ") if is_unix else door.socket.getsockname())
+    is_unix = listener.name.startswith("unix ")
+    plain.connect(listener.name.removeprefix("unix ") if is_unix else listener.socket.getsockname())
     plain.settimeout(0)
     return plain
 

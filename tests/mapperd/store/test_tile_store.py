@@ -301,8 +301,11 @@ def test_the_core_asks_a_store_that_is_gone_in_vain(tmp_path: Path) -> None:
     assert refused.value.reason == "closed"
 
 
-def test_tiles_are_whole_bricks() -> None:
-    assert _core.BRICK_VOXELS == 64
-    sizes = {(10.0, 0.05): 3, (10.0, 0.1): 2, (10.0, 0.02): 8, (0.4, 0.2): 1}
-    for (tile_size_m, resolution_m), bricks in sizes.items():
-        assert tile_bricks(tile_size_m, resolution_m) == bricks
+def test_a_tile_has_the_whole_number_of_bricks_nearest_to_its_size() -> None:
+    for tile_size_m, resolution_m in ((10.0, 0.05), (10.0, 0.1), (10.0, 0.02), (0.4, 0.2)):
+        brick_m = _core.BRICK_VOXELS * resolution_m
+        bricks = tile_bricks(tile_size_m, resolution_m)
+        others = range(1, 100)
+        assert abs(bricks * brick_m - tile_size_m) == min(
+            abs(other * brick_m - tile_size_m) for other in others
+        )

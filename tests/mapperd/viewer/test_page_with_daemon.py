@@ -50,9 +50,9 @@ class Daemon:
         self._stack = AsyncExitStack()
         source = self._stack.enter_context(MapSource(self.map, InMemory(), log_odds_step=0.25))
         feed = StateFeed(daemon, lambda: None, 1000)
-        door = open_unix_listener(self._path, 0o600)
+        listener = open_unix_listener(self._path, 0o600)
         await self._stack.enter_async_context(
-            StreamServer(daemon, [door], feed, source, now_ns=lambda: 1_700_000_000_000_000_000)
+            StreamServer(daemon, [listener], feed, source, now_ns=lambda: 1_700_000_000_000_000_000)
         )
 
     async def end(self) -> None:

@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 import threading
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from oculus_driver import PlaybackSonar
+from tests.support.process import free_port
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
 
-def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
 @contextmanager
 def played(path: Path, **values: Any) -> Iterator[tuple[PlaybackSonar, int]]:
     """A sonar in a thread of its own, and the port that it sends statuses to."""
-    status_port = free_udp_port()
+    status_port = free_port()
     ready, stop = threading.Event(), asyncio.Event()
     made: list[tuple[PlaybackSonar, asyncio.AbstractEventLoop]] = []
 

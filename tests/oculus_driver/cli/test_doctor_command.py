@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from oculus_driver import Faults
-from tests.oculus_driver.cli.sonar_thread import free_udp_port, played
+from tests.oculus_driver.cli.sonar_thread import played
+from tests.support.process import free_port
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -72,7 +73,7 @@ def test_a_sonar_that_is_held_by_another_client_is_reported(
 
 
 def test_no_sonar_at_all_is_reported(oculus: Oculus) -> None:
-    words = ("--listen", "127.0.0.1", "--status-port", free_udp_port(), "--seconds", "0.05")
+    words = ("--listen", "127.0.0.1", "--status-port", free_port(), "--seconds", "0.05")
     result = oculus("doctor", *words)
     assert result.code == 1
     assert result.out.startswith("FAIL address")
@@ -90,7 +91,7 @@ def test_something_else_on_the_port_is_reported(oculus: Oculus) -> None:
         thread = threading.Thread(target=greet)
         thread.start()
         words = ("127.0.0.1", "--port", server.getsockname()[1], "--seconds", "0.2")
-        result = oculus("doctor", *words, "--status-port", free_udp_port(), "--json")
+        result = oculus("doctor", *words, "--status-port", free_port(), "--json")
         thread.join(20.0)
     assert result.facts[0]["first_failure"] == "frames"
 

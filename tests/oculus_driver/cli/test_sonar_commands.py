@@ -13,7 +13,8 @@ import pytest
 
 from oculus_driver import Faults
 from oculus_driver.recording import SonarLog, open_recording
-from tests.oculus_driver.cli.sonar_thread import free_udp_port, played
+from tests.oculus_driver.cli.sonar_thread import played
+from tests.support.process import free_port
 
 if TYPE_CHECKING:
     from oculus_driver import PlaybackSonar
@@ -120,7 +121,7 @@ def test_a_log_goes_on_after_the_link_was_cut(
 
 
 def test_a_log_of_nothing_is_a_fault(oculus: Oculus, tmp_path: Path) -> None:
-    words = ("--status-port", free_udp_port(), "--listen", "127.0.0.1", "--duration", "0.1")
+    words = ("--status-port", free_port(), "--listen", "127.0.0.1", "--duration", "0.1")
     result = oculus("log", "--out", tmp_path, *words)
     assert result.code == 1
     assert "nothing was recorded" in result.err
@@ -199,7 +200,7 @@ def test_settings_that_cannot_be_are_one_line(oculus: Oculus, command: str) -> N
 
 
 def test_watching_nothing_is_a_fault(oculus: Oculus) -> None:
-    result = oculus("watch", "--duration", 0.3, "--status-port", free_udp_port())
+    result = oculus("watch", "--duration", 0.3, "--status-port", free_port())
     assert (result.code, result.out) == (1, "")
     assert "no sonar" in result.err
     result = oculus("watch", "127.0.0.1", "--ping", "--port", 9, "--duration", 0.3)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from oculus_driver import Ping, StreamParser, decode_ping, encode_dummy, encode_fire
 from oculus_driver.recording import OCULUS, RecordingWriter
 from oculus_driver.virtual_sonar.device import CommandReader, FireRequest
-from oculus_driver.virtual_sonar.faults import SHARES, FaultInjector, Faults
+from oculus_driver.virtual_sonar.faults import FaultInjector, Faults
 from oculus_driver.virtual_sonar.playback import MessageSource, PlaybackDevice
 from oculus_driver.virtual_sonar.resample import requested_range_m
 
@@ -199,19 +199,6 @@ def test_the_same_number_gives_the_same_faults(make_ping: Callable[..., bytes]) 
     assert 0.35 < len(changed) / 200 < 0.65
     assert all(deed.data != data for deed in changed)
     assert all(deed.data == data for _, deed in runs[0] if not deed.damaged)
-
-
-def test_every_share_is_a_fault_of_its_own() -> None:
-    assert SHARES == (
-        "cut",
-        "flip",
-        "stall",
-        "lose",
-        "garbage",
-        "restart",
-        "restart_ids",
-        "reorder_statuses",
-    )
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from oculus_driver import Ping, decode_ping
 from oculus_driver.recording import ODOMETRY_NATIVE, open_recording
 from oculus_driver.recording.chunk import messages_of
 from tests.oculus_driver.virtual_sonar.client import FIRE, Client
+from tests.support.process import free_ports
 
 pytestmark = pytest.mark.net
 
@@ -41,13 +42,6 @@ def scene(tmp_path: Path) -> Path:
     return path
 
 
-def free_ports() -> tuple[int, int]:
-    with socket.socket() as tcp, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        tcp.bind(("127.0.0.1", 0))
-        udp.bind(("127.0.0.1", 0))
-        return tcp.getsockname()[1], udp.getsockname()[1]
-
-
 async def served(scene: Path, *words: str) -> asyncio.subprocess.Process:
     command = "import sys; from sonar_sim.command import main; sys.exit(main())"
     return await asyncio.create_subprocess_exec(
@@ -57,7 +51,7 @@ async def served(scene: Path, *words: str) -> asyncio.subprocess.Process:
 
 def test_serve_reports_where_it_is_and_stops_on_request(scene: Path) -> None:
     async def work() -> None:
-        port, status_port = free_ports()
+        port, status_port = free_ports(socket.SOCK_STREAM, socket.SOCK_DGRAM)
         words = ["--port", str(port), "--status-port", str(status_port), "--standby"]
         words += ["--status-to", "127.0.0.1", "--odometry", "native@udp:127.0.0.1:9"]
         process = await served(scene, *words, "--model", "M3000d")
@@ -84,7 +78,7 @@ def test_serve_reports_where_it_is_and_stops_on_request(scene: Path) -> None:
 
 
 def test_serve_ends_with_the_time(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    port, status_port = free_ports()
+    port, status_port = free_ports(socket.SOCK_STREAM, socket.SOCK_DGRAM)
     words = ["--port", str(port), "--status-port", str(status_port), "--duration", "0.3"]
     assert main(["serve", str(scene), *words]) == 0
     assert "statuses 1" in capsys.readouterr().out
@@ -101,7 +95,7 @@ def test_serve_ends_with_the_time(scene: Path, capsys: pytest.CaptureFixture[str
 def test_serve_sends_odometry_to_the_daemon_by_default(
     scene: Path, words: list[str], sends: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    ports = [str(port) for port in free_ports()]
+    ports = [str(port) for port in free_ports(socket.SOCK_STREAM, socket.SOCK_DGRAM)]
     words = ["--port", ports[0], "--status-port", ports[1], "--duration", "0.3", *words]
     assert main(["serve", str(scene), *words]) == 0
     lines = capsys.readouterr().out.splitlines()

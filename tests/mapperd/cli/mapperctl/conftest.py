@@ -44,7 +44,7 @@ class Running:
             await self._end.wait()
 
     def port(self, kind: str) -> int:
-        port = self.one.doors[kind].socket.getsockname()[1]
+        port = self.one.listeners[kind].socket.getsockname()[1]
         assert isinstance(port, int)
         return port
 

@@ -92,7 +92,7 @@ def test_messages_take_their_turn_on_the_link_and_are_acknowledged() -> None:
     assert pacer.in_flight == 0
 
 
-def test_no_more_is_on_its_way_than_the_wire_holds_twice() -> None:
+def test_no_more_is_in_flight_than_the_wire_holds_twice() -> None:
     pacer = Pacer()
     link = SimulatedLink(LinkRate(rate=10_000.0, delay_s=0.25), pacer)
     for _ in range(30):

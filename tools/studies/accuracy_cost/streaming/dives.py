@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 
-MIN_ON_ITS_WAY = 3_000
+MIN_IN_FLIGHT_BYTES = 3_000
 """Bytes: two packets."""
 
 
@@ -88,10 +88,10 @@ class SimulatedLink:
         return arrived
 
     def _send(self, now_s: float) -> None:
-        wire = max(2 * self._shape.rate * 2 * self._shape.delay_s, MIN_ON_ITS_WAY)
+        wire = max(2 * self._shape.rate * 2 * self._shape.delay_s, MIN_IN_FLIGHT_BYTES)
         while self._waiting:
-            on_its_way = max(self._free_s - now_s, 0.0) * self._shape.rate
-            if on_its_way > wire:
+            in_flight = max(self._free_s - now_s, 0.0) * self._shape.rate
+            if in_flight > wire:
                 return
             message = self._waiting.popleft()
             began_s = max(self._free_s, now_s)
