@@ -72,7 +72,7 @@ def _usual_paths() -> tuple[Path, ...]:
 
 
 READ_BYTES = 1 << 16
-CONNECT_S = 10.0
+CONNECT_TIMEOUT_S = 10.0
 SILENCE_S = 6.0
 """Timeout of a read; the daemon sends something every second."""
 
@@ -92,7 +92,7 @@ async def opened(
         OSError: the connection failed.
     """
     try:
-        async with asyncio.timeout(CONNECT_S):
+        async with asyncio.timeout(CONNECT_TIMEOUT_S):
             return await _opened(place, tls)
     except TimeoutError as error:
         raise ConnectionError("no answer") from error

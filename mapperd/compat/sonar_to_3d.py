@@ -303,9 +303,9 @@ class SonarTo3DMapper(UpdateHandlers):
         occupied = free = robots = 0
         if not skipped:
             range_m = self._max_range_m if max_range is None else max_range
-            echo = ping_image_of_array(polar_image, range_m, bearings, self._config.sonar)
+            image = ping_image_of_array(polar_image, range_m, bearings, self._config.sonar)
             map_T_base = robot_pose(robot_position, robot_orientation)  # noqa: N806 frames are named
-            changed, robots = self._integrate(echo, map_T_base, round(start * SECOND_NS))
+            changed, robots = self._integrate(image, map_T_base, round(start * SECOND_NS))
             occupied, free = changed.occupied, changed.free
             self._processed += 1
         known = self._map.core.known_count()
@@ -324,15 +324,15 @@ class SonarTo3DMapper(UpdateHandlers):
 
     def _integrate(
         self,
-        echo: PingImage,
+        image: PingImage,
         map_T_base: Floats,  # noqa: N803 frames are named
         t_ns: int,
     ) -> tuple[PingStats, int]:
         """Filter and add an image; return what changed and the number of robots in it."""
-        echo, robots = filter_ping_image(echo, self._config)
+        image, robots = filter_ping_image(image, self._config)
         map_T_sonar = map_T_base @ self._map.base_T_sonar  # noqa: N806 frames are named
         try:
-            changed = self._map.integrate(echo, map_T_sonar)
+            changed = self._map.integrate(image, map_T_sonar)
         finally:
             if self._store is not None:  # tiles may leave memory as they are now
                 self._store.advance(self._store.position)

@@ -34,7 +34,7 @@ from mapperd.session_log import Request, Reset
 
 __all__ = ["Daemon"]
 
-RESET_S = 60.0
+RESET_TIMEOUT_S = 60.0
 """Timeout of a reset request, which waits for the pings before it."""
 
 
@@ -159,7 +159,7 @@ class Daemon:
         self._resets[number] = done
         self._live.ingest.order(Reset(number, origin))
         try:
-            async with asyncio.timeout(RESET_S):
+            async with asyncio.timeout(RESET_TIMEOUT_S):
                 problem = await done
         except TimeoutError:
             raise OperationError("the pings before it are still being mapped", "busy") from None

@@ -49,7 +49,7 @@ MAX_BYTES = 200
 
 Ask = Callable[[Request], Awaitable[Reject | None]]
 
-ORDER_S = 60.0
+REQUEST_TIMEOUT_S = 60.0
 """Timeout of a request, which waits for the pings before it."""
 
 MAP_S = 600.0
@@ -131,7 +131,9 @@ class LocalizationRequests:
         Raises:
             OperationError: with the reason of the refusal.
         """
-        refused = await self._refused(request, ORDER_S if timeout_s is None else timeout_s)
+        refused = await self._refused(
+            request, REQUEST_TIMEOUT_S if timeout_s is None else timeout_s
+        )
         if refused is None:
             return
         text = f"{what} for {origin} refused: {refused.detail}"
@@ -255,7 +257,7 @@ class Requests:
             answer.set_result(refused)
 
 
-LOOK_S = 0.2
+POLL_INTERVAL_S = 0.2
 """Period of status updates."""
 
 
@@ -293,7 +295,9 @@ class PoseKeeper:
         pace = SavePace(self._amcl().save_pose_rate)
         while True:
             rate_hz = self._amcl().save_pose_rate
-            await asyncio.sleep(min(LOOK_S, 1 / rate_hz) if rate_hz > 0 else LOOK_S)
+            await asyncio.sleep(
+                min(POLL_INTERVAL_S, 1 / rate_hz) if rate_hz > 0 else POLL_INTERVAL_S
+            )
             pace = SavePace(rate_hz, pace.last_s)
             if pace.is_due(time.monotonic()):
                 await asyncio.to_thread(self.save)

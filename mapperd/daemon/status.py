@@ -178,7 +178,7 @@ class LocalizationWatch:
         self._events.add(severity, "localization_std", text, level=self._level)
 
 
-LOOK_S = 1.0
+POLL_INTERVAL_S = 1.0
 """Period of looks at what sends no notification."""
 
 
@@ -232,7 +232,7 @@ class Watch:
         """Poll what sends no notification, until cancelled."""
         began_s = time.monotonic()
         while True:
-            await asyncio.sleep(LOOK_S)
+            await asyncio.sleep(POLL_INTERVAL_S)
             self._look_at_recording()
             self._look_at_limits()
             links = (link.status.phase for link in self._live.links)

@@ -69,10 +69,10 @@ def stack_lines() -> Iterator[str]:
         yield from text.getvalue().rstrip().splitlines()
 
 
-LOOK_S = 2.0
+POLL_INTERVAL_S = 2.0
 """Between looks at how it goes; the watchdog's third where that is shorter."""
 
-MIN_LOOK_S = 0.05
+MIN_POLL_INTERVAL_S = 0.05
 WATCHDOG_SHARE = 0.5
 """Of the watchdog's time: a worker may be silent so long before the manager is let to act."""
 
@@ -183,7 +183,9 @@ class _SupervisedTasks:
         self._print = print_line
         self._line = StatusLine()
         self._feeds = watchdog_s is not None
-        self._period_s = min(LOOK_S, max(MIN_LOOK_S, (watchdog_s or LOOK_S * 3) / 3))
+        self._period_s = min(
+            POLL_INTERVAL_S, max(MIN_POLL_INTERVAL_S, (watchdog_s or POLL_INTERVAL_S * 3) / 3)
+        )
         self._watchdog = Watchdog((watchdog_s or 60.0) * WATCHDOG_SHARE)
         self._stuck: tuple[str, ...] = ()
 

@@ -31,7 +31,7 @@ from mapperd.wire.messages import WANTS, SettingsMessage, Want
 
 __all__ = ["FIRST_WANTS", "FoxgloveClient", "LiveParameters", "Steers", "serve"]
 
-ANSWER_S = 10.0
+ANSWER_TIMEOUT_S = 10.0
 """Timeout of a viewer's request to set parameters."""
 
 
@@ -103,7 +103,7 @@ class LiveParameters(ServerListener):
         changes = {one.name: one.get_value() for one in parameters}
         done = asyncio.run_coroutine_threadsafe(self._set(changes), self._loop)
         try:
-            done.result(ANSWER_S)
+            done.result(ANSWER_TIMEOUT_S)
         except TimeoutError:
             done.cancel()
             self._loop.call_soon_threadsafe(self._warn, f"{_names(changes)}: no answer")

@@ -32,36 +32,36 @@ def check_filters(config: Config) -> None:
             raise ConfigError(f"{path}: {missing_extra('OpenCV', 'filters')}", path)
 
 
-def filter_ping_image(echo: PingImage, config: Config) -> tuple[PingImage, tuple[Robot, ...]]:
+def filter_ping_image(image: PingImage, config: Config) -> tuple[PingImage, tuple[Robot, ...]]:
     """Remove stripes and noise from an image, and separate robots from terrain.
 
     Args:
-        echo: intensities and geometry.
+        image: intensities and geometry.
         config: the settings; `check_filters` has passed them.
 
     Returns:
-        The echo that the map is to see, and the robots in it.
+        The image that the map is to see, and the robots in it.
     """
-    image = echo.intensity
+    intensity = image.intensity
     crosstalk, robots = config.crosstalk, config.robot_detection
     if crosstalk.enabled:
         from mapperd.imaging.crosstalk import notched, without_stripes  # noqa: PLC0415 an extra
 
         if crosstalk.morpho_enabled or crosstalk.azimuth_enabled:
             threshold = config.filtering.intensity_threshold
-            image = without_stripes(image, echo.bearings_rad, crosstalk, threshold)
-        image = notched(image, crosstalk) if crosstalk.fft_enabled else image
+            intensity = without_stripes(intensity, image.bearings_rad, crosstalk, threshold)
+        intensity = notched(intensity, crosstalk) if crosstalk.fft_enabled else intensity
     if config.filtering.noise_factor > 0 and config.mapping.rule == "iwlo":
-        echoes = is_echo(image, config.filtering.noise_factor)
-        image = np.where(echoes, image, np.float32(0.0))
+        echoes = is_echo(intensity, config.filtering.noise_factor)
+        intensity = np.where(echoes, intensity, np.float32(0.0))
     found: tuple[Robot, ...] = ()
     if robots.enabled:
-        found = tuple(find_robots(image, echo.bearings_rad, echo.range_resolution_m, robots))
-        image = terrain_of(image, config.terrain_detection, robots)
-    if image is echo.intensity:
-        return echo, found
-    image.setflags(write=False)
-    return dataclasses.replace(echo, intensity=image), found
+        found = tuple(find_robots(intensity, image.bearings_rad, image.range_resolution_m, robots))
+        intensity = terrain_of(intensity, config.terrain_detection, robots)
+    if intensity is image.intensity:
+        return image, found
+    intensity.setflags(write=False)
+    return dataclasses.replace(image, intensity=intensity), found
 
 
 class CrosstalkFilter:
@@ -130,17 +130,17 @@ class CrosstalkFilter:
         """
         image = np.asarray(polar_image)
         fan = SonarConfig() if bearings is None else SonarConfig(horizontal_fov=180.0)
-        echo = ping_image_of_array(image, 1.0, bearings, fan)
-        if echo.intensity.shape != image.shape:
+        ping_image = ping_image_of_array(image, 1.0, bearings, fan)
+        if ping_image.intensity.shape != image.shape:
             raise MapError("bearings are beyond 90 degrees", "bad_bearings")
         config = Config(
             crosstalk=self._settings,
             filtering=FilteringConfig(intensity_threshold=intensity_threshold),
         )
-        filtered = filter_ping_image(echo, config)[0].intensity
+        filtered = filter_ping_image(ping_image, config)[0].intensity
         scale = np.iinfo(image.dtype).max / 255 if image.dtype.kind == "u" else 1.0
         changed = np.rint(filtered * scale) if image.dtype.kind == "u" else filtered
         result: NDArray[np.uint8] = np.where(
-            filtered < echo.intensity, changed.astype(image.dtype), image
+            filtered < ping_image.intensity, changed.astype(image.dtype), image
         )
         return result

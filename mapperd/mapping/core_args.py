@@ -169,20 +169,20 @@ def fan_arguments(config: Config, motion: PingMotion | None) -> Fan:
     }
 
 
-def check_size(echo: PingImage, config: Config) -> None:
+def check_size(image: PingImage, config: Config) -> None:
     """Refuse a ping whose work, estimated from its geometry alone, is above the limit.
 
     Raises:
         MapError: its swath holds more voxels than `mapping.max_swath_voxels`.
     """
     resolution_m = config.octree.voxel_resolution
-    width = float(echo.bearings_rad[-1] - echo.bearings_rad[0])
+    width = float(image.bearings_rad[-1] - image.bearings_rad[0])
     height = 2 * math.sin(aperture_rad(config) / 2)
-    voxels = width * height * (echo.max_range_m / resolution_m) ** 3 / 3
+    voxels = width * height * (image.max_range_m / resolution_m) ** 3 / 3
     most = config.mapping.max_swath_voxels
     if not voxels <= most:
         raise MapError(
-            f"a swath of {echo.max_range_m:g} m holds {voxels:.2g} voxels of {resolution_m:g} m, "
+            f"a swath of {image.max_range_m:g} m holds {voxels:.2g} voxels of {resolution_m:g} m, "
             f"more than {most:.2g}: set a larger octree.voxel_resolution, or "
             "mapping.max_swath_voxels",
             "fan_too_large",

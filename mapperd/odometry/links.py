@@ -37,7 +37,7 @@ OnBytes = Callable[[bytes], bool]
 OnOpen = Callable[[], None]
 
 MAX_READ_BYTES = 1 << 16
-CONNECT_S = 5.0
+CONNECT_TIMEOUT_S = 5.0
 PAUSE_S = 0.05
 """Pause before a port over its limit is read again; the system drops the rest."""
 
@@ -115,10 +115,10 @@ async def _bound(address: LinkAddress) -> socket.socket:
 
 async def _read_tcp(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) -> NoReturn:
     try:
-        async with asyncio.timeout(CONNECT_S):
+        async with asyncio.timeout(CONNECT_TIMEOUT_S):
             reader, writer = await asyncio.open_connection(address.host, address.port)
     except TimeoutError:
-        raise TimeoutError(f"no answer within {CONNECT_S:g} s") from None
+        raise TimeoutError(f"no answer within {CONNECT_TIMEOUT_S:g} s") from None
     except ConnectionError as error:
         raise OSError(error.errno, os.strerror(error.errno or 0).lower()) from error
     try:
@@ -358,7 +358,7 @@ class InputLimit:
             self.reason = ""
 
 
-LOOK_S = 1.0
+POLL_INTERVAL_S = 1.0
 """Interval of checks while nothing is due, because the link may have been opened meanwhile."""
 
 T = TypeVar("T")
@@ -442,7 +442,9 @@ class OdometryLink:
         """Wait until the link is lost, which raises, or silent for too long."""
         while not self._change(self._state.tick):
             due_ns = self._state.overdue_ns
-            wait_s = LOOK_S if due_ns is None else max(due_ns - self._clock(), 0) / SECOND_NS
+            wait_s = (
+                POLL_INTERVAL_S if due_ns is None else max(due_ns - self._clock(), 0) / SECOND_NS
+            )
             await asyncio.wait({reading}, timeout=wait_s)
             if reading.done():
                 await reading

@@ -164,7 +164,7 @@ LEAVE_S = 1.0
 """Time for the last message to arrive before the connection is aborted."""
 
 ANSWERS_UNDER_WAY = 256 << 10
-BREATH_S = 0.05
+CATCH_UP_INTERVAL_S = 0.05
 
 MAX_UNSENT = 2 * MAX_FROM_SERVER
 """Bytes in the write buffer at which a client counts as not reading: more than the largest answer
@@ -347,7 +347,7 @@ class ClientConnection(asyncio.BufferedProtocol):
         try:
             while session.asks and not self.is_over:
                 under_way = session.pacer.in_flight
-                wait_s = BREATH_S if under_way > ANSWERS_UNDER_WAY else 0.0
+                wait_s = CATCH_UP_INTERVAL_S if under_way > ANSWERS_UNDER_WAY else 0.0
                 if not wait_s:
                     wait_s = self._asks.take(context.clock())
                     context.count("requests")

@@ -24,7 +24,7 @@ UNWATCHED_S = 2.0
 ROUND_BYTES = 128 << 10
 """Limit for one client in one round, because the others wait for it."""
 
-BREATH_S = 1.0
+RETRY_DELAY_S = 1.0
 """Delay after a round that failed."""
 
 Frame = tuple[bytes, int, int | None]
@@ -154,7 +154,7 @@ class MapWorker:
                     await self._round(in_worker)
                 except Exception as error:  # noqa: BLE001 an internal error must not end the stream
                     self._failed(error)
-                    await asyncio.sleep(BREATH_S)
+                    await asyncio.sleep(RETRY_DELAY_S)
         finally:
             worker.shutdown()  # waits for one round, which is short
 

@@ -81,7 +81,9 @@ LOCAL_RATE, LOCAL_WINDOW = 100e6, 1 << 16
 NEARLY_ALL = 0.75
 """Share of the maximum room at which a message is sent even if it does not fit."""
 
-MIN_S, MAX_LEAST = 0.12, 16_384
+SMALLEST_S, MAX_SMALLEST_BYTES = 0.12, 16_384
+"""Smallest message worth sending while more is to come: what the link delivers within a time, at
+most some bytes."""
 
 
 class Pacer:
@@ -163,7 +165,7 @@ class Pacer:
     def least(self) -> int:
         """Smallest message worth sending while more is to come, in bytes."""
         ever = min(self.window, self._max_unsent)
-        return int(min(MIN_S * self.allowed_rate, MAX_LEAST, ever / 2))
+        return int(min(SMALLEST_S * self.allowed_rate, MAX_SMALLEST_BYTES, ever / 2))
 
     def is_idle_for(self, size: int) -> bool:
         """Return whether little is in flight and the link delivers `size` bytes in moments."""

@@ -134,13 +134,13 @@ def returns_message(
         sonar: pose of the sonar, map frame; None if unknown.
         config: the settings.
     """
-    ping, echo = result.posed.ping, result.image
-    if echo is None:
+    ping, image = result.posed.ping, result.image
+    if image is None:
         try:
-            echo = ping_image_of(ping, config.sonar)
+            image = ping_image_of(ping, config.sonar)
         except MapError:
             return None
-    points, intensities = first_returns(echo, config)
+    points, intensities = first_returns(image, config)
     turn = None if sonar is None else sonar.map_q_base.tolist()
     return ReturnsMessage(
         stamp_ns=max(result.posed.complete_ns or 0, 0),
@@ -153,25 +153,27 @@ def returns_message(
     )
 
 
-def first_returns(echo: PingImage, config: Config) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def first_returns(
+    image: PingImage, config: Config
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Find the nearest sample of each beam above `filtering.intensity_threshold`.
 
     Returns:
         points (N, 3) float32, metres, sonar frame, and their intensities (N,) uint8.
     """
-    step_m = echo.range_resolution_m
+    step_m = image.range_resolution_m
     nearest = int(np.ceil(config.filtering.min_range / step_m))
-    above = echo.intensity[nearest:] > config.filtering.intensity_threshold
+    above = image.intensity[nearest:] > config.filtering.intensity_threshold
     if not len(above):
         return np.zeros((0, 3), np.float32), np.zeros(0, np.uint8)
     row = above.argmax(axis=0)
     beam = np.flatnonzero(above[row, np.arange(above.shape[1])])
     row = row[beam] + nearest
-    range_m, bearing = (row + 0.5) * step_m, echo.bearings_rad[beam]
+    range_m, bearing = (row + 0.5) * step_m, image.bearings_rad[beam]
     points = np.zeros((len(beam), 3), np.float32)
     points[:, 0] = range_m * np.cos(bearing)
     points[:, 1] = -range_m * np.sin(bearing)
-    return points, np.clip(np.rint(echo.intensity[row, beam]), 0, 255).astype(np.uint8)
+    return points, np.clip(np.rint(image.intensity[row, beam]), 0, 255).astype(np.uint8)
 
 
 def image_message(ping: Ping, stamp_ns: int, most: tuple[int, int]) -> ImageMessage:

@@ -31,7 +31,7 @@ __all__ = ["StreamServer"]
 
 TICK_S = 0.05
 BEAT_S = 1.0
-BREATH_S = 1.0
+RETRY_DELAY_S = 1.0
 """Delay after `accept` failed, as when no file descriptors are left."""
 
 LEAVE_S = 1.5
@@ -164,7 +164,7 @@ class StreamServer:
                 connection, address = await self._loop.sock_accept(listener.socket)
             except OSError:  # no descriptors left, or the client has left already
                 self._counters["accepts_failed"] += 1
-                await asyncio.sleep(BREATH_S)
+                await asyncio.sleep(RETRY_DELAY_S)
                 continue
             self._counters["accepted"] += 1
             try:

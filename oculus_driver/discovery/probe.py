@@ -203,7 +203,7 @@ def _full_pings(result: ProbeResult) -> str | None:
     return f"{text}; switch the sonar off and on"
 
 
-_CONNECT_S: Final = 3.0
+_CONNECT_TIMEOUT_S: Final = 3.0
 _MAX_READ: Final = 1 << 16
 _KEEP_ALIVE_S: Final = 1.0
 
@@ -238,7 +238,7 @@ async def probe(options: ProbeOptions) -> ProbeResult:
         return result
     result.own_addresses = tuple(addresses_towards(result.address))
     try:
-        async with asyncio.timeout(_CONNECT_S):
+        async with asyncio.timeout(_CONNECT_TIMEOUT_S):
             reader, writer = await asyncio.open_connection(result.address, options.port)
     except OSError as error:
         result.connect_error = error

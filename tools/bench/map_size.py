@@ -104,7 +104,7 @@ server: {{socket: {folder}/socket}}
 
 ODOMETRY_S = 0.02
 SPEED_MPS = 1.0
-LOOK_S = 0.02
+POLL_INTERVAL_S = 0.02
 START_S, SAVE_S, END_S = 300.0, 3600.0, 3600.0
 """Timeouts of a daemon on a busy machine."""
 
@@ -218,7 +218,7 @@ async def _peak_of(process: int) -> float:
     with contextlib.suppress(OSError, AttributeError):  # it has ended
         while True:
             peak = _peak_mb(process)
-            await asyncio.sleep(LOOK_S)
+            await asyncio.sleep(POLL_INTERVAL_S)
     return peak
 
 

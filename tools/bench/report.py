@@ -16,7 +16,7 @@ from bench.targets import FINE_M, RATE_MS, TARGETS, PerformanceTarget, fine_case
 
 mpl.use("Agg")
 
-RIVAL, FIRST_RETURNS, FULL_IMAGE = "#9a9a9a", "#1f77b4", "#ff7f0e"
+CONTENDER, FIRST_RETURNS, FULL_IMAGE = "#9a9a9a", "#1f77b4", "#ff7f0e"
 TOP = len(CONTENDERS)
 """Height of the limit's label: above the first bar."""
 
@@ -38,7 +38,7 @@ def draw(path: Path, results: BenchResults) -> None:
     for panel in panels[-1]:
         panel.set_xlabel("ms a ping: median, line to 95th percentile")
     kinds = {
-        "11 rays a first return": RIVAL,
+        "11 rays a first return": CONTENDER,
         "ours, the same first returns": FIRST_RETURNS,
         "ours, the full image": FULL_IMAGE,
     }
@@ -78,7 +78,7 @@ def _label(contender: Contender) -> str:
 
 def _colour(contender: Contender) -> str:
     if not contender.is_ours:
-        return RIVAL
+        return CONTENDER
     return FULL_IMAGE if contender.takes == FULL else FIRST_RETURNS
 
 

@@ -60,7 +60,7 @@ RETRIES = 3
 ALLOWED_DEATHS = 10
 """Deaths of workers during one task after which Dask gives up."""
 
-LOOK_S = 5.0
+POLL_INTERVAL_S = 5.0
 """Interval of checks whether all workers exist."""
 
 ALONE_S = 600.0
@@ -117,8 +117,8 @@ class DaskEngine:
         while self._tasks:
             future = None
             with contextlib.suppress(queue.Empty):
-                future = self._ended.get(timeout=LOOK_S)
-            if time.monotonic() - looked_s >= LOOK_S:
+                future = self._ended.get(timeout=POLL_INTERVAL_S)
+            if time.monotonic() - looked_s >= POLL_INTERVAL_S:
                 self._look(some_ended=some_ended)
                 looked_s, some_ended = time.monotonic(), False
             if future is None:
@@ -264,7 +264,7 @@ class _ResultLost(Exception):  # noqa: N818 nothing failed
 
 def _result_of(future: Future) -> object:
     try:
-        return future.result(timeout=LOOK_S)
+        return future.result(timeout=POLL_INTERVAL_S)
     except TimeoutError as error:
         if future.status == "error":  # the task's own
             raise

@@ -97,7 +97,7 @@ _FILES = {
     RecordingError: ExitCode.BAD_DATA,
 }
 
-CONNECT_S = 5.0
+CONNECT_TIMEOUT_S = 5.0
 NO_DAEMON = "check that mapperd runs there and that its server.address is this one"
 READ_BYTES = 65536
 
@@ -231,7 +231,7 @@ class ControlConnection:
                 yield {"events": [message.event], "missed": message.lost, "more": False}
 
     def _greet(self) -> None:
-        until_s = time.monotonic() + CONNECT_S
+        until_s = time.monotonic() + CONNECT_TIMEOUT_S
         greeting = self._receive(until_s)
         if not isinstance(greeting, GreetingMessage) or greeting.mapperd != PROTOCOL:
             raise CtlError(f"{self._target}: is not the socket of mapperd", ExitCode.PROTOCOL)
@@ -318,11 +318,11 @@ class ControlConnection:
 
 def _connected(target: DaemonTarget) -> socket.socket:
     if target.path is None:
-        connected = socket.create_connection((target.host, target.port), timeout=CONNECT_S)
+        connected = socket.create_connection((target.host, target.port), timeout=CONNECT_TIMEOUT_S)
     else:
         connected = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        connected.settimeout(CONNECT_S)
+        connected.settimeout(CONNECT_TIMEOUT_S)
         if target.path is not None:
             connected.connect(str(target.path))
         if target.tls is not None:

@@ -39,7 +39,7 @@ OPTIONS: Mapping[str, str] = MappingProxyType(
 """Setting by option."""
 
 ANSWER_TIMEOUT_S = 30.0
-CONFIRM_S = 25.0
+CONFIRM_TIMEOUT_S = 25.0
 """The daemon reports a confirmation, or that there is none, within 20 s."""
 
 POLL_INTERVAL_S = 0.1
@@ -170,7 +170,7 @@ def _newest(daemon: ControlConnection) -> int:
 
 def _confirmed(args: argparse.Namespace, daemon: ControlConnection, since: int) -> Iterator[str]:
     """Wait for the daemon's event about the change."""
-    until_s = time.monotonic() + CONFIRM_S
+    until_s = time.monotonic() + CONFIRM_TIMEOUT_S
     while time.monotonic() < until_s:
         for event in daemon.ask("events", since=since)["events"]:
             since = event["number"]

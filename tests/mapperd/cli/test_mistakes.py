@@ -35,7 +35,7 @@ NOBODY = 65534
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Look for problems at once; have settings and folders of our own."""
     monkeypatch.setattr("mapperd.daemon.problems.GRACE_S", 0.3)
-    monkeypatch.setattr("mapperd.daemon.status.LOOK_S", 0.1)
+    monkeypatch.setattr("mapperd.daemon.status.POLL_INTERVAL_S", 0.1)
     # Daemons of these tests run beside the main thread, which alone gets signals.
     monkeypatch.setattr(
         "asyncio.unix_events._UnixSelectorEventLoop.add_signal_handler", lambda *_: 0

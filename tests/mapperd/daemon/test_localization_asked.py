@@ -245,6 +245,6 @@ def test_one_map_is_set_at_a_time(bench: Bench) -> None:
 def test_request_that_waits_for_too_long_is_busy(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mapperd.daemon.localization_service.ORDER_S", 0.0)
+    monkeypatch.setattr("mapperd.daemon.localization_service.REQUEST_TIMEOUT_S", 0.0)
     bench.resume.clear()
     assert refused(bench.requests.global_localization("me")).reason == "busy"

@@ -5,7 +5,7 @@ import pytest
 from mapperd.server.pacer import (
     FIRST_RATE,
     MAX_IN_FLIGHT,
-    MAX_LEAST,
+    MAX_SMALLEST_BYTES,
     MIN_BURST,
     MIN_UNSENT,
     MIN_WINDOW,
@@ -161,7 +161,7 @@ def test_what_is_worth_a_message_always_finds_room(limit: int, rate: float | Non
     """Of a link that is empty, however small the window has become."""
     pacer = Pacer(bytes_per_s=limit)
     pacer.rate = rate
-    assert pacer.least() <= MAX_LEAST
+    assert pacer.least() <= MAX_SMALLEST_BYTES
     for round_trip_s in (None, 0.001, 0.6):
         pacer.note_link(0, round_trip_s, round_trip_s, 0, rate)
         pacer.room(0.0)

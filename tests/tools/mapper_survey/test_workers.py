@@ -123,7 +123,7 @@ def faulty(_: object) -> None:
 def test_killed_workers_change_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(engine_dask, "LOOK_S", 0.2)
+    monkeypatch.setattr(engine_dask, "POLL_INTERVAL_S", 0.2)
     survey = write_survey(tmp_path, tile_size_m=12.8)
     request, options = read_survey(survey), RunOptions(MEMORY)
     run_here(survey, tmp_path / "here")

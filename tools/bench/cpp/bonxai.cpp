@@ -41,12 +41,12 @@ void measure(const std::string& rays, double resolution_m, double budget_ms,
   options.clamp_min_log = fixed(kMin);
   options.clamp_max_log = fixed(kMax);
   map.setOptions(options);
-  Rival rival;
-  rival.insert = [&](const RayPing& ping) { insert(map, ping); };
-  rival.count_touched = [&](const RayPing& ping) { return count_touched(ping, resolution_m); };
-  rival.memory_bytes = [&] { return map.grid().memUsage(); };
-  rival.known_voxels = [&] { return map.grid().activeCellsCount(); };
-  run(rival, read_rays(rays), budget_ms);
+  Contender contender;
+  contender.insert = [&](const RayPing& ping) { insert(map, ping); };
+  contender.count_touched = [&](const RayPing& ping) { return count_touched(ping, resolution_m); };
+  contender.memory_bytes = [&] { return map.grid().memUsage(); };
+  contender.known_voxels = [&] { return map.grid().activeCellsCount(); };
+  run(contender, read_rays(rays), budget_ms);
 }
 
 }  // namespace

@@ -39,14 +39,14 @@ void measure(const std::string& rays, double resolution_m, double budget_ms,
   tree.setProbMiss(probability_of(kMiss));
   tree.setClampingThresMin(probability_of(kMin));
   tree.setClampingThresMax(probability_of(kMax));
-  Rival rival;
-  rival.insert = [&](const RayPing& ping) {
+  Contender contender;
+  contender.insert = [&](const RayPing& ping) {
     tree.insertPointCloud(cloud_of(ping), origin_of(ping), kNoMaxRange, true, true);
   };
-  rival.count_touched = [&](const RayPing& ping) { return count_touched(tree, ping); };
-  rival.memory_bytes = [&] { return tree.memoryUsage(); };
-  rival.known_voxels = [&] { return tree.getNumLeafNodes(); };
-  run(rival, read_rays(rays), budget_ms);
+  contender.count_touched = [&](const RayPing& ping) { return count_touched(tree, ping); };
+  contender.memory_bytes = [&] { return tree.memoryUsage(); };
+  contender.known_voxels = [&] { return tree.getNumLeafNodes(); };
+  run(contender, read_rays(rays), budget_ms);
 }
 
 }  // namespace

@@ -130,14 +130,14 @@ void measure(const std::string& rays, double resolution_m, double budget_ms,
   openvdb::initialize();
   const FloatGrid::Ptr grid = FloatGrid::create(0.0F);
   FloatTree& map = grid->tree();
-  Rival rival;
-  rival.insert = [&](const RayPing& ping) {
+  Contender contender;
+  contender.insert = [&](const RayPing& ping) {
     (way == "once" ? insert_once : insert_visits)(ping, resolution_m, map);
   };
-  rival.count_touched = [&](const RayPing& ping) { return count_touched(ping, resolution_m); };
-  rival.memory_bytes = [&] { return map.memUsage(); };
-  rival.known_voxels = [&] { return map.activeVoxelCount(); };
-  run(rival, read_rays(rays), budget_ms);
+  contender.count_touched = [&](const RayPing& ping) { return count_touched(ping, resolution_m); };
+  contender.memory_bytes = [&] { return map.memUsage(); };
+  contender.known_voxels = [&] { return map.activeVoxelCount(); };
+  run(contender, read_rays(rays), budget_ms);
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-// The loop that every rival runs, and the JSON that it prints; tools/bench/results.py reads it.
+// The loop that every contender runs, and the JSON that it prints; tools/bench/results.py reads it.
 #pragma once
 
 #include <algorithm>
@@ -22,7 +22,7 @@ inline constexpr float kMiss = -3.0F;
 inline constexpr float kMin = -10.0F;
 inline constexpr float kMax = 10.0F;
 
-struct Rival {
+struct Contender {
   std::function<void(const RayPing&)> insert;
   std::function<std::size_t(const RayPing&)> count_touched;  // distinct voxels; not timed
   std::function<std::size_t()> memory_bytes;
@@ -40,15 +40,15 @@ inline std::size_t status_bytes(const std::string& name) {
 }
 
 // Milliseconds of each of the first `count` pings; begins none after `budget_ms`, so that a slow
-// rival does not hold up the others. Calls `after(i)` after each, untimed.
+// contender does not hold up the others. Calls `after(i)` after each, untimed.
 template <typename After>
-std::vector<double> timed_pass(const Rival& rival, const std::vector<RayPing>& pings,
+std::vector<double> timed_pass(const Contender& contender, const std::vector<RayPing>& pings,
                                std::size_t count, double budget_ms, const After& after) {
   std::vector<double> times_ms;
   double sum_ms = 0;
   for (std::size_t i = 0; i < count && sum_ms < budget_ms; ++i) {
     const auto began = std::chrono::steady_clock::now();
-    rival.insert(pings[i]);
+    contender.insert(pings[i]);
     const std::chrono::duration<double, std::milli> took = std::chrono::steady_clock::now() - began;
     times_ms.push_back(took.count());
     sum_ms += took.count();
@@ -63,26 +63,26 @@ inline std::string json_list(const std::vector<double>& values) {
   return "[" + text + "]";
 }
 
-inline void run(const Rival& rival, const std::vector<RayPing>& pings, double budget_ms) {
+inline void run(const Contender& contender, const std::vector<RayPing>& pings, double budget_ms) {
   const std::size_t start_rss = status_bytes("VmRSS");
   std::string touched;
   const auto count = [&](std::size_t i) {
     touched += i == 0 ? "" : ", ";
-    touched += i % kCountEvery == 0 ? std::to_string(rival.count_touched(pings[i])) : "null";
+    touched += i % kCountEvery == 0 ? std::to_string(contender.count_touched(pings[i])) : "null";
   };
-  const auto first_ms = timed_pass(rival, pings, pings.size(), budget_ms, count);
+  const auto first_ms = timed_pass(contender, pings, pings.size(), budget_ms, count);
   const std::size_t peak_rss = status_bytes("VmHWM");
-  const std::size_t memory = rival.memory_bytes();
-  const std::size_t known = rival.known_voxels();
+  const std::size_t memory = contender.memory_bytes();
+  const std::size_t known = contender.known_voxels();
   const auto second_ms =
-      timed_pass(rival, pings, first_ms.size(), budget_ms, [](std::size_t /*i*/) {});
+      timed_pass(contender, pings, first_ms.size(), budget_ms, [](std::size_t /*i*/) {});
   std::cout << "{\"ms\": " << json_list(first_ms) << ", \"second_ms\": " << json_list(second_ms)
             << ", \"touched\": [" << touched << "], \"memory_bytes\": " << memory
             << ", \"known_voxels\": " << known << ", \"start_rss_bytes\": " << start_rss
             << ", \"peak_rss_bytes\": " << peak_rss << "}\n";
 }
 
-// The arguments of a rival: RAYS_FILE RESOLUTION_M BUDGET_S [WAY], where `ways` lists the allowed
+// The arguments of a contender: RAYS_FILE RESOLUTION_M BUDGET_S [WAY], where `ways` lists the allowed
 // ones; empty if there is but one. Calls measure(rays, resolution_m, budget_ms, way).
 template <typename Measure>
 int rival_main(int argc, char** argv, const std::vector<std::string>& ways,

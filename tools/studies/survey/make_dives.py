@@ -205,7 +205,7 @@ def _odometry_link(dive: SimulatedDive, scenario: Scenario, start_ns: int) -> It
 
 
 PLANS = {"full": FULL, "small": SMALL}
-LOOK_S = 0.5
+POLL_INTERVAL_S = 0.5
 """How often the progress bar looks."""
 
 _done: "list[Synchronized[int]]" = []
@@ -245,7 +245,7 @@ def record_all(todo: Sequence[SimulatedDive], folder: Path, processes: int) -> l
     with pool, tqdm(total=pings, unit="ping", file=sys.stderr, disable=None) as bar:
         waiting = futures = [pool.submit(_record, dive, folder) for dive in todo]
         while waiting:
-            over, left = wait(waiting, LOOK_S, FIRST_COMPLETED)
+            over, left = wait(waiting, POLL_INTERVAL_S, FIRST_COMPLETED)
             if any(not future.cancelled() and future.exception() for future in over):
                 pool.shutdown(wait=False, cancel_futures=True)
             waiting = [future for future in left if not future.cancelled()]

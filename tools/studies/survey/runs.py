@@ -114,7 +114,7 @@ def fingerprint(path: Path) -> Fingerprint:
     return Fingerprint(bricks, voxel_bytes, f"{total % (1 << 128):032x}")
 
 
-LOOK_S = 0.1
+POLL_INTERVAL_S = 0.1
 ALONE_S = 120.0
 WORKER = "spawn_main"
 """In the command line of a worker: Dask's nanny spawns it from the process of the command."""
@@ -126,9 +126,11 @@ class RunUsage(msgspec.Struct, frozen=True):
     Attributes:
         workers: that it had at a time.
         wall_s: from start to end of the command.
-        cpu_s: of its processes, as far as they were seen; at most `LOOK_S` of each is missing.
+        cpu_s: of its processes, as far as they were seen; at most `POLL_INTERVAL_S` of each is
+            missing.
         worker_peak_bytes: most memory that one worker ever took until its last look, as the kernel
-            counts it (VmHWM): what a worker took in its last `LOOK_S` may be missing, no peak else.
+            counts it (VmHWM): what a worker took in its last `POLL_INTERVAL_S` may be missing, no
+            peak else.
         killed: workers that were killed.
     """
 
@@ -181,7 +183,7 @@ def watch(
             if next_s is not None and kill_every_s and at_work and time.perf_counter() >= next_s:
                 killed += _kill_one(command.pid, chance)
                 next_s = time.perf_counter() + chance.expovariate(1.0 / kill_every_s)
-            time.sleep(LOOK_S)
+            time.sleep(POLL_INTERVAL_S)
     finally:
         command.kill()
         code = command.wait()

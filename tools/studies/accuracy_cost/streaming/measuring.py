@@ -143,7 +143,7 @@ def summary(
 
 
 STEP_S = 0.02
-LOOK_S = 0.07
+POLL_INTERVAL_S = 0.07
 """After a ping: pings and looks do not wait for each other."""
 
 
@@ -186,7 +186,7 @@ def watched(pings: Pings, plan: StreamPlan, wanted: StreamSetting) -> dict[str, 
     ages_s: list[tuple[float, float]] = []
     cpu_s: list[float] = []
     joined_s = plan.joins * PING_S
-    now_s, next_look_s = joined_s, joined_s + LOOK_S
+    now_s, next_look_s = joined_s, joined_s + POLL_INTERVAL_S
     for number in range(plan.joins, plan.pings):
         position_m = position_of(pings, number)
         _map(sonar_map, pings, number)
