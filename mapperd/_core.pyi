@@ -719,7 +719,7 @@ class MclField:
         unknown: str = "as_free",
         threads: int = 1,
     ) -> MclField:
-        """By the exact distance transform.
+        """Make a field from a grid by the exact distance transform.
 
         Args:
             grid: the map.
@@ -736,7 +736,7 @@ class MclField:
         origin: NDArray[np.float64],
         outside: float,
     ) -> MclField:
-        """Of (rows, columns) values as they are; `outside` is that of all places off the map."""
+        """Make a field of (rows, columns) values; places off the map have the value `outside`."""
 
     @staticmethod
     def of_distances(
@@ -745,10 +745,17 @@ class MclField:
         resolution_m: float,
         model: MclHitModel,
     ) -> MclField:
-        """Of what `VoxelMap.distance_field` gives: (x, y, z) distances and the first centre."""
+        """Make a field of what `VoxelMap.distance_field` returns.
+
+        Args:
+            distances_m: (x, y, z).
+            first_centre_m: centre of the first cell, (3,).
+            resolution_m: edge of a cell.
+            model: p of the distance.
+        """
 
     def values(self, layer: int = 0) -> NDArray[np.float32]:
-        """(rows, columns)."""
+        """Return the values of a layer, (rows, columns)."""
 
     @property
     def layers(self) -> int: ...
@@ -898,7 +905,7 @@ class MclWeighed:
 
     @property
     def injected_share(self) -> float:
-        """Of the next resampling, 0 ... 1."""
+        """Share of random particles in the next resampling, 0 ... 1."""
 
     @property
     def exponent(self) -> float:
@@ -1048,30 +1055,35 @@ class MclFilter:
     def resample(self, free: MclFreeSpace | None = None) -> None: ...
     def effective_size(self) -> float: ...
     def estimate(self) -> MclEstimate:
-        """Of all particles."""
+        """Return the estimate of all particles."""
 
     def modes(
         self, bucket_xy_m: float = 0.2, bucket_yaw_rad: float = 0.524
     ) -> tuple[MclEstimate, NDArray[np.float64], NDArray[np.int64]]:
-        """The heaviest cluster's estimate, all clusters' masses, falling, and each label."""
+        """Return clusters of particles.
+
+        Returns:
+            the heaviest cluster's estimate, the masses of all clusters, falling, and the cluster of
+            each particle.
+        """
 
     def __len__(self) -> int: ...
     @property
     def poses(self) -> NDArray[np.float64]:
-        """(N, 3), a copy."""
+        """Poses of the particles, (N, 3), a copy."""
 
     @property
     def weights(self) -> NDArray[np.float64]:
-        """(N,), of sum 1."""
+        """Weights of the particles, (N,); their sum is 1."""
 
     @property
     def log_weights(self) -> NDArray[np.float64]: ...
     @property
     def counts(self) -> dict[str, int]:
-        """What was done, refused and worked around."""
+        """Number of updates, refusals and workarounds by kind."""
 
 def mcl_estimate(poses: NDArray[np.float64], weights: NDArray[np.float64]) -> MclEstimate:
-    """Of (N, 3) poses with weights of any sum."""
+    """Return the estimate of (N, 3) poses with weights of any sum."""
 
 def mcl_square_root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     """S with S S^T = covariance (3, 3).

@@ -334,10 +334,10 @@ class StateReader:
 
     @property
     def localization(self) -> LocalizationMessage | None:
-        """How it goes."""
+        """State of localization."""
         return self._client_state.newest_of(LocalizationMessage)
 
     @property
     def status(self) -> StatusMessage | None:
-        """Of the daemon and of this link; once a second."""
+        """Status of the daemon and of this link; once a second."""
         return self._client_state.newest_of(StatusMessage)

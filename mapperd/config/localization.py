@@ -10,7 +10,7 @@ __all__ = ["LocalizationConfig", "ScanExtractionConfig"]
 
 
 class ScanExtractionConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """From a ping to one range a beam: the first surface."""
+    """How a ping becomes one range per beam: that of the first surface."""
 
     equalise: Annotated[
         bool, rule("First subtract noise that varies over range and beams.", live=True)

@@ -372,7 +372,7 @@ class OdometrySourceConfig(FormatSettings, frozen=True, forbid_unknown_fields=Tr
 
 
 class OdometryFusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """From the sources' records to one pose."""
+    """Fusion of the sources' records into one pose."""
 
     sources: Annotated[
         tuple[OdometrySourceConfig, ...],

@@ -171,7 +171,7 @@ UpdateRule = Annotated[
 
 
 class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """From a ping to evidence, and from evidence to classes."""
+    """How a ping becomes evidence, and evidence becomes classes."""
 
     occupied_threshold: Annotated[
         float, rule("Voxels above this probability are occupied.", live=True, gt=0, lt=1)

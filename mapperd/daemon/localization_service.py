@@ -200,7 +200,7 @@ CLOSED = Reject("closed", "mapping has ended")
 
 
 class Requests:
-    """Of one session; of one event loop, but for `done`.
+    """Requests of one session; used in one event loop, except `done`.
 
     Args:
         ingest: records them as orders.

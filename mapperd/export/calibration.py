@@ -91,7 +91,7 @@ class _CalibratedVoxels:
 
     @property
     def box_m(self) -> NDArray[np.float64]:
-        """Of the voxels, (2, 3)."""
+        """Box around the voxels, (2, 3)."""
         return self.voxels.box_m
 
     def batches(self) -> Iterator[Voxels]:

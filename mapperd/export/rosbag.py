@@ -27,10 +27,10 @@ from mapperd.odometry.fusion import FusedPose
 __all__ = ["GRID_TOPIC", "Bag", "Messages", "Storage", "Turned", "open_bag"]
 
 NOBODY_KNOWS = 1e6
-"""Variances of what nobody knows, which zeros would call exact."""
+"""Variance of unknown values; zero would mean exact."""
 
 ENCODINGS = {1: "mono8", 2: "mono16", 4: "32SC1"}
-"""Of images, by the bytes of a sample."""
+"""Encoding of an image by the bytes of a sample."""
 
 FLOAT32, UINT16 = 7, 4
 """Datatypes of PointField."""

@@ -29,7 +29,7 @@ class Channel:
 
     @property
     def schema_name(self) -> str:
-        """As viewers see it."""
+        """Name of the schema as viewers see it."""
         return self.schema if self.schema in JSON_SCHEMAS else f"foxglove.{self.schema}"
 
 

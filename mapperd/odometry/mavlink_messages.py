@@ -71,7 +71,7 @@ ORDER = (
 
 @dataclass(frozen=True, slots=True)
 class _MavlinkOdometry:
-    """Return the known parts of an ODOMETRY; NaN or unset parts are None."""
+    """The known parts of an ODOMETRY; NaN or unset parts are None."""
 
     position: Sequence[float] | None
     quaternion: Sequence[float] | None
@@ -82,7 +82,7 @@ class _MavlinkOdometry:
 
     @classmethod
     def of(cls, m: Any) -> "_MavlinkOdometry":  # noqa: ANN401 pymavlink's message
-        """Of a message."""
+        """Return the known parts of a message."""
         return cls(
             _known((m.x, m.y, m.z)),
             _known(m.q),

@@ -92,7 +92,7 @@ def process_ping(posed: PosedPing, stages: Stages) -> PingResult:
 
 
 def skip_ping(posed: PosedPing, stages: Stages, config: Config) -> None:
-    """Repeat what a ping that is in the map leaves behind besides: localization, level."""
+    """Update localization and the surface level by a ping that is already in the map."""
     if isinstance(posed.pose, Reject) or (
         stages.localization is None and stages.map.surface is None
     ):

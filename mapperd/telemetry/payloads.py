@@ -110,11 +110,12 @@ def mounting_report(config: Config) -> dict[str, Any]:
 
 
 EARLY = 0.1
-"""Of a period: who asks at about the same rate would else miss every second one."""
+"""Share of a period that a value may come early. Without it, a caller at about the same rate would
+miss every second value."""
 
 
 class Throttle:
-    """At most so often on average; two are at least half a period apart.
+    """Limits how often something is sent on average; two are at least half a period apart.
 
     Args:
         period_s: minimum time between two; may change.
@@ -136,7 +137,7 @@ class Throttle:
 
 CLOUD_S = 1.0
 AGAIN_S = 5.0
-"""Of diagnostics that do not change."""
+"""Period of diagnostics that do not change."""
 CHANGE_S = 1.0
 
 SAMPLE = 100

@@ -38,7 +38,7 @@ class Topics:
 
     @classmethod
     def of(cls, settings: MqttConfig, amcl: AmclConfig | None = None) -> "Topics":
-        """As the settings have it.
+        """Return the topics that the settings name.
 
         Args:
             settings: prefix and vehicle.
@@ -53,7 +53,7 @@ class Topics:
         return cls(root, also)
 
     def of_name(self, name: str) -> str:
-        """Of one subject: `pose`, `/sonar_robot_detections`."""
+        """Return the topic of one subject: `pose`, `/sonar_robot_detections`."""
         return f"{self.root}/{name.lstrip('/')}"
 
     def setting(self, name: str) -> str:

@@ -129,7 +129,7 @@ def _target(args: argparse.Namespace) -> DaemonTarget:
 
 
 def _settings(args: argparse.Namespace) -> Layered:
-    """Those of the files, where they can be read: who looks may be somebody else."""
+    """Return the settings of the files, or the defaults if this user cannot read them."""
     try:
         return load_settings(args.config, os.environ)
     except ConfigError:

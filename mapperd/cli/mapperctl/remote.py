@@ -34,7 +34,7 @@ ANSWER_TIMEOUT_S = 30.0
 DISK_TIMEOUT_S = 900.0
 SLOW = ("save", "reset", "snapshot", "reload", "set_map")
 PERIOD_S = 1.0
-"""Of `--watch`."""
+"""Period of `--watch`."""
 
 HOME_AND_CLEAR = "\x1b[H\x1b[J"
 
@@ -42,7 +42,7 @@ Lines = Iterator[str]
 
 
 def run(args: argparse.Namespace, target: DaemonTarget) -> Lines:
-    """Do a command; yields what there is to print, as it comes.
+    """Run a command; yield what is to be printed, as it comes.
 
     Raises:
         CtlError: it is not done.

@@ -331,7 +331,7 @@ async def _report_link(client: MapClient) -> None:
 
 
 def _named(host: str) -> str:
-    """As it stands in an address of the web."""
+    """Return an address as it stands in a URL."""
     if host in ("0.0.0.0", "::"):  # noqa: S104 it is compared, not opened
         return "localhost"
     return f"[{host}]" if ":" in host else host

@@ -39,7 +39,7 @@ def object_velocity_mps(view: PingPreview) -> NDArray[np.float64]:
 
 
 def speed_mps(view: PingPreview) -> float:
-    """Of the sonar."""
+    """Speed of the sonar."""
     return 0.0 if view.motion is None else float(np.linalg.norm(view.motion.linear_mps))
 
 

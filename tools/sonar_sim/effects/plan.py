@@ -125,7 +125,7 @@ class EffectPlan:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the effects that are computed."""
+        """Names of the effects that are computed."""
         return tuple(d.effect.name for d in self.decisions if d.on)
 
     @property

@@ -128,7 +128,7 @@ class _Cell:
 
     @property
     def pose(self) -> FramePose:
-        """From which all its pings are looked from."""
+        """Pose from which all its pings are seen."""
         turned = Rotation.from_rotvec(np.array(self.turned) * ANGLE_RAD)
         return FramePose(self.middle_m, turned.as_matrix())
 

@@ -50,7 +50,7 @@ class VisibleCloud:
 
     @property
     def box(self) -> Cloud:
-        """As the engine takes it."""
+        """The box as the engine takes it."""
         return Cloud(
             np.array(self.spec.low_m, dtype=np.float64),
             np.array(self.spec.high_m, dtype=np.float64),
@@ -113,12 +113,12 @@ class PingPreview:
 
     @property
     def own_pose(self) -> FramePose:
-        """Of the ping itself."""
+        """Pose of the ping itself."""
         return self.map_T_sonar if self.ping is None else self.ping.map_T_sonar
 
     @property
     def own_time_s(self) -> float:
-        """Of the ping itself."""
+        """Time of the ping itself."""
         return self.time_s if self.ping is None else self.ping.time_s
 
     @cached_property
@@ -166,7 +166,7 @@ class PingPreview:
 
     @cached_property
     def source_power(self) -> float:
-        """Of the transmission, at 1 m."""
+        """Power of the transmission, at 1 m."""
         return float(10.0 ** (self.sonar.source_level_db / 10.0))
 
     @cached_property
@@ -232,7 +232,7 @@ class PingPreview:
 
     @cached_property
     def noise_power(self) -> float:
-        """Of a pixel."""
+        """Noise power of a pixel."""
         return float(10.0 ** (noise_level_db(self.sonar, self.scene.water) / 10.0))
 
     @cached_property
@@ -300,7 +300,7 @@ class PingPreview:
 
     @cached_property
     def amplitude(self) -> NDArray[np.float64]:
-        """Of full scale, (rows, COLUMNS)."""
+        """Amplitude as a share of full scale, (rows, COLUMNS)."""
         return self.gains.amplitude(self.picture)
 
     def change_db(self, power: NDArray[np.float64], tolerance: Tolerance) -> float:

@@ -78,13 +78,13 @@ class Fix:
 
     @property
     def velocity_frd_mps(self) -> NDArray[np.float64]:
-        """Of the body, in its own axes, (3,)."""
+        """Velocity of the body in its own axes, (3,)."""
         frd: NDArray[np.float64] = FRD_R_FLU @ self.sample.velocity_mps
         return frd
 
     @property
     def velocity_ned_mps(self) -> NDArray[np.float64]:
-        """Of the body, in the world, (3,)."""
+        """Velocity of the body in the world's axes, (3,)."""
         ned: NDArray[np.float64] = self.ned_R_frd @ self.velocity_frd_mps
         return ned
 

@@ -49,7 +49,7 @@ class VelocityReport:
 
     @property
     def covariance(self) -> list[list[float]]:
-        """Of the velocity, (m/s)², 3 x 3."""
+        """Covariance of the velocity, (m/s)², 3 x 3."""
         variance = self.fom_mps**2
         return [[variance if row == column else 0.0 for column in range(3)] for row in range(3)]
 

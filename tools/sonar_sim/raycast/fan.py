@@ -47,12 +47,12 @@ class RayFan:
 
     @property
     def first_sine(self) -> float:
-        """Of the bearing of column 0."""
+        """Sine of the bearing of column 0."""
         return -0.5 * (self.columns - 1) * self.sine_pitch
 
     @property
     def solid_angle_sr(self) -> NDArray[np.float64]:
-        """Of each ray's cell, (N,)."""
+        """Solid angle of each ray's cell, (N,)."""
         return solid_angle_sr(*self.cell.T.astype(np.float64))
 
 

@@ -79,7 +79,7 @@ class PointTarget:
     motion: ObjectMotion | None = None
 
     def position_at_m(self, time_s: float) -> NDArray[np.float64]:
-        """In the map at a time, (3,)."""
+        """Position in the map at a time, (3,)."""
         here = np.asarray(self.position_m, dtype=np.float64)
         if self.motion is None:
             return here
