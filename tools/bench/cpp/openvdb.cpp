@@ -142,4 +142,4 @@ void measure(const std::string& rays, double resolution_m, double budget_ms,
 
 }  // namespace
 
-int main(int argc, char** argv) { return rival_main(argc, argv, {"visits", "once"}, measure); }
+int main(int argc, char** argv) { return contender_main(argc, argv, {"visits", "once"}, measure); }

@@ -82,11 +82,11 @@ inline void run(const Contender& contender, const std::vector<RayPing>& pings, d
             << ", \"peak_rss_bytes\": " << peak_rss << "}\n";
 }
 
-// The arguments of a contender: RAYS_FILE RESOLUTION_M BUDGET_S [WAY], where `ways` lists the allowed
-// ones; empty if there is but one. Calls measure(rays, resolution_m, budget_ms, way).
+// The arguments of a contender: RAYS_FILE RESOLUTION_M BUDGET_S [WAY], where `ways` lists the
+// allowed ones; empty if there is but one. Calls measure(rays, resolution_m, budget_ms, way).
 template <typename Measure>
-int rival_main(int argc, char** argv, const std::vector<std::string>& ways,
-               const Measure& measure) {
+int contender_main(int argc, char** argv, const std::vector<std::string>& ways,
+                   const Measure& measure) {
   const int wanted = ways.empty() ? 4 : 5;
   const std::string way = argc == 5 ? argv[4] : "";
   const bool known_way = ways.empty() || std::find(ways.begin(), ways.end(), way) != ways.end();
