@@ -379,7 +379,7 @@ def test_a_clients_copy_is_of_the_rule_of_the_daemons_map() -> None:
     log_odds = np.array([PLATE, -5.0, 14.0], dtype=np.float32)
     some = np.ones(3, dtype=np.uint16)
     cells = Cells(centres_m, log_odds, log_odds, some, some.astype(np.int64))
-    limits = (math.log(0.137 / 0.863), math.log(0.03 / 0.97))
+    limits = (math.log(0.12 / 0.88), math.log(0.03 / 0.97))
     facts = MapInfo("id", 0.1, 0.1, *limits, prior_log_odds=ARC.arc.prior_log_odds)
     copy = map_of(cells, 0.1, facts, Config())
     assert copy.config.mapping.rule == "arc"
