@@ -333,7 +333,7 @@ class ArcConfig(Struct, frozen=True, forbid_unknown_fields=True):
     max_ratio: Annotated[
         float,
         rule("Part of a step downwards that a voxel surely occupied takes.", ge=0, le=1),
-    ] = 0.3
+    ] = 0.6
     spread_below: Annotated[
         float,
         rule("Spread of the logarithm of levels below that of a surface.", ge=0.05, le=10),
@@ -346,7 +346,7 @@ class ArcConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.3
     missed_share: Annotated[
         float, rule("Share of surfaces that return nothing.", ge=0.001, le=0.9)
-    ] = 0.1
+    ] = 0.01
 
     def __post_init__(self) -> None:
         """Check what no single field can."""

@@ -37,13 +37,14 @@
 
 namespace mapperd::map {
 
+/// How surfaces, the beam and silence are modelled; spreads and levels are as in the definition.
 struct ArcParams {
   double half_aperture_rad = 0.2617993877991494;  ///< elevation up to which echoes are heard
   double beam_width_rad = 0.349065850398866;      ///< vertical, one way, -3 dB, full
   double spread_below = 0.45;                     ///< of the logarithm of a surface's level
   double spread_above = 1.0;
   double broad_share = 0.3;    ///< of surfaces of any level
-  double missed_share = 0.1;   ///< of surfaces that return nothing
+  double missed_share = 0.01;  ///< of surfaces that return nothing
   double first_return = 0.45;  ///< smallest level of a first return
   double quiet = 3.0;          ///< levels up to so many times the noise are silence
   double behind_scale = 0.6;   ///< of steps downwards behind the first return
