@@ -62,17 +62,17 @@ class FirstReturns:
 
 
 def first_returns(
-    levels: Levels, echo: PingImage, limits: RangeLimits, settings: ScanExtractionConfig
+    levels: Levels, image: PingImage, limits: RangeLimits, settings: ScanExtractionConfig
 ) -> FirstReturns:
     """Find the first return of each beam.
 
     Args:
         levels: (rows, beams) float32 dB above noise.
-        echo: the image, as displayed.
+        image: the image, as displayed.
         limits: range to search.
         settings: thresholds of the tests.
     """
-    (rows, beams), intensity = levels.shape, echo.intensity
+    (rows, beams), intensity = levels.shape, image.intensity
     nothing = np.full(beams, np.nan)
     look = limits.rows(rows)
     if look.stop - look.start < settings.min_run:

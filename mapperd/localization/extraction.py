@@ -218,12 +218,12 @@ class ScanContext:
 
 
 def scan_of(
-    echo: PingImage, around: ScanContext, config: Config, watch: BurstWatch | None = None
+    image: PingImage, around: ScanContext, config: Config, watch: BurstWatch | None = None
 ) -> Scan | Reject:
     """Extract the first surface of each beam from a ping.
 
     Args:
-        echo: intensities and geometry, after the filters.
+        image: intensities and geometry, after the filters.
         around: pose and depth.
         config: the settings.
         watch: knows the pings before; None skips the test for bursts.
@@ -231,24 +231,24 @@ def scan_of(
     Returns:
         The scan, possibly without returns, or a reject: `burst`.
     """
-    settings, cell_m = config.localization.scan, echo.range_resolution_m
+    settings, cell_m = config.localization.scan, image.range_resolution_m
     limits = RangeLimits(
         max(config.filtering.min_range, config.amcl.laser_min_range),
-        min(echo.max_range_m, config.amcl.laser_max_range),
+        min(image.max_range_m, config.amcl.laser_max_range),
         cell_m,
     )
-    levels = levels_db(echo.intensity, echo.gamma_byte)
+    levels = levels_db(image.intensity, image.gamma_byte)
     levels = equalised(levels, cell_m) if settings.equalise else levels
-    found = first_returns(levels, echo, limits, settings)
+    found = first_returns(levels, image, limits, settings)
     if watch is not None:
-        share = watch.share(around.stamp_ns, echo.bearings_rad, found.range_m, EDGE_CELLS * cell_m)
+        share = watch.share(around.stamp_ns, image.bearings_rad, found.range_m, EDGE_CELLS * cell_m)
         if share > settings.burst_share:
             return Reject("burst", f"{share:.0%} of the returns are nowhere in the pings before")
-    return _placed(found, echo, around, config, limits.max_range_m)
+    return _placed(found, image, around, config, limits.max_range_m)
 
 
 def _placed(
-    found: FirstReturns, echo: PingImage, around: ScanContext, config: Config, max_range_m: float
+    found: FirstReturns, image: PingImage, around: ScanContext, config: Config, max_range_m: float
 ) -> Scan:
     settings = config.localization.scan
     # The edge of a slowly rising surface may lie outside of the limits for its samples.
@@ -257,7 +257,7 @@ def _placed(
     quality = np.clip(quality, 0.0, 1.0)
     if settings.floor_gate != "off":
         gate_m = floor_gate_m(
-            echo.bearings_rad,
+            image.bearings_rad,
             around.level_T_sonar,
             heard_aperture_rad(config.sonar),
             height_m=around.height_m,
@@ -267,7 +267,7 @@ def _placed(
         quality = np.where(maybe_floor, settings.floor_quality * quality, quality)
         there &= ~maybe_floor if settings.floor_gate == "drop" else True
     beam = np.flatnonzero(there)
-    bearing, range_m = echo.bearings_rad[beam], found.range_m[beam]
+    bearing, range_m = image.bearings_rad[beam], found.range_m[beam]
     return Scan(
         around.stamp_ns,
         bearing,
@@ -275,7 +275,7 @@ def _placed(
         fan_points(range_m, bearing, around.level_T_sonar),
         quality[beam],
         beam,
-        echo.bearings_rad[~np.isfinite(found.range_m)],
+        image.bearings_rad[~np.isfinite(found.range_m)],
         max_range_m,
         np.array(around.level_T_sonar, dtype=np.float64),
     )

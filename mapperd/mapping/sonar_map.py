@@ -235,14 +235,14 @@ class SonarMap:
 
     def integrate(
         self,
-        echo: PingImage,
+        image: PingImage,
         map_T_sonar: Floats,  # noqa: N803 frames are named
         motion: PingMotion | None = None,
     ) -> PingStats:
         """Integrate one ping with the rule and the integrator of the settings.
 
         Args:
-            echo: the ping's intensities and geometry.
+            image: the ping's intensities and geometry.
             map_T_sonar: (4, 4) rigid transform of the sonar at the ping's time.
             motion: motion of the sonar during the ping, ignored without
                 `mapping.within_ping_motion`; None is a sonar at rest.
@@ -252,13 +252,13 @@ class SonarMap:
                 map's range, or the motion is impossible (faster than a fiftieth of the speed of
                 sound, or more than a radian in one ping). The map is unchanged.
         """
-        self.skip(echo)
-        check_size(echo, self.config)
+        self.skip(image)
+        check_size(image, self.config)
         settings = self.config.mapping
         if self._arc is not None:
             with refusals():
-                return self._arc.integrate(self._map, echo, map_T_sonar, motion)
-        ping = (echo.intensity, echo.bearings_rad, echo.range_resolution_m, map_T_sonar)
+                return self._arc.integrate(self._map, image, map_T_sonar, motion)
+        ping = (image.intensity, image.bearings_rad, image.range_resolution_m, map_T_sonar)
         with refusals():
             if settings.integrator == "rays":
                 return self._map.integrate_rays(
@@ -275,18 +275,18 @@ class SonarMap:
                 threads=settings.threads,
             )
 
-    def skip(self, echo: PingImage) -> None:
+    def skip(self, image: PingImage) -> None:
         """Learn what a ping tells of the session's sonar; `integrate` does it for its own pings.
 
         Args:
-            echo: a ping that is in the map already, or refused by it.
+            image: a ping that is in the map already, or refused by it.
         """
         if self._arc is not None:
-            self._arc.add_returns(echo)
+            self._arc.add_returns(image)
 
     def blocks_of(
         self,
-        echo: PingImage,
+        image: PingImage,
         map_T_sonar: Floats,  # noqa: N803 frames are named
         motion: PingMotion | None = None,
     ) -> tuple[Key, Key] | None:
@@ -298,13 +298,13 @@ class SonarMap:
         Raises:
             MapError: as `integrate`, for the same pings.
         """
-        check_size(echo, self.config)
+        check_size(image, self.config)
         settings = self.config.mapping
         with refusals():
             return self._map.blocks_of_ping(
-                echo.intensity,
-                echo.bearings_rad,
-                echo.range_resolution_m,
+                image.intensity,
+                image.bearings_rad,
+                image.range_resolution_m,
                 map_T_sonar,
                 **fan_arguments(self.config, motion),
                 carve_no_return=self._arc is not None

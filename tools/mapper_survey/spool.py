@@ -97,17 +97,17 @@ class RecordWriter:
         self._numbers: dict[bytes, int] = {}
         self._compressor = zstandard.ZstdCompressor(level=LEVEL)
 
-    def pack(self, echo: PingImage, map_T_sonar: Floats, motion: PingMotion | None) -> bytes:  # noqa: N803 frames are named
+    def pack(self, image: PingImage, map_T_sonar: Floats, motion: PingMotion | None) -> bytes:  # noqa: N803 frames are named
         """Return the bytes of one ping."""
-        samples = self._samples(echo.intensity)
+        samples = self._samples(image.intensity)
         rows, beams = samples.shape
         head = HEAD.pack(
             samples.itemsize,
             motion is not None,
-            self._number(echo.bearings_rad.tobytes()),
+            self._number(image.bearings_rad.tobytes()),
             rows,
             beams,
-            echo.range_resolution_m,
+            image.range_resolution_m,
             *map_T_sonar.ravel().tolist(),
             *(STILL if motion is None else _numbers_of(motion)),
         )
@@ -157,11 +157,11 @@ class RecordReader:
             )
             samples = np.frombuffer(data, dtype=np.uint8 if size == 1 else "<f4")
             intensity = samples.reshape(rows, beams).astype(np.float32)
-            echo = PingImage(intensity, self._bearings[table], resolution_m)
+            image = PingImage(intensity, self._bearings[table], resolution_m)
         except (struct.error, ValueError, IndexError, zstandard.ZstdError) as error:
             raise MapperdError(f"the spool is damaged: {error}") from error
         pose, motion = np.array(numbers[:16]).reshape(4, 4), numbers[16:]
-        return echo, pose, _motion_of(motion) if moves else None
+        return image, pose, _motion_of(motion) if moves else None
 
 
 def _rounded_down(threshold: float) -> np.float32:
@@ -269,14 +269,14 @@ class SpoolMap(SonarMap):
 
     def integrate(
         self,
-        echo: PingImage,
+        image: PingImage,
         map_T_sonar: NDArray[np.float64],  # noqa: N803 frames are named
         motion: PingMotion | None = None,
     ) -> PingStats:
         """Spool a ping; raises like a map."""
         placed, moved = self._frame.pose(map_T_sonar), self._frame.motion(motion)
-        first, last = self.blocks_of(echo, placed, moved) or NO_BOX
-        record = self._writer.pack(echo, placed, moved)
+        first, last = self.blocks_of(image, placed, moved) or NO_BOX
+        record = self._writer.pack(image, placed, moved)
         self._out.write(record)
         t_ns = NO_TIME if self.t_ns is None else self.t_ns
         self._rows.add((t_ns, self._offset, len(record), *first, *last))

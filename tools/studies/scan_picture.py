@@ -30,17 +30,17 @@ FLOOR = (60, 220, 255)
 
 
 def draw_scan(
-    echo: PingImage, scan: Scan, true: NDArray[np.bool_] | None = None
+    image: PingImage, scan: Scan, true: NDArray[np.bool_] | None = None
 ) -> NDArray[np.uint8]:
     """The fan with the returns on it, (height, width, 3), blue first as OpenCV has it.
 
     Args:
-        echo: the image.
+        image: the image.
         scan: taken out of it.
         true: (N,) which returns are true, where it is known: others are red.
     """
-    fan = fit_fan(echo.bearings_rad, echo.max_range_m, SIZE_PX, MARGINS_PX)
-    level = (echo.intensity / np.float32(255)) ** np.float32(CONTRAST_GAMMA)
+    fan = fit_fan(image.bearings_rad, image.max_range_m, SIZE_PX, MARGINS_PX)
+    level = (image.intensity / np.float32(255)) ** np.float32(CONTRAST_GAMMA)
     grey = np.rint(np.clip(warp_to_fan(level, fan), 0, 1) * 255).astype(np.uint8)
     grey[fan.outside] = 0
     frame: NDArray[np.uint8] = np.repeat(grey[:, :, None], 3, axis=2)
@@ -72,14 +72,14 @@ def main() -> None:
             print(f"no ping: {ping.detail}")
             continue
         try:
-            echo = ping_image_of(ping, config.sonar)
+            image = ping_image_of(ping, config.sonar)
         except MapError as error:
             print(f"ping {ping.ping_id}: {error}")
             continue
-        scan = scan_of(echo, ScanContext(0, np.eye(4)), config)
+        scan = scan_of(image, ScanContext(0, np.eye(4)), config)
         if isinstance(scan, Scan):
-            print(f"ping {ping.ping_id}: {len(scan)} returns of {len(echo.bearings_rad)} beams")
-            write_picture(asked.out / f"scan-{ping.ping_id}.png", draw_scan(echo, scan))
+            print(f"ping {ping.ping_id}: {len(scan)} returns of {len(image.bearings_rad)} beams")
+            write_picture(asked.out / f"scan-{ping.ping_id}.png", draw_scan(image, scan))
 
 
 if __name__ == "__main__":

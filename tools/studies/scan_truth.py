@@ -61,7 +61,7 @@ class JudgedScan:
     """One simulated ping, and what is taken out of it.
 
     Attributes:
-        echo: the image.
+        image: the image.
         scan: what is taken out.
         true: (N,) bool, returns that lie on a first surface.
         beside: (N,) bool, others that lie on one within `BESIDE` beam widths.
@@ -71,7 +71,7 @@ class JudgedScan:
         cpu_s: that the scan took.
     """
 
-    echo: PingImage
+    image: PingImage
     scan: Scan
     true: NDArray[np.bool_]
     beside: NDArray[np.bool_]
@@ -132,7 +132,7 @@ def _look(
     place: PoseBox, sonar: SonarSettings, pose: FramePose, ping: SimulatedPing, config: Config
 ) -> JudgedScan:
     sines = np.linspace(-1.0, 1.0, sonar.beams) * math.sin(sonar.half_aperture_rad)
-    echo = replace(
+    image = replace(
         ping_image_of_array(ping.image, sonar.range_m, np.arcsin(sines), config.sonar),
         gamma_byte=sonar.gamma_byte,
     )
@@ -143,31 +143,31 @@ def _look(
         depth_m=-float(pose.position_m[2]),
     )
     began_s = time.process_time()
-    scan = scan_of(echo, around, config)
+    scan = scan_of(image, around, config)
     cpu_s = time.process_time() - began_s
     if ping.truth is None or isinstance(scan, Reject):
         raise RuntimeError("a single ping with its truth gives a scan")
     half_rad, width_rad = sonar.vertical_width_rad / 2, math.radians(place.beam_width_deg)
     looks = ((half_rad, width_rad), (half_rad, BESIDE * width_rad), (STEEP * half_rad, width_rad))
     surfaces, *others = (
-        first_surfaces_m(_within(ping.truth, half), echo.bearings_rad, width)
+        first_surfaces_m(_within(ping.truth, half), image.bearings_rad, width)
         for half, width in looks
     )
     true, beside, steep = (
-        np.abs(found[scan.beam] - scan.range_m[:, None]).min(axis=1) <= echo.range_resolution_m
+        np.abs(found[scan.beam] - scan.range_m[:, None]).min(axis=1) <= image.range_resolution_m
         for found in (surfaces, *others)
     )
     gate = floor_gate_m(
-        echo.bearings_rad,
+        image.bearings_rad,
         around.level_T_sonar,
         sonar.vertical_width_rad,
         height_m=around.height_m,
         depth_m=around.depth_m,
     )
-    ahead = surfaces[:, STEPS // 2] < np.minimum(gate, echo.max_range_m)
+    ahead = surfaces[:, STEPS // 2] < np.minimum(gate, image.max_range_m)
     sure, beside = scan.range_m < gate[scan.beam], beside & ~true
     steep = steep & ~true & ~beside
-    return JudgedScan(echo, scan, true, beside, steep, sure, int(ahead.sum()), cpu_s)
+    return JudgedScan(image, scan, true, beside, steep, sure, int(ahead.sum()), cpu_s)
 
 
 def _within(truth: Truth, half_aperture_rad: float) -> Truth:
@@ -208,7 +208,7 @@ def main() -> None:
         looks = look(place, asked.pings)
         print(report(place, looks))
         for k, one in enumerate(looks[:PICTURES] if asked.out else []):
-            picture = draw_scan(one.echo, one.scan, one.true)
+            picture = draw_scan(one.image, one.scan, one.true)
             write_picture(asked.out / f"scan-{place.scene}-{k}.png", picture)
 
 

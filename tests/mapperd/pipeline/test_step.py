@@ -124,9 +124,9 @@ def test_localization_and_the_map_share_one_filtered_image(
 ) -> None:
     made: list[PingImage] = []
 
-    def counted(echo: PingImage, config: Config) -> tuple[PingImage, tuple[Robot, ...]]:
-        made.append(echo)
-        return filter_ping_image(echo, config)
+    def counted(image: PingImage, config: Config) -> tuple[PingImage, tuple[Robot, ...]]:
+        made.append(image)
+        return filter_ping_image(image, config)
 
     monkeypatch.setattr(step, "filter_ping_image", counted)
     localization = _Localization()

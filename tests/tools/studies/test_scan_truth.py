@@ -59,8 +59,8 @@ def test_truth_is_the_first_surface_of_the_beam_s_directions() -> None:
 
 def test_picture_shows_every_return(looks: tuple[str, list[JudgedScan]]) -> None:
     _, made = looks
-    plain = draw_scan(made[0].echo, made[0].scan)
-    judged = draw_scan(made[0].echo, made[0].scan, np.zeros(len(made[0].scan), dtype=np.bool_))
+    plain = draw_scan(made[0].image, made[0].scan)
+    judged = draw_scan(made[0].image, made[0].scan, np.zeros(len(made[0].scan), dtype=np.bool_))
     assert plain.shape == judged.shape == (760, 1200, 3)
     red = (judged == (70, 70, 255)).all(axis=2)
     assert red.sum() >= 5
