@@ -1,6 +1,8 @@
 """Maps by the arc rule: settings, classes, threads, files, and what is refused."""
 
+import contextlib
 import math
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from mapperd.localization.known_map import load_known_map
 from mapperd.localization.maps import keep_boundaries
 from mapperd.mapping.arc import SurfaceLevel, SurfaceLevelState
 from mapperd.mapping.core_args import arc_params, core_motion, rule_params
+from mapperd.mapping.ping_log import ArcPing, PingLog
 from mapperd.mapping.sonar_map import BLOCK_VOXELS, SonarMap
 from mapperd.store.checkpoint import decode_state, encode_state
 from mapperd.store.map_files import map_in
@@ -145,6 +148,42 @@ def test_refining_takes_the_pings_again_from_the_last(tmp_path: Path) -> None:
     for arguments, changes, options in reversed(kept):
         wanted.core.refine_arc(*arguments, **options, changes=changes)
     assert sonar_map.sha256() == wanted.sha256() != before
+
+
+def test_kept_pings_come_back_exactly(tmp_path: Path) -> None:
+    model, log = _core.ArcModel(arc_params(ARC), rule_params(ARC)), PingLog(tmp_path)
+    pings = []
+    for number, factor in ((1, 1.0), (2, 0.37), (3, 100.0)):  # whole levels, parts, above 255
+        image = image_of(number)
+        motion = MOTION if number == 2 else None
+        level, noise = np.full(48, 20.5, np.float32), np.full(200, 1.5, np.float32)
+        intensity = (factor * image.intensity).astype(np.float32)
+        pose = pose_of(number)
+        ping = ArcPing(
+            intensity, level, noise, image.bearings_rad, 0.02, pose, motion, 0.5, number == 1, model
+        )
+        changes = _core.ArcChanges(
+            np.array([number, 0], dtype=np.uint32), np.arange(number, dtype=np.int16) - 2
+        )
+        pings.append((ping, changes))
+        log.add(ping, changes)
+    assert list(tmp_path.iterdir()) == []
+    with contextlib.closing(log):
+        found = list(log.from_last())
+    for (ping, changes), (same, changes_too) in zip(reversed(pings), found, strict=True):
+        one: Any
+        other: Any
+        for one, other in zip(ping, same, strict=True):
+            if isinstance(one, PingMotion):
+                for a, b in zip(astuple(one), astuple(other), strict=True):
+                    assert np.array_equal(a, b)
+            elif isinstance(one, np.ndarray):
+                assert other.dtype == one.dtype
+                assert np.array_equal(other, one)
+            else:
+                assert other == one
+        assert changes_too.counts.tolist() == changes.counts.tolist()
+        assert changes_too.steps.tolist() == changes.steps.tolist()
 
 
 def test_refined_map_does_not_depend_on_threads(tmp_path: Path) -> None:
