@@ -124,35 +124,43 @@ NMEA = """\
       format: nmea # needs the extra `nmea`
       link: udp://0.0.0.0:52200
 """
-DVL_OWNERS = """\
-  owners: # one source for each quantity
-    attitude: autopilot
-    depth: autopilot # by pressure
-    velocity: dvl
+OWNERS = """\
+  owners: # one source for each quantity; "" takes the first that has it
+    position: {position}
+    attitude: {attitude}
+    depth: {depth}
+    velocity: {velocity}
 """
-FIXED_OWNERS = """\
-  owners:
-    position: fixed # the vehicle stays at one spot: x and y are 0, attitude and depth are measured
-"""
+ANY = '""'
+FIXED = "fixed # the vehicle stays at one spot: x and y are 0, attitude and depth are measured"
 MAYBE_FIXED = """\
   # Without a position, pings are recorded and shown, not mapped. A vehicle that stays at one spot
-  # maps with this:
-  # owners: { position: fixed }
+  # maps with owners.position: fixed
 """
 
 
 def settings_text(setup: Setup) -> str:
-    """Return the settings of a vehicle as commented YAML."""
+    """Return the settings of a vehicle as commented YAML.
+
+    They are complete: every set-up writes the same names, so that a file on top of another one
+    leaves nothing of that one's vehicle and server.
+    """
     water = WATERS[setup.water]
     autopilot = AUTOPILOT.format(density=water.density)
-    sources, owners = {"native": NATIVE, "nmea": NMEA}.get(setup.vehicle, autopilot), ""
-    if setup.vehicle == "bluerov2":
-        if setup.dvl == "water-linked":
-            sources, owners = autopilot + DVL.format(dvl_address=setup.dvl_address), DVL_OWNERS
-        elif setup.dvl == "none":
-            owners = MAYBE_FIXED
+    sources, note = {"native": NATIVE, "nmea": NMEA}.get(setup.vehicle, autopilot), ""
+    owners = dict.fromkeys(("position", "attitude", "depth", "velocity"), ANY)
     if setup.fixed:
-        owners = FIXED_OWNERS
+        owners["position"] = FIXED
+    if setup.vehicle == "bluerov2" and setup.dvl == "water-linked":
+        sources = autopilot + DVL.format(dvl_address=setup.dvl_address)
+        if not setup.fixed:
+            owners |= {
+                "attitude": "autopilot",
+                "depth": "autopilot # by pressure",
+                "velocity": "dvl",
+            }
+    elif setup.vehicle == "bluerov2" and setup.dvl == "none" and not setup.fixed:
+        note = MAYBE_FIXED
     x, y, z = setup.position
     roll, pitch, yaw = setup.orientation
     return TEMPLATE.format(
@@ -166,25 +174,23 @@ def settings_text(setup: Setup) -> str:
         range_m=setup.range_m,
         salinity=water.salinity,
         sources=sources,
-        owners=owners,
+        owners=note + OWNERS.format(**owners),
         server=_server(setup),
     )
 
 
 def _server(setup: Setup) -> str:
-    if not setup.stream:
-        return ""
-    lines = [
-        "server: # map, page and commands for other programs",
-        f'  address: "{setup.stream}"',
-    ]
+    entry = '"" # none'
     if setup.token is not None:
-        lines.append(
-            f"  token_file: {json.dumps(str(setup.token))} # other computers need a copy of it"
-        )
-    elif not is_loopback(str(address_of(setup.stream)[0])):
-        lines.append("  # the token is systemd's credential `server-token`")
-    return "\n".join([*lines, ""])
+        entry = f"{json.dumps(str(setup.token))} # other computers need a copy of it"
+    elif setup.stream and not is_loopback(str(address_of(setup.stream)[0])):
+        entry = '"" # it is systemd\'s credential `server-token`'
+    alone = "" if setup.stream else ' # "" serves this computer alone, by a socket'
+    return (
+        "server: # map, page and commands for other programs\n"
+        f'  address: "{setup.stream}"{alone}\n'
+        f"  token_file: {entry}\n"
+    )
 
 
 def init(argv: Sequence[str]) -> int:

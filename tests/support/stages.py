@@ -94,6 +94,11 @@ def page(reader: Reader, stack: ExitStack) -> None:
     _run(reader, "mapperctl export dive.map")
 
 
+def users_file(reader: Reader, _: ExitStack) -> None:
+    """The user's settings of a BlueROV2, as the README writes them."""
+    _run(reader, "mapperd init --yes")
+
+
 def foxglove(reader: Reader, stack: ExitStack) -> None:
     """`daemon`."""
     pytest.importorskip("foxglove", reason="the extra `foxglove` is not installed")
@@ -171,6 +176,7 @@ STAGES: dict[str, Callable[[Reader, ExitStack], None]] = {
     "choosing": daemon,
     "driver": own_disk,
     "export": maps,
+    "first-dive": users_file,
     "foxglove": foxglove,
     "hardware": sonar,
     "live": bluerov2,

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from mapperd.cli.init import DVLS, VEHICLES, init
-from mapperd.config.layers import load_settings
+from mapperd.config.layers import load_files, load_settings
 from mapperd.config.loader import config_from_text, load_config
 from mapperd.wire.auth import read_token
 
@@ -53,6 +53,26 @@ def test_every_vehicle_has_valid_settings(
     config = load_config(path)
     assert config.odometry.owners.position == ("fixed" if "--fixed" in more else "")
     assert config.water.salinity == (0.0 if "fresh" in more else 35.0)
+
+
+SET_UPS = [
+    [],
+    ["--dvl", "none"],
+    ["--dvl", "autopilot", "--fixed", "--water", "fresh"],
+    ["--vehicle", "native", "--sonar", "127.0.0.1", "--stream", "none"],
+    ["--vehicle", "nmea", "--stream", "127.0.0.1:7471"],
+]
+
+
+@pytest.mark.parametrize("user", SET_UPS, ids=" ".join)
+@pytest.mark.parametrize("given", SET_UPS, ids=" ".join)
+def test_a_file_on_top_of_the_users_file_is_its_own_set_up(
+    user: list[str], given: list[str], tmp_path: Path
+) -> None:
+    below, above = tmp_path / "user" / "mapperd.yaml", tmp_path / "given" / "harbour.yaml"
+    assert init([str(below), "--yes", *user]) == 0
+    assert init([str(above), "--yes", *given]) == 0
+    assert load_files([below, above]).config == load_config(above)
 
 
 def test_options_are_written(tmp_path: Path) -> None:
