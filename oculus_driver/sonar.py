@@ -100,6 +100,7 @@ class OculusSonar:
         rng: Callable[[], float] = random.random,
     ) -> None:
         self._requested = settings or FireSettings(ping_rate=PingRate.STANDBY)
+        self._applied = self._requested
         self._model = model
         self._clock = clock
         self._keep_pinging = keep_pinging
@@ -187,7 +188,8 @@ class OculusSonar:
     ) -> Confirmation:
         """Request settings, now and after every reconnection, and wait for their confirmation.
 
-        A missing confirmation is not an error: the link keeps requesting the settings.
+        Changed settings are waited for where pings show them, even if they are not decisive. A
+        missing confirmation is not an error: the link keeps requesting the settings.
 
         Raises:
             SettingsError: the model does not have the mode.
@@ -198,16 +200,19 @@ class OculusSonar:
         now_ns = self._clock()
         self._driver.do(self._driver.link.apply(limited, now_ns))
         sent = limited.in_standby() if limited.network_trigger else limited
-        pending = PendingConfirmation(settings, now_ns, sent)
+        pending = PendingConfirmation(settings, now_ns, sent, before=self._applied)
         future: asyncio.Future[Confirmation] = asyncio.get_running_loop().create_future()
         self._confirmations[future] = pending
         try:
             async with asyncio.timeout(timeout_s):
-                return await future
+                confirmation = await future
         except TimeoutError:
-            return pending.expire(self._clock())
+            confirmation = pending.expire(self._clock())
         finally:
             del self._confirmations[future]
+        if not sent.standby:  # no ping shows settings in standby
+            self._applied = limited
+        return confirmation
 
     async def standby(self) -> Confirmation:
         """Put the sonar into standby and wait for the confirmation."""

@@ -7,6 +7,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog, Severity
 from oculus_driver.errors import OutsideLimitsError, SettingsError
+from oculus_driver.link.confirmation import Confirmation
 from oculus_driver.models import UNKNOWN
 from oculus_driver.settings import FireSettings, Mode, PingRate
 from oculus_driver.sonar import OculusSonar
@@ -147,11 +148,10 @@ class SonarControl:
                 task.cancel()
             await asyncio.gather(applying, newer, return_exceptions=True)
         severity = Severity.NOTICE if confirmation.confirmed else Severity.WARNING
-        confirmed = "in force" if confirmation.confirmed else "not confirmed"
         self._add(
             severity,
             "sonar_settings",
-            f"sonar settings are {confirmed}: {confirmation.reason}",
+            _text(confirmation),
             confirmed=confirmation.confirmed,
             waited_s=confirmation.waited_ns / 1e9,
         )
@@ -173,3 +173,13 @@ class SonarControl:
     def _add(self, severity: Severity, code: str, text: str, **facts: Any) -> None:  # noqa: ANN401 of events
         if self._events is not None:
             self._events.add(severity, code, text, **facts)
+
+
+def _text(confirmation: Confirmation) -> str:
+    """Return the result of a request, with what the last ping shows otherwise."""
+    if not confirmation.confirmed:
+        return f"sonar settings are not confirmed: {confirmation.reason}"
+    if confirmation.unsettled:
+        return f"sonar settings are sent; {confirmation.reason}"
+    left = "; ".join(map(str, confirmation.changed))
+    return f"sonar settings are in force: {confirmation.reason}" + (left and f", but for {left}")

@@ -37,7 +37,7 @@ class Difference:
         asked: requested value.
         shown: value in the ping.
         decisive: whether the settings are not in force while this differs. Other differences may
-            settle slowly or be the sonar's own choice.
+            settle slowly or be the sonar's own choice; those of changed settings are waited for.
     """
 
     name: str
@@ -54,11 +54,14 @@ class Confirmation:
     """Result of a settings request.
 
     Attributes:
-        confirmed: whether a ping showed the settings in force, or the sonar is in standby.
+        confirmed: whether a ping showed the settings in force, or the sonar is in standby. Only
+            decisive differences count.
         reason: human-readable.
         waited_ns: time from the request to this result.
         pings: number of examined pings.
         changed: differences between the last of them and the request.
+        unsettled: those of settings that the request changed, if the time was up before a ping
+            showed them.
     """
 
     confirmed: bool
@@ -66,6 +69,7 @@ class Confirmation:
     waited_ns: int
     pings: int
     changed: tuple[Difference, ...]
+    unsettled: tuple[Difference, ...] = ()
 
 
 def differences(settings: FireSettings, ping: Ping | PingHeader) -> tuple[Difference, ...]:
@@ -108,14 +112,27 @@ def _gain_percent(settings: FireSettings, ping: Ping | PingHeader) -> float:
     return mapped if older else settings.gain_percent
 
 
+def _changed_names(
+    before: FireSettings, after: FireSettings, ping: Ping | PingHeader
+) -> frozenset[str]:
+    """Return the names of what a ping shows and the request changed."""
+    earlier = {name: asked for name, asked, *_ in _comparisons(before, ping)}
+    return frozenset(
+        name for name, asked, *_ in _comparisons(after, ping) if asked != earlier.get(name)
+    )
+
+
 class PendingConfirmation:
     """Compares pings until one shows the settings in force, or the time is up.
+
+    A setting that the request changed is waited for even if it is not decisive.
 
     Args:
         settings: the requested settings, compared in the report.
         asked_ns: time of the request, host monotonic.
         sent: the settings that were sent, if they differ.
         timeout_ns: maximum wait. Standby is confirmed by a dummy message.
+        before: the settings until now, if they are known.
     """
 
     def __init__(
@@ -124,11 +141,15 @@ class PendingConfirmation:
         asked_ns: int,
         sent: FireSettings | None = None,
         timeout_ns: int = CONFIRM_TIMEOUT_NS,
+        before: FireSettings | None = None,
     ) -> None:
         self._settings = settings
+        self._before = before
         self._sent = sent or settings
         self._asked_ns = asked_ns
         self._pings = 0
+        self._is_decided = False
+        self._unsettled: tuple[Difference, ...] = ()
         self._last: tuple[Difference, ...] = ()
         self.deadline_ns = asked_ns + timeout_ns
 
@@ -138,7 +159,12 @@ class PendingConfirmation:
         if self._sent.standby:
             return None
         self._last = differences(self._settings, ping)
-        if any(difference.decisive for difference in differences(self._sent, ping)):
+        left = differences(self._sent, ping)
+        if self._before is not None:
+            awaited = _changed_names(self._before, self._sent, ping)
+            self._unsettled = tuple(one for one in left if one.name in awaited)
+        self._is_decided = not any(one.decisive for one in left)
+        if self._unsettled or not self._is_decided:
             return None
         return self._answer("a ping shows the settings", now_ns, confirmed=True)
 
@@ -154,9 +180,12 @@ class PendingConfirmation:
             return self._answer("no ping arrived", now_ns, confirmed=False)
         if self._sent.standby:
             return self._answer("pings arrived, but no sign of standby", now_ns, confirmed=False)
+        if self._is_decided:
+            shown = "; ".join(map(str, self._unsettled))
+            return self._answer(f"the last ping still differs: {shown}", now_ns, confirmed=True)
         shown = "; ".join(str(one) for one in self._last if one.decisive)
         return self._answer(f"the pings differ: {shown}", now_ns, confirmed=False)
 
     def _answer(self, reason: str, now_ns: int, *, confirmed: bool) -> Confirmation:
         waited_ns = now_ns - self._asked_ns
-        return Confirmation(confirmed, reason, waited_ns, self._pings, self._last)
+        return Confirmation(confirmed, reason, waited_ns, self._pings, self._last, self._unsettled)

@@ -2,12 +2,14 @@
 
 import asyncio
 from collections.abc import Callable
-from typing import Any
+from dataclasses import replace
+from typing import Any, cast
 
 import pytest
 
 from mapperd.config.catalog import parameters
 from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
 from mapperd.daemon.session import Live
 from mapperd.daemon.sonar_control import SonarControl, fire_settings
 from mapperd.errors import ConfigError
@@ -15,7 +17,7 @@ from mapperd.events import Event, EventLog
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import FixedPose
-from oculus_driver import PlaybackSonar
+from oculus_driver import Confirmation, Difference, OculusSonar, PlaybackSonar
 from oculus_driver.sound_speed import speed_of_sound_mps
 from oculus_driver.wire import FireFlags, PingRate
 from tests.support.process import free_port
@@ -85,7 +87,7 @@ def session(
 ) -> None:
     async def worked() -> None:
         pings = [ping_bytes(k, start_time=100 + 0.05 * k, part_number=M750D) for k in range(1, 40)]
-        async with PlaybackSonar(pings, standby=True, loops=None) as sonar:
+        async with PlaybackSonar(pings, standby=True, loops=None, resampled=True) as sonar:
             bench = Bench(sonar, device)
             await bench.live.run(work(bench, sonar))
 
@@ -100,6 +102,8 @@ def test_a_change_is_sent_confirmed_and_shown(ping_bytes: MakeBytes) -> None:
         bench.change("range: 5, gain: 61", "salinity: 0, speed_of_sound: 1450")
         event = await bench.event("sonar_settings")
         assert event.facts["confirmed"] is True, event.text
+        assert event.text == "sonar settings are in force: a ping shows the settings"
+        assert bench.live.sonar.changed == ()
         demand = sonar.device.request
         assert demand is not None
         assert (demand.range_demand, demand.gain_percent) == (5.0, 61.0)
@@ -109,6 +113,48 @@ def test_a_change_is_sent_confirmed_and_shown(ping_bytes: MakeBytes) -> None:
         assert status["requested"]["range_m"] == 5.0
 
     session(ping_bytes, "range: 10", work)
+
+
+GAIN = Difference("gain, percent", 61.0, 50.0, decisive=False)
+SENT = Confirmation(
+    confirmed=True,
+    reason="the last ping still differs: gain",
+    waited_ns=0,
+    pings=9,
+    changed=(GAIN,),
+    unsettled=(GAIN,),
+)
+IN_FORCE = replace(SENT, reason="a ping shows the settings", unsettled=())
+
+
+@pytest.mark.parametrize(
+    ("confirmation", "text"),
+    [
+        (SENT, "are sent; the last ping still differs: gain"),
+        (IN_FORCE, f"are in force: a ping shows the settings, but for {GAIN}"),
+    ],
+    ids=["changed", "unchanged"],
+)
+def test_what_the_last_ping_shows_otherwise_is_in_the_event(
+    confirmation: Confirmation, text: str
+) -> None:
+    class Sonar:
+        settings, model = fire_settings(Config()), None
+
+        async def apply(self, _: object) -> Confirmation:
+            return confirmation
+
+    async def worked() -> None:
+        events = EventLog(lambda: 0)
+        control = SonarControl(cast("OculusSonar", Sonar()), Config(), events)
+        control.request(config_from_text(text_of("gain: 61")))
+        running = asyncio.create_task(control.run())
+        while not events.since(0)[0]:  # noqa: ASYNC110 no event to await
+            await asyncio.sleep(0)
+        running.cancel()
+        assert [one.text for one in events.since(0)[0]] == [f"sonar settings {text}"]
+
+    run(worked())
 
 
 @pytest.mark.net

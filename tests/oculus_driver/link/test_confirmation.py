@@ -150,6 +150,35 @@ def test_pings_that_show_otherwise_are_named_in_the_end(show: Callable[..., Ping
     assert "gain" not in answer.reason  # not decisive
 
 
+@pytest.mark.parametrize(
+    ("now", "earlier"),
+    [
+        ({"gain_percent": 61.0}, {}),
+        ({"salinity_ppt": 0.0}, {}),
+        ({"speed_of_sound_mps": 1450.0}, {"speed_of_sound_mps": 1500.0}),
+        ({"beams": 512}, {"beams": 256, "flags": 0x49}),
+        ({"bits_per_sample": 16}, {"dtype": np.uint8}),
+    ],
+    ids=str,
+)
+def test_a_changed_setting_is_waited_for_though_it_does_not_decide(
+    now: dict[str, Any], earlier: dict[str, Any], show: Callable[..., Ping]
+) -> None:
+    before = replace(ASKED, speed_of_sound_mps=1500.0)
+    asked = replace(before, **now)
+    same = {"flags": int(asked.flags), "speed_of_sound_mps": 1500.0}
+    under_way = show(**(same | earlier | {"flags": int(asked.flags)}))
+    watch = PendingConfirmation(asked, 0, before=before)
+    assert watch.ping(under_way, S) is None
+    late = watch.expire(watch.deadline_ns)
+    assert late.confirmed  # what decides is in force
+    assert len(late.unsettled) == 1
+    assert str(late.unsettled[0]) in late.reason
+    quirky = replace(asked, gain_words=not asked.gain_words)
+    unchanged = PendingConfirmation(quirky, 0, before=quirky).ping(under_way, S)
+    assert unchanged is not None  # an old difference is not waited for
+
+
 def test_without_pings_nothing_is_confirmed() -> None:
     answer = PendingConfirmation(ASKED, 0).expire(8 * S)
     assert (answer.confirmed, answer.pings) == (False, 0)
