@@ -250,7 +250,7 @@ def _parser(commands: Sequence[Callable[[], CommandParser]] = ()) -> CommandPars
         "--refine",
         action="store_true",
         help="then map all echoes again, the last ping first, by what the other pings have found "
-        "(needs mapping.rule: arc)",
+        "(needs mapping.rule: arc); keeps the map in memory",
     )
     replay(
         "--view",
@@ -258,7 +258,8 @@ def _parser(commands: Sequence[Callable[[], CommandParser]] = ()) -> CommandPars
         nargs="?",
         type=int,
         const=VIEW_PORT,
-        help=f"show the replay in the browser, until Ctrl-C (default port: {VIEW_PORT})",
+        help="show the replay in the browser, until Ctrl-C; keeps the map in memory (default "
+        f"port: {VIEW_PORT})",
     )
     add("--duration", metavar="S", type=_positive, help="map S seconds and stop")
     replay(

@@ -128,12 +128,8 @@ def map_recordings(
         return _stored(sessions, sonar_map.config, arguments.pose, arguments.store, trajectory)
     window = Window(arguments.start_s, arguments.duration_s)
     _keep_pings(arguments, sonar_map)
-    if sonar_map.config.outofcore.use:
-        if arguments.view_port is not None:
-            raise ReplayError(
-                "--view shows a map in memory, and outofcore.use is set; with --store MAP, "
-                "mapperctl view MAP shows the file while it grows"
-            )
+    in_memory = arguments.view_port is not None or arguments.refine
+    if sonar_map.config.outofcore.use and not in_memory:
         return _mapped_on_disk(runs, sonar_map, window, arguments.out, trajectory)
     page = show(sonar_map)
     return sonar_map, _mapped(runs, sonar_map, window, trajectory, folder=arguments.out, page=page)
@@ -143,8 +139,6 @@ def _keep_pings(arguments: Arguments, sonar_map: SonarMap) -> None:
     """Keep the pings if they are to be refined."""
     if not arguments.refine:
         return
-    if sonar_map.config.outofcore.use:
-        raise ReplayError("--refine needs the whole map in memory, and outofcore.use is set")
     if sonar_map.config.mapping.rule != "arc":
         raise ReplayError("--refine needs mapping.rule: arc, and the rule is iwlo")
     sonar_map.keep_pings(arguments.out)

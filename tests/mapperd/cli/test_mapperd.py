@@ -104,15 +104,17 @@ def test_replay_refines_the_map_on_request(
     files = [{path.name for path in (tmp_path / name).iterdir()} for name in ("once", "again")]
     assert files[1] - files[0] == {"map.map"}
     assert map_in(tmp_path / "again" / "map.map", Config()).map.sha256() == again["map_sha256"]
+    capsys.readouterr()
+    words = ["--replay", str(recording), "--config", str(quick_config), "--refine"]
+    assert main([*words, "--out", str(tmp_path / "no")]) == ExitCode.USAGE
+    [line] = capsys.readouterr().err.splitlines()[-1:]
+    assert "--refine" in line
+    assert "rule: arc" in line
     disk = tmp_path / "disk.yaml"
     disk.write_text(f"{config.read_text()}outofcore: {{use: true}}\n", encoding="utf-8")
-    for settings, word in ((quick_config, "rule: arc"), (disk, "outofcore.use")):
-        capsys.readouterr()
-        words = ["--replay", str(recording), "--config", str(settings), "--refine"]
-        assert main([*words, "--out", str(tmp_path / "no")]) == ExitCode.USAGE
-        [line] = capsys.readouterr().err.splitlines()[-1:]
-        assert "--refine" in line
-        assert word in line
+    words = ["--replay", str(recording), "--config", str(disk), "--refine"]
+    assert main([*words, "--out", str(tmp_path / "disk")]) == ExitCode.OK
+    assert summary_in(tmp_path / "disk")["map_sha256"] == again["map_sha256"]
 
 
 @pytest.mark.slow
@@ -462,7 +464,10 @@ def test_a_replay_is_shown_in_the_browser_until_interrupted(
     recording: Path, quick_config: Path, tmp_path: Path
 ) -> None:
     pytest.importorskip("viser", reason="the extra `topside` is not installed")
-    words = ["--replay", recording, "--config", quick_config, "--out", tmp_path / "out"]
+    config = tmp_path / "disk.yaml"
+    text = quick_config.read_text(encoding="utf-8")
+    config.write_text(f"{text}outofcore: {{use: true}}\n", encoding="utf-8")  # as `init` writes it
+    words = ["--replay", recording, "--config", config, "--out", tmp_path / "out"]
     command = [sys.executable, "-m", "mapperd", *map(str, words), "--view", "0"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:  # noqa: S603
         assert process.stderr is not None
