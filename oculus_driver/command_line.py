@@ -91,6 +91,19 @@ class CommandParser(argparse.ArgumentParser):
             help="print a completion script for a shell",
         )
 
+    def add_version(self, version: str) -> None:
+        """Add `--version` here and to all subcommands, but where the option means something else.
+
+        Args:
+            version: text that the option prints.
+        """
+        if "--version" not in self._option_string_actions:
+            self.add_argument("--version", action="version", version=version)
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001 no public name
+                for command in action.choices.values():
+                    command.add_version(version)
+
     def _check_value(self, action: argparse.Action, value: object) -> None:
         choices = action.choices
         is_command = isinstance(action, argparse._SubParsersAction)  # noqa: SLF001 no public name

@@ -65,9 +65,8 @@ def test_command_prints_its_version(command: str) -> None:
     assert done.stdout == f"{command} {mapperd.__version__}\n"
 
 
-@pytest.mark.parametrize("command", ["sonar-sim", "mapper-survey"])
-@pytest.mark.parametrize("words", [["--help"], ["--version"], ["plan"]])
-def test_command_of_a_missing_extra_ends_in_one_line(command: str, words: list[str]) -> None:
+def without_extras(command: str, words: list[str]) -> subprocess.CompletedProcess[str]:
+    """Run a command where the libraries of its extra are missing."""
     code = (
         "import sys\n"
         "for name in ('dask', 'embreex', 'fsspec', 'matplotlib', 'scipy', 'trimesh'):\n"
@@ -75,9 +74,30 @@ def test_command_of_a_missing_extra_ends_in_one_line(command: str, words: list[s
         f"from {COMMANDS[command]} import main\n"
         f"sys.exit(main({words}))\n"
     )
-    done = subprocess.run(  # noqa: S603 our own lines
+    return subprocess.run(  # noqa: S603 our own lines
         [sys.executable, "-c", code], capture_output=True, text=True, check=False
     )
+
+
+@pytest.mark.parametrize("command", ["sonar-sim", "mapper-survey"])
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_help_and_version_need_no_extra(command: str, option: str) -> None:
+    done = without_extras(command, [option])
+    assert (done.returncode, done.stderr) == (ExitCode.OK, "")
+    assert command in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [("sonar-sim", ["serve", "tank"]), ("mapper-survey", ["plan", "survey.yaml", "--out", "out"])],
+)
+def test_command_of_a_missing_extra_ends_in_one_line(
+    command: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "survey.yaml").write_text("dives: [{name: one, recording: dive.mcap}]\n")
+    (tmp_path / "dive.mcap").touch()
+    done = without_extras(command, words)
     assert done.returncode == ExitCode.BAD_CONFIG
     assert done.stdout == ""
     (line,) = done.stderr.splitlines()

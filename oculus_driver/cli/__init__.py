@@ -91,7 +91,6 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument("--version", action="version", version=f"oculus {__version__}")
     parser.add_completion()
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for module in SUBCOMMANDS:
@@ -103,4 +102,5 @@ def _parser() -> argparse.ArgumentParser:
         )
         command.set_defaults(run=module.run)
         module.add_arguments(command)
+    parser.add_version(f"oculus {__version__}")
     return parser

@@ -13,7 +13,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command `mapper-survey`; a missing extra is one line and exit code 78."""
     try:
         from mapper_survey import command  # noqa: PLC0415 of an extra
+
+        return command.main(argv)
     except ModuleNotFoundError as error:
         sys.stderr.write(f"mapper-survey: {missing_extra(str(error.name), 'survey')}\n")
         return ExitCode.BAD_CONFIG
-    return command.main(argv)

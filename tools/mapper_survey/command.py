@@ -83,7 +83,6 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_completion()
-    parser.add_argument("--version", action="version", version=f"mapper-survey {__version__}")
     does = parser.add_subparsers(required=True, metavar="COMMAND")
     plan = does.add_parser("plan", help="read the recordings and list where each ping was")
     _add_survey(plan)
@@ -100,6 +99,7 @@ def _parser() -> argparse.ArgumentParser:
         further = does.add_parser(name, help=what, description=what)
         add_arguments(further)
         further.set_defaults(does=run_command)
+    parser.add_version(f"mapper-survey {__version__}")
     return parser
 
 

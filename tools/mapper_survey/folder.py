@@ -16,7 +16,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, TypeVar, cast
 
-import fsspec
 import msgspec
 
 from mapper_survey.errors import SurveyError
@@ -85,6 +84,8 @@ class Folder:
     """
 
     def __init__(self, url: str) -> None:
+        import fsspec  # noqa: PLC0415 of an extra, which --help does not need
+
         self.url = url
         try:
             self._fs, self._root = fsspec.core.url_to_fs(url)

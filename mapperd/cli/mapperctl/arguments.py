@@ -550,7 +550,6 @@ def parser() -> CommandParser:
     )
     top.groups = GROUPS
     top.add_completion()
-    top.add_argument("--version", action="version", version=f"mapperctl {__version__}")
     commands = top.add_subparsers(metavar="COMMAND", required=True, dest="command")
     status = _command(commands, "status", "print the state of the daemon")
     status.add_argument("--watch", action="store_true", help="repeat until interrupted")
@@ -596,6 +595,7 @@ def parser() -> CommandParser:
     events.add_argument(
         "--since", metavar="N", type=_count, default=0, help="only events after this number"
     )
+    top.add_version(f"mapperctl {__version__}")
     return top
 
 

@@ -1,5 +1,6 @@
 """What all commands have: a version, the nearest name, grouped help, shell completion."""
 
+import argparse
 import re
 import shutil
 import subprocess
@@ -32,10 +33,23 @@ def parsers() -> dict[str, CommandParser]:
     return {name: one for name, one in made.items() if isinstance(one, CommandParser)}
 
 
-@pytest.mark.parametrize("name", PARSERS)
-def test_every_command_has_a_version(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def command_lines() -> list[str]:
+    """Return all commands and their subcommands; some of `oculus` have another --version."""
+    found = []
+    for name, parser in parsers().items():
+        found.append(name)
+        for action in parser._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                found += [f"{name} {one}" for one in action.choices]
+    of_fire_messages = ("oculus log", "oculus watch", "oculus fire", "oculus doctor")
+    return [one for one in found if one not in of_fire_messages]
+
+
+@pytest.mark.parametrize("line", command_lines())
+def test_every_command_has_a_version(line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    name, *words = line.split()
     with pytest.raises(SystemExit) as ended:
-        parsers()[name].parse_args(["--version"])
+        parsers()[name].parse_args([*words, "--version"])
     assert ended.value.code == 0
     assert re.fullmatch(rf"{name} \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
 

@@ -20,12 +20,19 @@ examples:
 exit codes: 0 success; 1 failure; 2 invalid command; 66 no such scene file; 73 cannot write; 78
 invalid scene or a missing extra; 130 interrupted"""
 
+VERSION = f"sonar-sim {__version__}"
+HELP_WORDS = ("-h", "--help", "--version")
+"""First words of command lines that need no extra."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; every failure that input can cause is one line and an exit code."""
     try:
         parser = _parser()
     except ModuleNotFoundError as error:
+        words = sys.argv[1:] if argv is None else argv
+        if words and words[0] in HELP_WORDS:
+            _top().parse_args(argv)
         return _failure(missing_extra(str(error.name), "sim"), ExitCode.BAD_CONFIG)
     args = parser.parse_args(argv)
     try:
@@ -63,14 +70,7 @@ def _parser() -> argparse.ArgumentParser:
         validate,
     )
 
-    parser = CommandParser(
-        prog="sonar-sim",
-        description="Simulate an Oculus sonar in a scene: pictures, recordings, a live device.",
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-    parser.add_argument("--version", action="version", version=f"sonar-sim {__version__}")
+    parser = _top()
     parser.add_completion()
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for module in (scene_list, explain, render, capture, serve, validate):
@@ -79,4 +79,18 @@ def _parser() -> argparse.ArgumentParser:
         )
         command.set_defaults(run=module.run)
         module.add_arguments(command)
+    parser.add_version(VERSION)
+    return parser
+
+
+def _top() -> CommandParser:
+    """Return the parser without the subcommands."""
+    parser = CommandParser(
+        prog="sonar-sim",
+        description="Simulate an Oculus sonar in a scene: pictures, recordings, a live device.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=VERSION)
     return parser
