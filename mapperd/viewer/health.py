@@ -1,10 +1,13 @@
 """State of the connection and the daemon, for the page."""
 
+import errno
 import html
 import math
+import os
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from mapperd.client.changes import ConnectionStatus
@@ -17,6 +20,11 @@ WINDOW_S = 3.0
 
 OLD_POSE_S = 2.0
 OLD_MAP_S = 5.0
+
+SAVED = ("file", "replay")
+"""Beginnings of the phases in which nothing is live."""
+
+NOBODY_THERE = (os.strerror(errno.ENOENT), os.strerror(errno.ECONNREFUSED))
 
 GREEN, AMBER, RED = "#22c55e", "#f59e0b", "#ef4444"
 
@@ -61,6 +69,7 @@ class Health:
         pose_ns, map_ns: newest stamps, Unix time of the daemon's clock.
         phase: phase of the daemon, one word.
         activity: what it does, for people.
+        shown: the file or recording that is shown in place of a live map; else empty.
         problems: what keeps the daemon from mapping, with the remedy.
         recording: state of the daemon's recording and its bytes; None where it records nothing.
         position_m, yaw_rad: of the vehicle; None before the first pose.
@@ -82,6 +91,7 @@ class Health:
     map_ns: int | None = None
     phase: str = ""
     activity: str = ""
+    shown: str = ""
     problems: tuple[str, ...] = ()
     recording: tuple[str, int] | None = None
     position_m: tuple[float, float, float] | None = None
@@ -120,7 +130,7 @@ class Health:
 
     def age_s(self, stamp_ns: int | None, unix_ns: int) -> float | None:
         """Age of a time stamp of the daemon; None where nothing is live."""
-        if stamp_ns is None or self.phase.startswith(("file", "replay")):
+        if stamp_ns is None or self.phase.startswith(SAVED):
             return None
         return max(0.0, (unix_ns + (self.ahead_ns or 0) - stamp_ns) / 1e9)
 
@@ -134,6 +144,7 @@ class Health:
             self.dropped = _counts(dropped) if isinstance(dropped, Mapping) else {}
         self.phase = str(status.get("phase", self.phase))
         self.activity = str(status.get("activity", self.phase))
+        self.shown = Path(str(status.get("reason"))).name if self.phase.startswith(SAVED) else ""
         odometry = status.get("odometry")
         if isinstance(odometry, Mapping):
             self._take_odometry(odometry)
@@ -193,7 +204,8 @@ def health_html(health: Health, now_s: float, unix_ns: int) -> str:
     )
     drops = ", ".join(f"{html.escape(k)} {v}" for k, v in sorted(health.dropped.items()) if v)
     waiting = f"drawing, {health.page_waiting} parts to go" if health.page_waiting else ""
-    notes = "".join(f'<div style="opacity:.85">{n}</div>' for n in (reason, drops, waiting) if n)
+    style = 'style="opacity:.85;overflow-wrap:anywhere"'
+    notes = "".join(f"<div {style}>{n}</div>" for n in (reason, drops, waiting) if n)
     return (
         f'<div style="font-size:13px;line-height:1.45;padding:0 10px">'
         f'<div style="font-weight:700;font-size:16px;color:{colour}">&#9679; {state}</div>'
@@ -222,10 +234,12 @@ def banner_html(health: Health, now_s: float) -> str:
     rest = lost if health.link is not None and health.link.connects else "connecting"
     return (
         '<div data-banner style="position:fixed;top:34%;left:0;right:0;text-align:center;'
-        'pointer-events:none;z-index:100"><span style="display:inline-block;'
-        "background:rgba(127,29,29,.92);color:#fff;padding:18px 36px;border-radius:10px;"
-        'box-shadow:0 6px 30px rgba(0,0,0,.5)"><span style="font-size:40px;font-weight:800;'
-        f'letter-spacing:1px">{state}</span><br><span style="font-size:16px">{reason}<br>'
+        'padding:0 8px;pointer-events:none;z-index:100"><span style="display:inline-block;'
+        "box-sizing:border-box;max-width:min(100%,40em);overflow-wrap:anywhere;"
+        "background:rgba(127,29,29,.92);color:#fff;padding:14px clamp(12px,4vw,36px);"
+        'border-radius:10px;box-shadow:0 6px 30px rgba(0,0,0,.5)"><span style="font-weight:800;'
+        f'font-size:clamp(24px,6vw,40px);letter-spacing:1px">{state}</span><br>'
+        f'<span style="font-size:clamp(13px,3.6vw,16px)">{reason}<br>'
         f"{rest}</span></span></div>"
     )
 
@@ -259,14 +273,23 @@ def _state(health: Health, now_s: float) -> tuple[str, str, str]:
     if link is None:
         return "NOT CONNECTED", AMBER, ""
     address = html.escape(link.address)
+    if link.state == "connected" and health.shown:
+        return html.escape(health.phase.upper()), GREEN, html.escape(health.shown)
     if link.state == "connected":
         phase = f" &middot; {html.escape(health.activity)}" if health.activity else ""
-        return "CONNECTED", GREEN, f"{address}{phase}"
+        return "CONNECTED", GREEN, f"daemon: {address}{phase}"
     lost_s = link.since_s if health.lost_s is None else health.lost_s
     since = _duration(max(0.0, now_s - lost_s))
-    reason = f"{address}: {html.escape(link.reason)}" if link.reason else address
+    reason = ": ".join(filter(None, (address, html.escape(_remedy(link)))))
     first = "NO LINK" if link.connects == 0 else "LINK LOST"
     return f"{first} {since}", RED, reason
+
+
+def _remedy(link: ConnectionStatus) -> str:
+    """Return why there is no connection, and what to do if no daemon was there at all."""
+    if link.reason not in NOBODY_THERE:
+        return link.reason
+    return "no daemon answers" + ("" if link.connects else ": start mapperd, or give --address")
 
 
 def _vehicle(health: Health) -> str:

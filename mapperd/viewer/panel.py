@@ -128,6 +128,7 @@ class Panel:
         self._span = Span()
         self._threshold: float | None = None
         window = server.gui.add_panel()  # first, as a phone stacks the panels in this order
+        self._sonar = window
         self.sonar_window = window.add_tab("sonar")
         window.float(x=15, y=15, width=420)
         window.expand()  # a phone shows panels collapsed
@@ -189,6 +190,9 @@ class Panel:
         if health.connected is False and self._handles.last.get("up") != "no":
             self._status.expand()  # it may be collapsed
         self._handles.last["up"] = "yes" if health.connected else "no"
+        has_sonar = health.phase != "file"
+        if self._sonar.visible != has_sonar:
+            self._sonar.visible = has_sonar
         self._write("health", health_html(health, now_s, unix_ns))
         self._write("summary", summary_html(health, now_s))
         self._write("banner", banner_html(health, now_s))

@@ -1,6 +1,8 @@
 """How the page shows the connection."""
 
+import errno
 import math
+import os
 
 import pytest
 
@@ -42,6 +44,26 @@ def test_a_lost_link_is_reported_in_big_letters_and_for_how_long() -> None:
     assert "LINK LOST 1:15" in health_html(health, 175.0, 0)
     assert "NO LINK 5 s" in banner_html(linked("connecting", connects=0), 105.0)
     assert banner_html(linked("connected"), 105.0) == ""
+
+
+@pytest.mark.parametrize("number", [errno.ENOENT, errno.ECONNREFUSED])
+def test_where_no_daemon_ever_answered_the_banner_names_the_remedy(number: int) -> None:
+    reason = os.strerror(number)
+    never = banner_html(linked("waiting", reason, connects=0), 105.0)
+    assert "no daemon answers: start mapperd, or give --address" in never
+    assert reason not in never
+    lost = banner_html(linked("waiting", reason), 105.0)
+    assert "no daemon answers<br>" in lost
+
+
+def test_a_file_is_shown_by_its_name() -> None:
+    health = linked("connected")
+    health.take_status({"phase": "file", "reason": "/home/me/a<b.map"}, {}, 0.0)
+    text = health_html(health, 105.0, 0)
+    assert "a&lt;b.map" in text
+    assert "10.0.0.2" not in text
+    health.take_status({"phase": "mapping", "reason": ""}, {}, 0.0)
+    assert "daemon: 10.0.0.2:52300" in health_html(health, 105.0, 0)
 
 
 def test_ages_are_by_the_daemon_s_clock() -> None:

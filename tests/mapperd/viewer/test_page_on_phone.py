@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 import zstandard
 
-from mapperd.wire.messages import ImageMessage
+from mapperd.client import MapClient
+from mapperd.viewer.app import VIEW_WANTS
+from mapperd.wire.messages import ImageMessage, StatusMessage
 from tests.mapperd.viewer.view_browser import Serving, chromium
 from tests.mapperd.viewer.view_fakes import FakePageClient, pose_at, some_map
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    from playwright.sync_api import Browser, Page
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -113,3 +115,43 @@ def test_the_sonar_is_shown_and_controlled(serving: Serving, phone: "Page") -> N
     for shown in (False, True):
         phone.get_by_label("Live image", exact=True).click(force=True)
         serving.until(lambda: ("image" in serving.client.wants) == shown, phone)  # noqa: B023 now
+
+
+@pytest.fixture
+def browser(phone: "Page") -> "Browser":
+    assert phone.context.browser is not None
+    return phone.context.browser
+
+
+def test_without_a_daemon_the_banner_fits_and_names_the_remedy(
+    browser: "Browser",
+) -> None:
+    path = f"/nonexistent/{'long-name-' * 7}/mapperd.sock"  # a socket's path has 107 bytes
+    with Serving(lambda: MapClient(path, wants=VIEW_WANTS)) as serving:
+        page = browser.new_page(
+            viewport={"width": 390, "height": HEIGHT}, has_touch=True, is_mobile=True
+        )
+        page.set_default_timeout(60_000)
+        page.goto(serving.url)
+        banner = page.locator("[data-banner] > span")
+        banner.get_by_text("no daemon answers: start mapperd, or give --address").wait_for()
+        place = banner.bounding_box()
+        assert place is not None
+        assert 0 < place["x"] < place["x"] + place["width"] < 390
+        assert page.evaluate(
+            "() => { const e = document.querySelector('[data-banner] > span');"
+            "return e.scrollWidth <= e.clientWidth; }"
+        )
+
+
+def test_a_file_is_named_and_has_no_sonar_image(serving: Serving, browser: "Browser") -> None:
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    page.set_default_timeout(60_000)
+    page.goto(serving.url)
+    page.get_by_text("CONNECTED").first.wait_for()
+    image = page.locator("img[style*='max-width']")
+    image.first.wait_for(state="visible")
+    status = {"phase": "file", "reason": "/home/me/maps/harbour.map", "problems": []}
+    serving.do(lambda: serving.client.feed(StatusMessage(stamp_ns=1, status=status, link={})))
+    page.get_by_text("harbour.map", exact=True).first.wait_for()
+    image.first.wait_for(state="hidden")
