@@ -73,6 +73,8 @@ class CalibrationDive:
         sound_mps: speed of sound that the ranges were computed with.
         path_s, path_m: (M,) and (M, 3), times and positions of the base, map frame.
         attitudes: M rotations, base to map.
+        refitted: sources of odometry whose clock was fitted anew within the recording, so that the
+            time between pings and poses changes.
     """
 
     images: NDArray[np.float32]
@@ -84,6 +86,7 @@ class CalibrationDive:
     path_s: Floats
     path_m: Floats
     attitudes: Rotation
+    refitted: tuple[str, ...] = ()
     _slerp: Slerp = field(init=False)
 
     def __post_init__(self) -> None:
@@ -150,6 +153,7 @@ class _Path:
     def __init__(self, fusion: Fusion) -> None:
         self._fusion = fusion
         self._next_ns: int | None = None
+        self._fitted: frozenset[str] | None = None
         self.t_ns: list[int] = []
         self.position_m: list[Floats] = []
         self.quaternion: list[Floats] = []
@@ -163,10 +167,16 @@ class _Path:
         while self._next_ns < now_ns - POSE_LAG_NS:
             found = self._fusion.at(self._next_ns)
             if not isinstance(found, Reject):
+                if self._fitted is None:
+                    self._fitted = self._fusion.fitted
                 self.t_ns.append(self._next_ns)
                 self.position_m.append(found.pose.position_m)
                 self.quaternion.append(found.pose.map_q_base)
             self._next_ns += POSE_STEP_NS
+
+    def refitted(self) -> tuple[str, ...]:
+        """Return the sources whose stamps are fitted now, and were not at the first pose."""
+        return tuple(sorted(self._fusion.fitted - (self._fitted or frozenset())))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -287,6 +297,7 @@ def _dive(kept: list[_KeptImage], path: _Path) -> CalibrationDive:
         path_s,
         position_m,
         attitudes,
+        path.refitted(),
     )
 
 

@@ -7,7 +7,7 @@ the same heights.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -333,7 +333,8 @@ def calibrate(
         found, deviations = start.copy(), np.full(len(PARAMETERS), np.inf)
         progress(f"the fit of {', '.join(astray)} went astray: nothing is changed")
     parameters = tuple(
-        _parameter(name, found[k] - start[k], deviations[k]) for k, name in enumerate(PARAMETERS)
+        _parameter(name, found[k] - start[k], deviations[k], dive.refitted)
+        for k, name in enumerate(PARAMETERS)
     )
     used = np.array([one.change if one.significant else 0.0 for one in parameters]) + start
     last = LAST_WITH_FLOOR.blur
@@ -393,8 +394,16 @@ def _astray(change: Floats) -> list[str]:
     return [name for name, largest in PLAUSIBLE.items() if not sizes[name] <= largest]
 
 
-def _parameter(name: str, change: float, deviation: float) -> ParameterEstimate:
+def _parameter(
+    name: str, change: float, deviation: float, refitted: Sequence[str] = ()
+) -> ParameterEstimate:
     limit = LIMITS.get(name)
+    if name == "time_offset" and refitted:
+        reason = (
+            f"the clock of {', '.join(refitted)} was fitted anew within the recording (clock_off), "
+            "as on a busy computer: record again"
+        )
+        return ParameterEstimate(name, 0.0, deviation, reason)
     if limit is None or not deviation <= limit:
         return ParameterEstimate(name, 0.0, deviation, REASONS.get(name, DEFAULT_REASON))
     return ParameterEstimate(name, float(change), float(deviation))

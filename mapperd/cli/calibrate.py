@@ -14,13 +14,15 @@ from typing import TYPE_CHECKING
 from mapperd import __version__
 from mapperd.cli.replay import unreadable
 from mapperd.config.layers import load_settings
+from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, ExportError, MapperdError, missing_extra
 from mapperd.io import atomic_file, make_folder
-from mapperd.session.recordings import files_in, sessions_of
+from mapperd.session.recordings import RecordedSession, files_in, sessions_of
 from oculus_driver.command_line import CommandParser, ExitCode
 from oculus_driver.errors import RecordingError
 
 if TYPE_CHECKING:
+    from mapperd.calibration.dive import CalibrationDive
     from mapperd.calibration.estimate import Calibration, ParameterEstimate
 
 __all__ = ["calibrate_command", "calibrate_parser"]
@@ -54,7 +56,6 @@ def calibrate_command(argv: Sequence[str]) -> int:
 
 
 def _calibrate(args: argparse.Namespace) -> int:
-    from mapperd.calibration.dive import read_dive  # noqa: PLC0415 needs an extra
     from mapperd.calibration.estimate import calibrate, yaml_lines  # noqa: PLC0415
 
     config = load_settings([] if args.config is None else [args.config], os.environ).config
@@ -62,7 +63,7 @@ def _calibrate(args: argparse.Namespace) -> int:
     sessions = sessions_of(files_in([args.recording], begun=True))
     if not sessions:
         raise RecordingError(f"{args.recording}: no recording with anything in it")
-    dive = read_dive(sessions[0], config)
+    dive = _read(sessions, config)
     found = calibrate(dive, config, _progress)
     lines = yaml_lines(found, config, dive.sound_mps)
     facts = [_facts(one) for one in found.parameters]
@@ -73,6 +74,30 @@ def _calibrate(args: argparse.Namespace) -> int:
     print("\n".join(map(_row, found.parameters)))  # noqa: T201 a command speaks
     print(f"\n{lines}\nwritten to {args.out}/calibration.yaml")  # noqa: T201
     return 0
+
+
+def _read(sessions: Sequence[RecordedSession], config: Config) -> "CalibrationDive":
+    """Read the largest session that can be used, and name those that are left out.
+
+    Raises:
+        ReplayError, RecordingError: no session can be used; the reason is that of the largest.
+    """
+    from mapperd.calibration.dive import read_dive  # noqa: PLC0415 needs an extra
+
+    problem: Exception | None = None
+    for session in sorted(sessions, key=lambda one: one.size_bytes, reverse=True):
+        try:
+            dive = read_dive(session, config)
+        except (MapperdError, RecordingError) as error:
+            problem = problem or error
+            continue
+        left = [str(one.paths[0]) for one in sessions if one is not session]
+        if left:
+            text = f"uses {session.paths[0]}, the longest usable session; without {', '.join(left)}"
+            print(f"mapperd: {text}", file=sys.stderr)  # noqa: T201 a command speaks
+        return dive
+    assert problem is not None  # noqa: S101 there are sessions
+    raise problem
 
 
 def _facts(one: "ParameterEstimate") -> dict[str, object]:
@@ -131,7 +156,12 @@ def calibrate_parser() -> CommandParser:
         "78 invalid settings or a missing extra; 130 interrupted",
     )
     add = parser.add_argument
-    add("recording", metavar="RECORDING", type=Path, help="recording, or a folder of one session")
+    add(
+        "recording",
+        metavar="RECORDING",
+        type=Path,
+        help="recording, or a folder: its longest usable session",
+    )
     add("--config", metavar="YAML", type=Path, help="settings file with the measured mounting")
     add(
         "--out",

@@ -71,6 +71,11 @@ class OdometryClock:
         self._delays: deque[int] = deque(maxlen=DISTRUST_AFTER)
         self._min_delay_ns: int | None = None
 
+    @property
+    def is_distrusted(self) -> bool:
+        """Whether Unix stamps are fitted, as the sender's clock was found wrong."""
+        return self._distrusted
+
     def state(self) -> OdometryClockState:
         """Return the state for `restore`."""
         return OdometryClockState(

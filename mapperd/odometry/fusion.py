@@ -223,6 +223,11 @@ class Fusion:
         placed = self._placed(t_ns)
         return placed if isinstance(placed, Reject) else self._fused(t_ns, attitude, placed)
 
+    @property
+    def fitted(self) -> frozenset[str]:
+        """Sources whose Unix stamps are fitted, as their clock was found wrong."""
+        return frozenset(key[0] for key, clock in self._clocks.items() if clock.is_distrusted)
+
     def status(self) -> dict[str, Any]:
         """Status for people: owners, numbers of records and rejects."""
         return {

@@ -1,7 +1,7 @@
 """Simulated dives with known errors: what is called observable is true, the rest is left."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -20,13 +20,17 @@ from mapperd.calibration.dive import read_dive
 from mapperd.calibration.estimate import (
     Calibration,
     ParameterEstimate,
+    _parameter,
     nearest_angles,
     start_of,
     yaml_lines,
 )
+from mapperd.cli.calibrate import _read
 from mapperd.cli.mapperd import main
 from mapperd.config.tree import Config, OrientationConfig
+from mapperd.errors import ReplayError
 from mapperd.session.recordings import files_in, sessions_of
+from tests.mapperd.conftest import START_NS
 from tests.support.shell_blocks import SCENE
 
 FORWARD = (
@@ -223,6 +227,54 @@ def test_reads_the_most_common_images_evenly(
     steps_s = np.diff(dive.t_s)
     assert steps_s.max() < 2.1 * steps_s.min()
     assert dive.t_s[-1] - dive.t_s[0] > 0.6 * (count - 9) * 0.2
+
+
+@pytest.fixture
+def events(
+    odometry_bytes: Any, ping_bytes: Any, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[int], list[Any]]:
+    """Return a maker of a dive of 10 s, whose odometry comes 80 ms later from a record on."""
+    monkeypatch.setattr(dive_module, "MIN_PINGS", 5)
+
+    def made(late_from: int) -> list[Any]:
+        found = []
+        for k in range(100):
+            data = odometry_bytes(clk="unix", t=START_NS + k * 10**8, p=(0.05 * k, 0.0, 0.0))
+            found.append(("odometry", data, 0.1 * k + (0.08 if k >= late_from else 0.0)))
+            found.append(("ping", ping_bytes(k + 1), 0.1 * k + 0.09))
+        return found
+
+    return made
+
+
+@pytest.mark.parametrize(("late_from", "refitted"), [(100, ()), (50, ("vehicle",))])
+def test_a_clock_that_is_fitted_anew_withholds_the_time_offset(
+    late_from: int, refitted: tuple[str, ...], tmp_path: Path, write_recording: Any, events: Any
+) -> None:
+    recording = tmp_path / "dive.mcap"
+    write_recording(recording, events(late_from))
+    (session,) = sessions_of(files_in([recording]))
+    dive = read_dive(session, Config())
+    assert dive.refitted == refitted
+    offset = _parameter("time_offset", 0.08, 0.001, dive.refitted)
+    assert offset.observable == (not refitted)
+    assert "clock_off" in offset.reason or not refitted
+    assert _parameter("yaw", 2.0, 0.1, dive.refitted).observable
+
+
+def test_uses_the_largest_usable_session_and_names_the_others(
+    tmp_path: Path, write_recording: Any, events: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = events(100)
+    pings = [one for one in 3 * whole if one[0] == "ping"]
+    for name, part in {"a": whole[:20], "b": whole, "c": pings}.items():
+        write_recording(tmp_path / f"{name}.mcap", part)
+    sessions = [session for file in files_in([tmp_path]) for session in sessions_of([file])]
+    assert len(_read(sessions, Config()).images) > 50
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.index("b.mcap") < line.index("a.mcap") < line.index("c.mcap")
+    with pytest.raises(ReplayError, match="0 pings have poses"):
+        _read(sessions[2:], Config())
 
 
 def test_names_a_missing_file_and_a_missing_extra(
