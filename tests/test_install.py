@@ -106,6 +106,28 @@ def test_images_are_built_on_machines_of_their_architecture() -> None:
     assert machines["arm64"].endswith("-arm")
 
 
+def test_a_tag_publishes_what_the_page_names() -> None:
+    jobs = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text("utf-8"))["jobs"]
+    page = PAGE.read_text("utf-8")
+    assert f"`ghcr.io/OWNER/mapperd:v{__version__}`" in page
+    image = jobs["release-image"]["steps"][0]["run"]
+    assert 'name="ghcr.io/${GITHUB_REPOSITORY,,}:${GITHUB_REF_NAME}"' in image
+    release = jobs["release"]
+    assert release["needs"] == "wheels"
+    fetch, publish = release["steps"]
+    assert fetch["with"]["pattern"] == "wheels-*"
+    files = f"{fetch['with']['path']}/*"
+    assert f'gh release upload "$GITHUB_REF_NAME" --clobber {files}' in publish["run"]
+    for arch in ("amd64", "arm64"):
+        assert f"image-{arch}" in page
+
+
+def test_a_push_follows_the_pages_from_a_clone() -> None:
+    jobs = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text("utf-8"))["jobs"]
+    pushed = [job for job in jobs.values() if job.get("if") == "github.event_name == 'push'"]
+    assert any({"run": "make from-clone"} in job["steps"] for job in pushed)
+
+
 def test_the_page_states_the_pythons_of_the_package() -> None:
     project = (ROOT / "pyproject.toml").read_text("utf-8")
     minors = [int(minor) for minor in re.findall(r'"cp3(\d\d)-manylinux', project)]
