@@ -72,6 +72,8 @@ class Arguments:
 
 VIEW_PORT = 8080
 
+MAP_SUFFIXES = (".map", ".bt", ".ot")
+
 COMMANDS = ("calibrate", "doctor", "init")
 """The first word of other command lines."""
 
@@ -132,7 +134,12 @@ def _unknown(words: Sequence[str]) -> str:
         return f"unrecognized arguments: {' '.join(words)}"
     if not Path(stray).exists() and (hint := did_you_mean(stray, COMMANDS)):
         return f"there is no command {stray!r}{hint}"
-    return f"{stray}: to map a recording: mapperd --replay {shlex.quote(stray)}"
+    quoted, suffix = shlex.quote(stray), Path(stray).suffix
+    if suffix in (".yaml", ".yml"):
+        return f"{stray}: to map with these settings: mapperd --config {quoted}"
+    if suffix in MAP_SUFFIXES:
+        return f"{stray}: to show a map: mapperctl view {quoted}"
+    return f"{stray}: to map a recording: mapperd --replay {quoted}"
 
 
 def _odometry(args: argparse.Namespace) -> OdometryOptions | None:

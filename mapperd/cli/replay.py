@@ -77,7 +77,7 @@ def _unreadable(path: Path) -> str | None:
 
 def _bag_in(folder: Path) -> str:
     if any(one.suffix in (".db3", ".bag") for one in folder.iterdir()):
-        return ", only a ROS bag: it holds ROS messages, not the bytes of the sonar"
+        return ", only a ROS bag: pass its file, or of ROS 2 the folder with its metadata.yaml"
     return ""
 
 

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from mapperd.errors import ExportError, missing_extra
+from mapperd.errors import ExportError, ExportExtraError, missing_extra
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
@@ -73,12 +73,13 @@ class FoxgloveRecording:
         """Create the file and record in the background.
 
         Raises:
-            ExportError: the file cannot be created, or the extra `foxglove` is not installed.
+            ExportError: the file cannot be created.
+            ExportExtraError: the extra `foxglove` is not installed.
         """
         try:
             from mapperd.foxglove.mcap_recorder import McapRecorder  # noqa: PLC0415 an extra
         except ModuleNotFoundError as error:
-            raise ExportError(foxglove_missing(error)) from error
+            raise ExportExtraError(foxglove_missing(error)) from error
         self._recorder = McapRecorder(self._client, self.path)
         self._running = asyncio.create_task(self._run(self._recorder))
 

@@ -65,13 +65,25 @@ def open_source(path: Path) -> Recording:
     """
     try:
         return open_recording(path)
-    except RecordingError as problem:
+    except RecordingError:
         if not path.exists() or not is_ros_bag(path):
             raise
-        try:
-            return RosRecording(path)
-        except RecordingError as error:
-            raise (error if path.is_dir() else problem) from None
+    try:
+        return RosRecording(path)
+    except RecordingError as error:
+        folder = path.parent
+        if path.is_dir() or not is_ros_bag(folder) or not _is_readable(folder):
+            raise
+        raise RecordingError(f"{error}; pass the bag's folder: {folder}") from error
+
+
+def _is_readable(bag: Path) -> bool:
+    """Return whether a bag has sonar data."""
+    try:
+        RosRecording(bag)
+    except RecordingError:
+        return False
+    return True
 
 
 class RosRecording(Recording):

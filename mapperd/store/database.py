@@ -269,7 +269,8 @@ def only_writer(path: Path) -> Iterator[None]:
     try:
         handle = lock_file(lock, mode=0o644)
     except BlockingIOError as error:
-        raise StoreError(f"{path}: another mapperd maps into it", "in_use") from error
+        text = f"{path}: another mapperd maps into it: stop it, or set outofcore.map_path"
+        raise StoreError(text, "in_use") from error
     except OSError as error:
         reason = "disk_full" if error.errno == errno.ENOSPC else "read_only"
         raise StoreError(f"{lock}: cannot be made: {os_reason(error)}", reason) from error

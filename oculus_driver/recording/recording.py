@@ -59,8 +59,8 @@ _MAGICS: Final = {
 }
 
 _ROS_BAG: Final = (
-    "it holds ROS messages, not the bytes of the sonar; record those with `oculus log` or mapperd, "
-    "or write raw Oculus messages from it one after the other into a file"
+    "it holds ROS messages, not the bytes of the sonar; `mapperd --replay` maps the sonar messages "
+    "in it, of ROS 2 best by the bag's folder"
 )
 
 _FOREIGN: Final = {

@@ -658,7 +658,8 @@ def _offline(
 
 def _name(text: str) -> str:
     if not any(name == text or name.startswith(f"{text}.") for name in parameters()):
-        near = did_you_mean(text, parameters())
+        sections = dict.fromkeys(name.rpartition(".")[0] for name in parameters())
+        near = did_you_mean(text, [*parameters(), *sections])
         raise argparse.ArgumentTypeError(f"{text!r}: there is no such setting{near}")
     return text
 

@@ -39,7 +39,15 @@ from oculus_driver.errors import (
     RecordingUnwritableError,
 )
 
-__all__ = ["ControlConnection", "CtlError", "DaemonTarget", "file_error_code", "plain", "refused"]
+__all__ = [
+    "ControlConnection",
+    "CtlError",
+    "DaemonTarget",
+    "file_error_code",
+    "no_daemon",
+    "plain",
+    "refused",
+]
 
 
 class CtlError(MapperdError):
@@ -60,6 +68,11 @@ def plain(text: object) -> str:
 
 
 NO_PERMISSION = frozenset({"wrong_token", "needs_token", "no_permission", "not_trusted"})
+
+
+def no_daemon(target: object, reason: object) -> CtlError:
+    """Return the error of a daemon that does not answer."""
+    return CtlError(f"{target}: no daemon answers: {reason}; {NO_DAEMON}", ExitCode.UNAVAILABLE)
 
 
 def refused(error: StreamError) -> CtlError:
@@ -312,8 +325,7 @@ class ControlConnection:
             text = f"{self._target}: not trusted: {error.verify_message}"
             raise CtlError(text, ExitCode.NO_PERMISSION) from error
         except OSError as error:
-            text = f"{self._target}: no daemon answers: {error.strerror or error}; {NO_DAEMON}"
-            raise CtlError(text, ExitCode.UNAVAILABLE) from error
+            raise no_daemon(self._target, error.strerror or error) from error
 
 
 def _connected(target: DaemonTarget) -> socket.socket:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-from mapperd.cli.mapperctl.connection import CtlError, file_error_code, plain, refused
+from mapperd.cli.mapperctl.connection import CtlError, file_error_code, no_daemon, plain, refused
 from mapperd.cli.mapperctl.map_output import (
     MapOutput,
     check_suffix,
@@ -205,7 +205,7 @@ async def _watch(client: MapClient, progress: "_ExportProgress") -> None:
         if isinstance(change, LinkChanged):
             link = change.link
             if link.state == "waiting" and not link.connects:
-                raise CtlError(f"{link.address}: {link.reason}", ExitCode.UNAVAILABLE)
+                raise no_daemon(link.address, link.reason)
             progress.link = "" if link.state == "connected" else f"  {link.state}: {link.reason}"
         elif isinstance(change, MapChanged):
             progress.received += len(change.keys)

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Coroutine, Iterator
 from typing import Any, TextIO
 
-from mapperd.cli.mapperctl.connection import CtlError, file_error_code, plain, refused
+from mapperd.cli.mapperctl.connection import CtlError, file_error_code, no_daemon, plain, refused
 from mapperd.cli.mapperctl.map_output import check_suffix, make_files, origin_among
 from mapperd.client import Interest, MapClient, Want
 from mapperd.config.tree import Config
@@ -121,7 +121,7 @@ def _map(args: argparse.Namespace, config: Config, client: MapClient) -> Iterato
 
 
 def _nobody(client: MapClient) -> CtlError:
-    return CtlError(f"{client.link.address}: no daemon answered", ExitCode.UNAVAILABLE)
+    return no_daemon(client.link.address, client.link.reason or "no answer")
 
 
 async def _record(

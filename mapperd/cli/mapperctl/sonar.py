@@ -16,7 +16,7 @@ from mapperd.cli.mapperctl.connection import (
 from mapperd.config.catalog import parameters
 from mapperd.config.loader import YamlProblem, parse_yaml
 from mapperd.errors import ConfigError
-from oculus_driver.command_line import ExitCode
+from oculus_driver.command_line import ExitCode, did_you_mean
 
 __all__ = ["add_sonar", "run_sonar"]
 
@@ -55,7 +55,7 @@ def add_sonar(command: argparse.ArgumentParser) -> None:
         "action",
         metavar="ACTION",
         nargs="?",
-        choices=ACTIONS,
+        type=_action,
         help="set (with options), standby (stop pinging), live (ping again); default: show",
     )
     for option, name in OPTIONS.items():
@@ -182,6 +182,13 @@ def _confirmed(args: argparse.Namespace, daemon: ControlConnection, since: int) 
             return
         daemon.wait(POLL_INTERVAL_S)
     raise CtlError("the sonar has not confirmed the settings", ExitCode.TRY_AGAIN)
+
+
+def _action(text: str) -> str:
+    if text not in ACTIONS:
+        hint = did_you_mean(text, ACTIONS) or f"; allowed: {', '.join(ACTIONS)}"
+        raise argparse.ArgumentTypeError(f"there is no action {text!r}{hint}")
+    return text
 
 
 def _value(text: str) -> object:

@@ -14,6 +14,7 @@ import time
 import webbrowser
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import urlsplit
 
@@ -22,6 +23,7 @@ from mapperd.client import Interest, LinkChanged, MapClient, StreamError
 from mapperd.config.tree import Config
 from mapperd.daemon.map_server import MapServer, saved_map
 from mapperd.errors import MapperdError, missing_extra
+from mapperd.export.formats import PROBABILITY_FORMATS
 from mapperd.foxglove.recording import FoxgloveRecording
 from mapperd.localization.status import LocalizationSnapshot
 from mapperd.mapping.sonar_map import SonarMap
@@ -185,12 +187,26 @@ def run_file_view(args: argparse.Namespace, config: Config) -> Iterator[str]:
         sonar_map, store = saved_map(args.file, config)
         shown = MapServer(sonar_map, store, str(args.file), "file")
     except MapperdError as error:
-        hint = f"mapperd --replay {shlex.quote(str(args.file))} --view"
-        rest = f"; if it is a recording: {hint}" if args.file.exists() else ""
-        raise CtlError(f"{error}{rest}", file_error_code(error)) from error
+        if args.file.is_dir():
+            text = f"{args.file}: is a folder; to show its recordings: {_replayed(args.file)}"
+            raise CtlError(text, ExitCode.NO_INPUT) from error
+        raise CtlError(f"{error}{_hint(args.file)}", file_error_code(error)) from error
     with _page(args) as (server, line):
         yield line
         asyncio.run(_show(server, shown, args))
+
+
+def _replayed(path: Path) -> str:
+    return f"mapperd --replay {shlex.quote(str(path))} --view"
+
+
+def _hint(path: Path) -> str:
+    """Return what shows a file that is no map."""
+    if not path.exists():
+        return ""
+    if path.suffix in (*PROBABILITY_FORMATS, ".xyz"):
+        return "; it is a point cloud: open it with CloudCompare or MeshLab"
+    return f"; if it is a recording: {_replayed(path)}"
 
 
 class ReplayView:

@@ -60,6 +60,9 @@ def test_every_command_has_a_version(line: str, capsys: pytest.CaptureFixture[st
         ("mapperctl", ["statsu"], "did you mean status?"),
         ("mapperctl", ["status", "--jsn"], "did you mean --json?"),
         ("mapperctl", ["get", "filtering.min_rnge"], "did you mean filtering.min_range?"),
+        ("mapperctl", ["get", "filterin"], "did you mean filtering?"),
+        ("mapperctl", ["sonar", "sett"], "did you mean set?"),
+        ("mapperctl", ["sonar", "xyzzy"], "allowed: set, standby, live"),
         ("mapperctl", ["xyzzy"], "allowed: status, "),
         ("oculus", ["discver"], "did you mean discover?"),
         ("sonar-sim", ["serv"], "did you mean serve?"),
@@ -86,6 +89,8 @@ def test_a_typing_error_names_the_nearest(
     ("words", "hint"),
     [
         (["dive one.mcap"], "mapperd --replay 'dive one.mcap'"),
+        (["harbour.yaml"], "mapperd --config harbour.yaml"),
+        (["a/map.bt"], "mapperctl view a/map.bt"),
         (["docter"], "did you mean doctor?"),
         (["calibrat"], "did you mean calibrate?"),
         (["--replya", "a"], "did you mean --replay?"),

@@ -17,6 +17,7 @@ from mcap.writer import Writer
 from mapperd.cli.mapperctl.command import main as mapperctl
 from mapperd.cli.mapperd import main as mapperd
 from mapperd.daemon.session import host_clock
+from mapperd.store.database import only_writer
 from oculus_driver import PlaybackSonar
 from oculus_driver.command_line import ExitCode
 from oculus_driver.virtual_sonar.faults import Faults
@@ -352,6 +353,15 @@ def test_second_daemon(short: Path, bench: Bench) -> None:
     one_line(printed, str(path), "such as another mapperd: stop it, or set server.socket")
 
 
+@pytest.mark.net
+def test_second_daemon_on_one_map(tmp_path: Path, bench: Bench) -> None:
+    path = tmp_path / "mapperd.map"
+    with only_writer(path):
+        code, printed = bench.run(f"outofcore: {{use: true, map_path: {path}}}\n")
+    assert code == ExitCode.CANNOT_WRITE
+    one_line(printed, str(path), "another mapperd maps into it: stop it, or set outofcore.map_path")
+
+
 def test_port_of_the_page_in_use(capsys: Capture) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         assert mapperctl(["view", "--port", str(other.getsockname()[1])]) != 0
@@ -500,4 +510,4 @@ def test_ros_bag_without_sonar_data(
     write(tmp_path / name)
     code = mapperd(["--replay", str(tmp_path / name), "--out", str(tmp_path / "out")])
     assert code == ExitCode.BAD_DATA
-    one_line(capsys.readouterr().err, name, "it holds ROS messages", "record those with")
+    one_line(capsys.readouterr().err, name, "ROS bag")

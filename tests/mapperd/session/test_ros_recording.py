@@ -14,9 +14,11 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mapperd.cli.mapperd import main
 from mapperd.export.clouds import VERTEX
+from mapperd.odometry.ros_bag import open_ros_bag
 from mapperd.session.ros_recording import RosRecording
 from oculus_driver.command_line import ExitCode
 from oculus_driver.encode import encode_fire
+from oculus_driver.errors import RecordingError
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.recording import OCULUS, RecordingWriter
 from oculus_driver.recording.chunk import messages_of
@@ -403,7 +405,26 @@ def test_bag_without_sonar_data(bench: Bench) -> None:
     (file,) = bag.glob("*.mcap")
     code, text = bench.run("--replay", file)
     assert (code, text.count("\n")) == (ExitCode.BAD_DATA, 1)
-    assert "it holds ROS messages, not the bytes of the sonar" in text
+    assert f"{file}: a ROS bag without sonar data; raw Oculus messages" in text
+    assert "folder" not in text
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_file_that_cannot_be_read_without_its_folder(
+    bench: Bench, storage: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = write_bag(bench.folder / "bag", [*raw_messages(), *odometry_messages()], storage)
+    (file,) = (one for one in bag.iterdir() if one.suffix in (".mcap", ".db3"))
+
+    def opened(path: Path) -> Any:
+        if path == file:
+            raise RecordingError(f"{path}: no message definitions")
+        return open_ros_bag(path)
+
+    monkeypatch.setattr("mapperd.session.ros_recording.open_ros_bag", opened)
+    code, text = bench.run("--replay", file)
+    assert (code, text.count("\n")) == (ExitCode.BAD_DATA, 1)
+    assert text.endswith(f"no message definitions; pass the bag's folder: {bag}\n")
 
 
 def test_bag_without_poses(bench: Bench) -> None:

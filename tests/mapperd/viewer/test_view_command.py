@@ -238,6 +238,12 @@ def test_what_is_no_map_is_one_line(tmp_path: Path, call: Call) -> None:
     assert (code, "mapperd --replay" in error, "dive one.mcap' --view" in error) == (65, True, True)
     code, _, error = call("view", tmp_path / "none.map")
     assert (code, "no such file" in error) == (66, True)
+    code, _, error = call("view", tmp_path)
+    assert (code, f"mapperd --replay {tmp_path} --view" in error) == (66, True)
+    cloud = tmp_path / "changes.ply"
+    cloud.write_bytes(b"ply\n")
+    code, _, error = call("view", cloud)
+    assert (code, "CloudCompare or MeshLab" in error, "--replay" in error) == (65, True, False)
     code, _, error = call("view", recording, "--socket", tmp_path / "a.sock")
     assert (code, "--socket" in error) == (2, True)
 

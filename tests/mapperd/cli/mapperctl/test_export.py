@@ -202,7 +202,9 @@ def test_daemon_that_is_not_there_is_reported_at_once(
 ) -> None:
     nowhere = tmp_path / "map.sock"
     assert main(["export", str(tmp_path / "a.ply"), "--socket", str(nowhere)]) == 69
-    assert capsys.readouterr().err == f"mapperctl: {nowhere}: No such file or directory\n"
+    error = capsys.readouterr().err
+    assert error.startswith(f"mapperctl: {nowhere}: no daemon answers: No such file or directory; ")
+    assert "check that mapperd runs" in error
 
 
 @pytest.mark.parametrize(

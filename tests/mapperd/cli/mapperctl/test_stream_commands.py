@@ -122,8 +122,8 @@ def test_what_cannot_be_recorded_is_one_line(
         ("there.mcap", 73, "file exists"),
         ("no/a.mcap", 73, "No such file or directory"),
         ("a.docx", 73, "unknown format"),
-        ("a.ply", 69, "no daemon answered"),
-        ("a.mcap", 69, "no daemon answered"),
+        ("a.ply", 69, "no daemon answers"),
+        ("a.mcap", 69, "no daemon answers"),
     ):
         given = ["record", str(tmp_path / name), "--duration", "0.1", *nobody]
         assert main(given) == code
@@ -156,7 +156,7 @@ def test_a_library_that_is_missing_is_named(
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "foxglove", None)
     where = ["--socket", str(tmp_path / "none.sock")]
-    assert main(["record", str(tmp_path / "a.mcap"), *where]) == 73
+    assert main(["record", str(tmp_path / "a.mcap"), *where]) == 78
     assert "pip install 'foxglove-sdk" in capsys.readouterr().err
     assert main(["foxglove", "--port", "0", *where]) == 78
     assert "pip install 'foxglove-sdk" in capsys.readouterr().err
