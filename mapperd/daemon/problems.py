@@ -13,7 +13,7 @@ from mapperd.daemon.doctor import PORT_REMEDIES, without_odometry
 from mapperd.odometry.links import LinkPhase
 from oculus_driver.link.state import LinkState
 
-__all__ = ["GRACE_S", "Problem", "activity_of", "lost_bricks", "problems_of"]
+__all__ = ["GRACE_S", "Problem", "activity_of", "lost_bricks", "problems_of", "recording_problem"]
 
 GRACE_S = 5.0
 """Time after the start within which sonar and odometry are expected."""
@@ -40,6 +40,15 @@ BLOCKING = frozenset(
 )
 """Codes of the problems with which no ping is mapped."""
 
+SONAR = frozenset({"no_sonar", "sonar_in_use", "sonar_unreachable", "sonar_silent"})
+"""Codes of the states in which a sonar sends no pings."""
+
+SHORTAGES = {
+    "free_space": "the disk has less free space than recording.free_floor",
+    "budget": "the files have reached recording.budget",
+}
+"""Reasons why a recording pauses, for people."""
+
 Values = Mapping[str, Any]
 
 
@@ -59,6 +68,11 @@ class Problem:
     text: str
     link: str = ""
 
+    @property
+    def key(self) -> tuple[str, str]:
+        """What the problem is about; another state of the sonar is the same problem."""
+        return ("sonar" if self.code in SONAR else self.code, self.link)
+
 
 def problems_of(status: Values, config: Config) -> list[Problem]:
     """Return the problems of a session, the most severe first; empty in its first seconds.
@@ -74,7 +88,7 @@ def problems_of(status: Values, config: Config) -> list[Problem]:
         *_sonar(status["sonar"], config),
         *_odometry(status["odometry"], config.odometry),
         *_localization(status["localization"], config),
-        *_recording(status["recording"]),
+        *recording_problem(status["recording"]),
         *lost_bricks(status["store"]),
     ]
 
@@ -249,12 +263,14 @@ def _awaited(quantity: str, odometry: Values, config: OdometryFusionConfig) -> s
     return f"; {quantity} is expected from {owner}{why}"
 
 
-def _recording(recording: Values | None) -> Iterator[Problem]:
+def recording_problem(recording: Values | None) -> Iterator[Problem]:
+    """Yield the problem of a recording that is paused."""
     if recording is not None and recording["state"] == "paused":
+        reason = str(recording["reason"] or "the disk cannot be written")
         yield Problem(
             "recording_paused",
-            f"recording is paused: {recording['reason'] or 'the disk cannot be written'}. Delete "
-            "files, or lower recording.budget",
+            f"recording is paused: {SHORTAGES.get(reason, reason)}. Delete files, or lower "
+            "recording.budget",
         )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from mapperd import __version__
 from mapperd.config.tree import Config
-from mapperd.daemon.problems import Problem, problems_of
+from mapperd.daemon.problems import Problem, problems_of, recording_problem
 from mapperd.daemon.session import Live
 from mapperd.events import EventLog, Severity
 from mapperd.localization.report import localization_summary, map_name_of, state_of
@@ -198,7 +198,7 @@ class Watch:
         self._recording: object = None
         self._limits: dict[str, str] = {}
         self._problems: dict[tuple[str, str], Problem] = {}
-        self._suspected: set[tuple[str, str]] = set()
+        self._suspected: dict[tuple[str, str], str] = {}
         self._localization = LocalizationWatch(events)
 
     def update(self, snapshot: StatusSnapshot) -> None:
@@ -244,15 +244,17 @@ class Watch:
 
     def look_at_problems(self, problems: list[Problem]) -> None:
         """Report problems that two looks in a row find, and their end."""
-        found = {(one.code, one.link): one for one in problems}
-        for key in found.keys() & self._suspected - self._problems.keys():
-            self._problems[key] = found[key]
-            self._events.add(Severity.WARNING, found[key].code, found[key].text)
+        found = {one.key: one for one in problems}
+        for key, one in found.items():
+            before = self._problems.get(key)
+            if one.code == self._suspected.get(key) and (before is None or before.code != one.code):
+                self._events.add(Severity.WARNING, one.code, one.text)
+                self._problems[key] = one
         for key in self._problems.keys() - found.keys():
             solved = self._problems.pop(key)
             text = f"solved: {re.split(r'[:;.] ', solved.text)[0]}"
             self._events.add(Severity.NOTICE, "problem_solved", text, problem=solved.code)
-        self._suspected = set(found)
+        self._suspected = {key: one.code for key, one in found.items()}
 
     def _look_at_limits(self) -> None:
         """Report links that start or stop to bring more than they may."""
@@ -275,11 +277,11 @@ class Watch:
         first, self._recording = self._recording is None, status["state"]
         if first and status["state"] == "logging":
             return
-        bad = status["state"] == "paused"
+        problem = next(recording_problem(status), None)
         why = f": {status['reason']}" if status["reason"] else ""
         self._events.add(
-            Severity.ERROR if bad else Severity.NOTICE,
+            Severity.NOTICE if problem is None else Severity.ERROR,
             "recording",
-            f"recording: {status['state']}{why}",
+            f"recording: {status['state']}{why}" if problem is None else problem.text,
             state=status["state"],
         )

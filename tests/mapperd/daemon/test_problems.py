@@ -1,5 +1,6 @@
 """Mistakes of a set-up: each is one line that names the remedy."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -234,6 +235,37 @@ def test_a_problem_is_one_event_and_so_is_its_end() -> None:
         ("no_position", "attitude alone arrives: add a DVL"),
         ("problem_solved", "solved: attitude alone arrives"),
     ]
+
+
+def test_another_state_of_the_sonar_is_the_same_problem() -> None:
+    live: Any = None
+    events = EventLog(lambda: 0)
+    watch = Watch(events, live)
+    silent = Problem("sonar_silent", "the sonar does not ping: no ping for 5 s")
+    away = Problem("sonar_unreachable", "the sonar at 10.0.0.1 sends nothing: timed out")
+    for problem in (silent, silent, away, silent, away, away, away):
+        watch.look_at_problems([problem])
+    watch.look_at_problems([])
+    assert [one.code for one in events.since(0)[0]] == [
+        "sonar_silent",
+        "sonar_unreachable",
+        "problem_solved",
+    ]
+
+
+def test_a_paused_recording_is_logged_with_its_remedy() -> None:
+    state = {"state": "logging", "reason": ""}
+    live: Any = SimpleNamespace(recorder=SimpleNamespace(status=lambda: state))
+    events = EventLog(lambda: 0)
+    watch = Watch(events, live)
+    watch._look_at_recording()
+    state = {"state": "paused", "reason": "free_space"}
+    watch._look_at_recording()
+    state = {"state": "logging", "reason": ""}
+    watch._look_at_recording()
+    paused, again = events.since(0)[0]
+    assert "less free space than recording.free_floor. Delete files" in paused.text
+    assert again.text == "recording: logging"
 
 
 def test_the_default_settings_give_no_false_alarm() -> None:
