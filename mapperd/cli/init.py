@@ -66,6 +66,7 @@ class Setup:
         orientation: roll, pitch, yaw, degrees; pitch 0 looks ahead, 90 down.
         range_m: of the pings.
         water: key of `WATERS`.
+        folder: of the map and the recordings, "" for the usual ones.
         stream: address of the map for other computers, "" for none.
         token: file that the settings name, None for none.
     """
@@ -79,6 +80,7 @@ class Setup:
     orientation: tuple[float, float, float] = (0.0, 30.0, 0.0)
     range_m: float = 10.0
     water: str = "sea"
+    folder: str = ""
     stream: str = "0.0.0.0:7471"
     token: Path | None = None
 
@@ -97,6 +99,9 @@ octree:
   voxel_resolution: 0.1 # m
 outofcore:
   use: true # the map stays on disk and the next start continues it; `mapperctl reset` empties it
+  map_path: {map_path} # "" is mapperd.map in the state folder, the user's or the service's
+recording:
+  folder: {recordings} # "" is in the state folder; the service's is /var/log/mapperd
 odometry:
   sources:
 {sources}{owners}{server}"""
@@ -173,10 +178,16 @@ def settings_text(setup: Setup) -> str:
         sonar=setup.sonar,
         range_m=setup.range_m,
         salinity=water.salinity,
+        map_path=_path_in(setup.folder, "mapperd.map"),
+        recordings=_path_in(setup.folder, "recordings"),
         sources=sources,
         owners=note + OWNERS.format(**owners),
         server=_server(setup),
     )
+
+
+def _path_in(folder: str, name: str) -> str:
+    return json.dumps(str(Path(folder).absolute() / name) if folder else "", ensure_ascii=False)
 
 
 def _server(setup: Setup) -> str:
@@ -286,6 +297,12 @@ def init_parser() -> CommandParser:
     add("--range", metavar="M", type=_number, help="range of the pings, m")
     add("--water", choices=WATERS, help="kind of water; sets the speed of sound")
     add(
+        "--folder",
+        metavar="DIR",
+        help="folder of the map and the recordings (default: the state folder, the user's or the "
+        "service's)",
+    )
+    add(
         "--stream",
         metavar="HOST:PORT",
         type=_stream,
@@ -345,7 +362,7 @@ def _options(args: argparse.Namespace) -> dict[str, Any]:
         options["sonar"] = _sonar(args.sonar)
     if args.range is not None:
         options["range_m"] = args.range
-    for name in ("vehicle", "dvl", "position", "orientation", "water", "stream"):
+    for name in ("vehicle", "dvl", "position", "orientation", "water", "folder", "stream"):
         if (value := getattr(args, name)) is not None:
             options[name] = value
     return options

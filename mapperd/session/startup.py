@@ -108,7 +108,7 @@ def open_map(
     if sessions:
         text = (
             f"the map of {len(sessions)} earlier sessions continues: the odometry's world must be "
-            "theirs (docs/reference/store.md)"
+            "theirs (docs/reference/store.md); `mapperctl reset` starts another map"
         )
         events.add(Severity.NOTICE, "map_continued", text, sessions=len(sessions))
     origin_deg = None if position is None else position.origin_deg

@@ -12,6 +12,7 @@ import pytest
 from mapperd.cli.init import DVLS, VEHICLES, init
 from mapperd.config.layers import load_files, load_settings
 from mapperd.config.loader import config_from_text, load_config
+from mapperd.config.paths import map_path, recordings_folder
 from mapperd.wire.auth import read_token
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -60,7 +61,7 @@ SET_UPS = [
     ["--dvl", "none"],
     ["--dvl", "autopilot", "--fixed", "--water", "fresh"],
     ["--vehicle", "native", "--sonar", "127.0.0.1", "--stream", "none"],
-    ["--vehicle", "nmea", "--stream", "127.0.0.1:7471"],
+    ["--vehicle", "nmea", "--stream", "127.0.0.1:7471", "--folder", "harbour"],
 ]
 
 
@@ -85,6 +86,15 @@ def test_options_are_written(tmp_path: Path) -> None:
     place, turn = config.mounting.position, config.mounting.orientation
     assert (place.x, place.y, place.z) == (-1.0, 0.5, -2.0)
     assert (turn.roll, turn.pitch, turn.yaw) == (180.0, 90.0, -5.0)
+
+
+def test_a_folder_holds_map_and_recordings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert init(["vehicle.yaml", "--yes", "--folder", 'a "b" \u00e4']) == 0
+    config = load_config(Path("vehicle.yaml"))
+    folder = tmp_path / 'a "b" \u00e4'
+    assert map_path(config, {}) == folder / "mapperd.map"
+    assert recordings_folder(config, {}) == folder / "recordings"
 
 
 def test_no_file_is_replaced_unasked_and_a_token_stays(
