@@ -221,8 +221,7 @@ def _replay(arguments: Arguments) -> ExitCode:
         write_results(arguments.out, sonar_map, summary, trajectory)
         code = _verdict(arguments, summary)
         for page in pages:
-            _print("the page stays until Ctrl-C")
-            page.wait()
+            page.wait(lambda: _print("the page stays until Ctrl-C"))
     return code
 
 

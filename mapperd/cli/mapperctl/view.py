@@ -265,10 +265,15 @@ class ReplayView:
             pings, None, {}, {"source": "odometry"}, [], None, None, {}, {}, 0, localization
         )
 
-    def wait(self) -> None:
-        """Keep the page open until Ctrl-C."""
+    def wait(self, announce: Callable[[], object]) -> None:
+        """Keep the page open until Ctrl-C.
+
+        Args:
+            announce: is called once Ctrl-C ends the page.
+        """
         self._shown.phase = "replay finished"
         with contextlib.suppress(KeyboardInterrupt):
+            announce()
             self._thread.join()
 
     async def _run(self) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.cli.replay import _mapped
+from mapperd.cli.replay import _replayed
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.errors import StoreError
@@ -95,7 +95,7 @@ def as_recorded(folder: Path) -> tuple[str, int]:
     runs = [run_as_recorded(session) for session in begun]
     sonar_map = SonarMap(runs[0].config)
     with contextlib.closing(TrajectoryWriter(folder)) as trajectory:
-        summary = _mapped(runs, sonar_map, Window(), trajectory)
+        summary = _replayed(runs, sonar_map, Window(), trajectory)(sonar_map)
     return sonar_map.sha256(), summary["pings_mapped"]
 
 
@@ -322,7 +322,8 @@ def kill_replays(folder: Path, daemons: Daemons, least: int) -> None:
     (session,) = sessions_of([dive])
     truth = SonarMap(config)
     with contextlib.closing(TrajectoryWriter(folder)) as trajectory:
-        whole = _mapped([Run(session, config, None, None)], truth, Window(), trajectory)
+        runs = [Run(session, config, None, None)]
+        whole = _replayed(runs, truth, Window(), trajectory)(truth)
     assert whole["pings_mapped"] > 40
     words = ("--replay", dive, "--config", folder / "dive.yaml", "--store", store)
     kills = mid = ends = 0

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.cli.replay import _mapped
+from mapperd.cli.replay import _replayed
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.errors import ReplayError
@@ -121,7 +121,8 @@ def recorded(folder: Path, config: Config) -> Reference:
             headless |= {path.name for path in session.paths}
     if runs:
         with closing(TrajectoryWriter(folder)) as trajectory:
-            pings = _mapped(runs, sonar_map, Window(), trajectory)["pings_total"]
+            summary = _replayed(runs, sonar_map, Window(), trajectory)(sonar_map)
+            pings = summary["pings_total"]
     return Reference(sonar_map.sha256(), pings, frozenset(headless))
 
 
