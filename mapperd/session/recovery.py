@@ -14,7 +14,7 @@ import numpy as np
 
 from mapperd.config.loader import config_of
 from mapperd.config.tree import Config
-from mapperd.errors import CheckpointError, ConfigError, ReplayError
+from mapperd.errors import CheckpointError, ConfigError, ReplayError, StoreError
 from mapperd.geometry.frames import Pose
 from mapperd.localization.session import (
     LocalizationSession,
@@ -41,7 +41,7 @@ from mapperd.session.store_session import SqlitePersistence
 from mapperd.session_log import Remarks, remarks_in, without_skipped
 from mapperd.store.checkpoint import decode_state, encode_state
 from mapperd.store.metadata import differences, kind_of
-from mapperd.store.position import Position, RecordingOffset, position_in
+from mapperd.store.position import Position, RecordingOffset, position_in, with_incomplete
 from mapperd.store.tile_store import TileStore
 
 __all__ = [
@@ -293,7 +293,8 @@ def map_rest(
         on_mapped: as of `PingExecutor`.
 
     Raises:
-        StoreError: the file cannot be written.
+        StoreError: the file cannot be written; it holds its last save, and the next call maps the
+            rest.
         MapError: nothing can be saved, so nothing more can be mapped.
         CheckpointError: the checkpoint cannot be restored, or a known map of a recorded request
             does not exist any more.
@@ -332,6 +333,9 @@ def map_rest(
         if left:
             persistence.lacks("its recording ends before the map does")
         persistence.end()
+        if persistence.unsaved is not None:
+            text = f"{stored.store.path}: session {stored.session} cannot be saved"
+            raise StoreError(f"{text}: {persistence.unsaved}", "io_error")
     finally:
         persistence.stop()
 
@@ -454,7 +458,11 @@ def map_recorded_sessions(
                 pass
         except (CheckpointError, ConfigError, ReplayError) as error:  # a known map that is gone
             reasons[session] = str(error)
-        before = position_in(store.saved_position)
+        after = position_in(store.saved_position)
+        if after is not None and session in after.sessions:
+            before = after
+        if session in reasons:
+            before = with_incomplete(before, session, reasons[session])
     return counters.pings_mapped, reasons
 
 

@@ -5,8 +5,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
-
 from mapperd.config.paths import map_path, recordings_folder
 from mapperd.config.tree import Config
 from mapperd.errors import StoreError
@@ -23,7 +21,7 @@ from mapperd.session.recovery import (
 )
 from mapperd.session.store_session import SqlitePersistence
 from mapperd.store.maintenance import Verification, put_aside, rebuild_lost
-from mapperd.store.position import Position, position_in
+from mapperd.store.position import Position, position_in, with_incomplete
 from mapperd.store.tile_store import TileStore
 
 __all__ = ["OpenMap", "open_map"]
@@ -136,7 +134,9 @@ class _Startup:
             if position is not None and not position.whole:
                 problem = self._recover(store, sonar_map, position)
                 sonar_map, store = self._again(store)
-                position = _incomplete(position_in(store.position), problem)
+                position = position_in(store.position)
+                if problem is not None:
+                    position = with_incomplete(position, *problem)
             if store.lost and position is not None and position.whole:
                 self._rebuild(store, sonar_map, position)
                 sonar_map, store = self._again(store)
@@ -282,8 +282,8 @@ class _Startup:
             sonar_map, store = self._again(store)
             position = position_in(store.position)
         self.not_mapped |= reasons
-        for problem in self.not_mapped.items():
-            position = _incomplete(position, problem)
+        for session, why in self.not_mapped.items():
+            position = with_incomplete(position, session, why)
         self._name_sessions(position)
         return sonar_map, store, position
 
@@ -376,11 +376,3 @@ class _Startup:
             self._not_recovered = session
             return session, recovered.problem
         return None
-
-
-def _incomplete(position: Position | None, problem: tuple[str, str] | None) -> Position | None:
-    """Add a session of the map that is not in it as a whole, and why, to a position."""
-    if position is None or problem is None or problem[0] not in position.sessions:
-        return position
-    incomplete = {**position.incomplete, problem[0]: problem[1]}
-    return msgspec.structs.replace(position, incomplete=incomplete)

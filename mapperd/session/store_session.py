@@ -94,6 +94,7 @@ class SqlitePersistence:
         self.store = store
         self._map = sonar_map
         self._session = session
+        self._earlier = earlier
         before = () if earlier is None else earlier.sessions
         self._sessions = tuple(one for one in before if one != session)
         self._emptied = () if earlier is None else earlier.emptied
@@ -139,8 +140,13 @@ class SqlitePersistence:
             localization: the one that affects the map; None without one.
 
         Raises:
-            StoreError: the file cannot take the beginning of the session, and must.
+            StoreError: the file cannot take the beginning of the session, and must; or an earlier
+                session is not in it as a whole, and not stated to be incomplete.
         """
+        earlier = self._earlier
+        if self._resumed is None and earlier is not None and not earlier.states_all:
+            text = f"{self.store.path}: session {earlier.session} is not in the map as a whole"
+            raise StoreError(f"{text}; the next start maps the rest", "out_of_step")
         self._localization = localization
         self._decoder, self._offsets, self._wake = decoder, offsets, wake
         self._point = self._point_at(0, 0)
@@ -258,6 +264,11 @@ class SqlitePersistence:
             raise
         self.store.suspect(whole.lost)
         return whole
+
+    @property
+    def unsaved(self) -> str | None:
+        """Why the file lacks a part of the session after the end; None if it lacks none."""
+        return self._loss
 
     def worker(self) -> Worker:
         """Return the progress of the saving thread for the watchdog."""

@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from mapperd.errors import StoreError
 
-__all__ = ["Position", "RecordingOffset", "RecordingOffsets", "position_in"]
+__all__ = ["Position", "RecordingOffset", "RecordingOffsets", "position_in", "with_incomplete"]
 
 
 class RecordingOffset(Struct, frozen=True, order=True):
@@ -90,6 +90,11 @@ class Position(Struct, frozen=True):
         data = msgspec.msgpack.encode(msgspec.structs.replace(self, crc=MAX_CRC))
         return data[:-CRC_BYTES] + zlib.crc32(data[:-CRC_BYTES]).to_bytes(CRC_BYTES, "big")
 
+    @property
+    def states_all(self) -> bool:
+        """Whether the last session is in the map as a whole, or stated to be incomplete."""
+        return self.whole or self.session in self.incomplete
+
 
 CRC_BYTES = 4
 MAX_CRC = (1 << 32) - 1
@@ -100,6 +105,13 @@ KEYS = (b"\xa8sessions", b"\xa5whole")
 """Keys of a position; damage of one byte leaves one of them."""
 
 _DECODER = msgspec.msgpack.Decoder(Position)
+
+
+def with_incomplete(position: Position | None, session: str, why: str) -> Position | None:
+    """Return the position with the reason why a session of the map is incomplete in it."""
+    if position is None or session not in position.sessions:
+        return position
+    return msgspec.structs.replace(position, incomplete={**position.incomplete, session: why})
 
 
 def position_in(data: bytes) -> Position | None:
