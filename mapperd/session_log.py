@@ -18,6 +18,7 @@ __all__ = [
     "DECISIONS",
     "LINK",
     "SESSION",
+    "STUCK",
     "ClockSet",
     "Covariance9",
     "Decision",
@@ -50,6 +51,9 @@ SESSION = "session"
 
 DECISIONS = "mapperd-decisions"
 """Encoding of the link."""
+
+STUCK = "store_stuck"
+"""Reason for which a map on disk takes no more pings: it cannot be saved."""
 
 Covariance9 = tuple[float, float, float, float, float, float, float, float, float]
 """Covariance of x, y and yaw, row by row."""
@@ -183,9 +187,16 @@ class Skip(Struct, frozen=True, tag_field="kind", tag="skip"):
 
 
 class Drop(Struct, frozen=True, tag_field="kind", tag="drop"):
-    """A ping was not mapped because it had waited too long."""
+    """A ping was not mapped.
+
+    Attributes:
+        ping: its number.
+        reason: `store_stuck`: the map could not be saved, and took no more; the ping still reached
+            localization. Empty: it had waited too long, and reached nothing.
+    """
 
     ping: int
+    reason: str = ""
 
 
 class ClockSet(Struct, frozen=True, tag_field="kind", tag="clock_set"):
@@ -238,25 +249,28 @@ class Remarks:
     """All remarks of one session.
 
     Attributes:
-        drops: numbers of the dropped pings.
+        drops: numbers of the pings that had waited too long.
         failed: numbers of the failed resets.
+        stuck: numbers of the pings that the map did not take because it could not be saved.
     """
 
     drops: frozenset[int] = frozenset()
     failed: frozenset[int] = frozenset()
+    stuck: frozenset[int] = frozenset()
 
 
 def remarks_in(chunks: Iterable[Chunk]) -> Remarks:
     """Collect the remarks of a session, reading it to its end."""
     drops: set[int] = set()
+    stuck: set[int] = set()
     failed: set[int] = set()
     for chunk in chunks:
         match decision_of(chunk):
-            case Drop(ping):
-                drops.add(ping)
+            case Drop(ping, reason):
+                (stuck if reason == STUCK else drops).add(ping)
             case ResetFailed(number):
                 failed.add(number)
-    return Remarks(frozenset(drops), frozenset(failed))
+    return Remarks(frozenset(drops), frozenset(failed), frozenset(stuck))
 
 
 def without_skipped(chunks: Iterable[Chunk]) -> Iterator[Chunk]:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from mapperd.config.tree import Config
-from mapperd.errors import Reject
+from mapperd.errors import Reject, StoreError
 from mapperd.imaging.filter_chain import check_filters
 from mapperd.imaging.robots import Sighting, Sightings
 from mapperd.pipeline.counters import PipelineCounters
@@ -13,7 +13,7 @@ from mapperd.pipeline.decoder import NewSettings, PosedPing, Work
 from mapperd.pipeline.persistence import MapPersistence
 from mapperd.pipeline.pose_lookup import ODOMETRY_FOLLOWS
 from mapperd.pipeline.step import PingResult, Stages, process_ping, skip_ping
-from mapperd.session_log import Remarks, Request, Reset
+from mapperd.session_log import STUCK, Remarks, Request, Reset
 
 if TYPE_CHECKING:
     from mapperd.geometry.frames import Pose
@@ -23,6 +23,17 @@ __all__ = ["PingExecutor"]
 LOCALIZATION_OFF = Reject("localization_off", "localization.mode is off")
 
 TOO_SLOW = Reject("too_slow", "pings came faster than they could be mapped")
+
+NOT_SAVED = Reject(STUCK, "the map could not be saved, and took no more pings")
+
+
+def stop_mapping(posed: PosedPing, reject: Reject) -> None:
+    """Stop at a ping that the map cannot take; a later run maps it.
+
+    Raises:
+        StoreError: always.
+    """
+    raise StoreError(f"ping {posed.number} cannot be mapped: {reject.detail}", "io_error")
 
 
 class PingExecutor:
@@ -43,6 +54,8 @@ class PingExecutor:
         sightings: robots that were seen lately.
         on_ping: called with each result; it neither waits nor raises.
         on_mapped: called with the time and the pose of each mapped ping, likewise.
+        on_stuck: called with each ping that the map does not take because it cannot be saved. The
+            default ends the run; a live session records the ping as dropped.
     """
 
     FOLLOWS = (
@@ -76,6 +89,7 @@ class PingExecutor:
         self.sightings = Sightings()
         self.on_ping: Callable[[PingResult], None] = lambda _: None
         self.on_mapped: Callable[[int | None, Pose], None] = lambda *_: None
+        self.on_stuck: Callable[[PosedPing, Reject], None] = stop_mapping
         self._persistence = persistence
         self._remarks = remarks or Remarks()
         self._clock = clock
@@ -85,7 +99,7 @@ class PingExecutor:
         """Do one piece of work.
 
         Raises:
-            StoreError: the map cannot be emptied.
+            StoreError: the map cannot be emptied, or cannot be saved and takes no more pings.
             CheckpointError: the known map of a recorded request does not exist any more.
         """
         match work:
@@ -113,12 +127,23 @@ class PingExecutor:
                 self.stages.localization.request(work)
 
     def map_ping(self, posed: PosedPing) -> PingResult | None:
-        """Put a ping through the step; None if it was dropped according to the recording."""
+        """Put a ping through the step; None if it was dropped according to the recording.
+
+        Raises:
+            StoreError: as of `do`, unless `on_stuck` continues.
+        """
         result = None
         if posed.number in self._remarks.drops:
             self.counters.drop(TOO_SLOW)
+        elif posed.number in self._remarks.stuck:
+            skip_ping(posed, self.stages, self._config)
+            self.counters.drop(NOT_SAVED)
+            self._persistence.lose_ping(NOT_SAVED.detail)
         else:
             result = self._step(posed)
+            if result.reject is not None and result.reject.reason == STUCK:
+                self.on_stuck(posed, result.reject)
+                self._persistence.lose_ping(result.reject.detail)
             self.on_ping(result)
         self._persistence.done(posed)
         return result

@@ -56,6 +56,9 @@ class MapPersistence(Protocol):
     def done(self, work: Work) -> None:
         """A piece of work is finished, in order."""
 
+    def lose_ping(self, why: str) -> None:
+        """A ping is not in the map, and no later run maps it; `done` follows."""
+
     def reset(self) -> None:
         """Empty the map.
 
@@ -116,6 +119,9 @@ class MemoryPersistence:
 
     def done(self, work: Work) -> None:
         """Do nothing."""
+
+    def lose_ping(self, why: str) -> None:
+        """Do nothing: the counters state it."""
 
     def reset(self) -> None:
         """Empty the map."""

@@ -16,7 +16,7 @@ from mapperd.pipeline.decoder import NewSettings, PosedPing, Work
 from mapperd.pipeline.ingest import ChunkQueue
 from mapperd.pipeline.persistence import MapPersistence
 from mapperd.pipeline.pose_lookup import FixedPose
-from mapperd.session_log import Decision, Drop, Request, Reset, ResetFailed
+from mapperd.session_log import STUCK, Decision, Drop, Request, Reset, ResetFailed
 
 if TYPE_CHECKING:
     from mapperd.errors import Reject
@@ -115,6 +115,7 @@ class MappingThread:
         self._published_ns = 0
         self._unpublished = False
         self._thread = threading.Thread(target=self._run, name="mapping", daemon=True)
+        pipeline.executor.on_stuck = lambda posed, _: remark(Drop(posed.number, STUCK))
 
     @property
     def waiting(self) -> int:

@@ -111,6 +111,7 @@ class SqlitePersistence:
         self._on_broken = on_broken
         self._must_begin = must_begin
         self._loss: str | None = None
+        self._pings_lost = 0
         self._lost_before = store.lost
         self._unrecorded = () if earlier is None else earlier.unrecorded
         self._damage_reported = store.counters.bricks_damaged
@@ -209,18 +210,24 @@ class SqlitePersistence:
         except StoreError:
             self._sessions, self._emptied, self._incomplete, self._unrecorded = before
             raise
+        self._pings_lost = 0
 
     def lacks(self, why: str) -> None:
         """Note that a part of the session's recording is not in the map."""
         self._incomplete = {**self._incomplete, self._session: why}
+
+    def lose_ping(self, why: str) -> None:
+        """Note that a ping of the session is not in the map."""
+        self._pings_lost += 1
+        self.lacks(f"pings were not mapped: {why}")
 
     def end(self) -> None:
         """Save the whole session, in the mapping thread."""
         self.stop()
         self._report_damage()
         self._loss = self._save_whole()
-        if self._loss is not None:
-            self._on_loss(self._loss)
+        if (loss := self._stated_loss) is not None:
+            self._on_loss(loss)
         self._try_to_sync()
 
     def stop(self) -> None:
@@ -282,8 +289,17 @@ class SqlitePersistence:
             "checkpoint_bytes": len(self._point.checkpoint) if self._began else 0,
             "sessions_not_mapped": self._not_mapped | self._incomplete,
             "data_lost": self._data_lost or bool(self._incomplete),
-            "loss": self._loss,
+            "loss": self._stated_loss,
         }
+
+    @property
+    def _stated_loss(self) -> str | None:
+        """What of the session is not in the file, for a person."""
+        lost = f"{self._pings_lost} {self._incomplete.get(self._session)}"
+        losses = [lost] if self._pings_lost else []
+        if self._loss is not None:
+            losses.append(self._loss)
+        return "; ".join(losses) or None
 
     @property
     def path(self) -> Path:

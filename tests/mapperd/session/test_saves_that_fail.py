@@ -8,8 +8,6 @@ import pytest
 
 from mapperd.config.tree import Config
 from mapperd.errors import StoreError
-from mapperd.pipeline.counters import PipelineCounters
-from mapperd.pipeline.decoder import SessionDecoder
 from mapperd.session.replay_to_store import map_into_store
 from mapperd.session.store_session import SqlitePersistence
 from mapperd.store.position import Position, RecordingOffset
@@ -105,13 +103,11 @@ def test_a_map_that_lacks_a_part_without_stating_it_takes_no_session(
     incomplete = {"before": "its recordings are gone"} if states else {}
     earlier = Position("before", whole=False, sessions=("before",), incomplete=incomplete)
     keep: Any = SqlitePersistence(session.store, session.keep._map, "next", earlier)
-    decoder: SessionDecoder = session.engine
-    assert isinstance(decoder.counters, PipelineCounters)
     if states:
-        keep.begin(decoder, session.recording, lambda: None)
+        keep.begin(session.engine, session.recording, lambda: None)
     else:
         with pytest.raises(StoreError, match="session before is not in the map as a whole"):
-            keep.begin(decoder, session.recording, lambda: None)
+            keep.begin(session.engine, session.recording, lambda: None)
     keep.stop()
     session.store.close()
     assert session.position().session == ("next" if states else "now")
