@@ -39,11 +39,13 @@ class StoredFile:
         path: of the file.
         identity: of its map for clients of this process.
         lost: bricks that were damaged when it was opened.
+        remarks: which sessions were incomplete in it then, for people; empty if none was.
     """
 
     path: Path
     identity: MapIdentity = field(default_factory=fresh)
     lost: frozenset[Key] = frozenset()
+    remarks: str = ""
 
     def suspect(self, keys: Iterable[Key]) -> None:
         """Ignore damage: `MapSource` counts it, and only the file's writer can repair it."""
@@ -62,14 +64,15 @@ def saved_map(path: Path, config: Config) -> tuple[SonarMap, StoredFile | None]:
     Raises:
         MapError, StoreError, ConfigError: as of `map_in`.
     """
-    found = map_in(path, config, allow_damaged=True).map
+    source = map_in(path, config, allow_damaged=True)
+    found = source.map
     if isinstance(found, SonarMap):
         return found, None
     config, lost = found.config, found.lost if isinstance(found, StoredMap) else frozenset()
     found.close()
     empty = SonarMap(config)
     empty.core.cut_into_tiles(1, lambda _: None)  # none of which is in memory
-    return empty, StoredFile(path, lost=lost)
+    return empty, StoredFile(path, lost=lost, remarks=source.remarks())
 
 
 class _NoSession:
@@ -162,6 +165,8 @@ class MapServer(_NoSession):
         pings = {} if self.replayed is None else {"pings": self.replayed.pings}
         store = {"bricks_lost": self._source.info().bricks_lost}
         problems = [{"code": one.code, "text": one.text} for one in lost_bricks(store)]
+        if self.store is not None and self.store.remarks:
+            problems.append({"code": "map_incomplete", "text": self.store.remarks})
         return {
             "version": __version__,
             "phase": self.phase,

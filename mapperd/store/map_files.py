@@ -1,7 +1,7 @@
 """Reads maps from files of any kind and settings."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -25,6 +25,11 @@ OCTOMAP = b"# Octomap OcTree"
 
 HEADER_BYTES = 4096
 
+MAX_NAMED = 5
+"""Sessions in the text for people."""
+
+UNFINISHED = "a daemon maps it now, or the next start maps the rest"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourcedMap:
@@ -35,12 +40,27 @@ class SourcedMap:
         origin: geographic position of the map's origin, if the file has one.
         bricks_lost: damaged bricks, whose space is unknown in the map.
         has_checksum: False if a daemon's file is of version 1, whose settings cannot be verified.
+        incomplete: reasons by session of which the map lacks a part.
+        unrecorded: sessions of which a part is in the map only, not in the recordings.
     """
 
     map: MapContent
     origin: Origin | None
     bricks_lost: int = 0
     has_checksum: bool = True
+    incomplete: Mapping[str, str] = field(default_factory=dict)
+    unrecorded: tuple[str, ...] = ()
+
+    def remarks(self) -> str:
+        """State for people which sessions are incomplete; empty if none is."""
+        named = [f"session {one} is incomplete: {why}" for one, why in self.incomplete.items()]
+        if len(named) > MAX_NAMED:
+            named[MAX_NAMED:] = [f"and {len(named) - MAX_NAMED} more sessions"]
+        if self.unrecorded:
+            more = ", …" if len(self.unrecorded) > MAX_NAMED else ""
+            listed = ", ".join(self.unrecorded[:MAX_NAMED])
+            named.append(f"a part of these sessions is in no recording: {listed}{more}")
+        return "; ".join(named)
 
 
 def map_in(
@@ -126,10 +146,13 @@ def _stored(
             f"{path}: {lost} bricks of it are damaged; holes would look like water", "bricks_lost"
         )
     position = position_in(stored.position)
-    origin = None
-    if position is not None and position.origin_deg is not None:
-        origin = Origin.of_degrees(*position.origin_deg)
-    return SourcedMap(stored, origin, lost, stored.has_checksum)
+    if position is None:
+        return SourcedMap(stored, None, lost, stored.has_checksum)
+    origin = None if position.origin_deg is None else Origin.of_degrees(*position.origin_deg)
+    incomplete = position.incomplete
+    if not position.states_all:
+        incomplete = {**incomplete, position.session: UNFINISHED}
+    return SourcedMap(stored, origin, lost, stored.has_checksum, incomplete, position.unrecorded)
 
 
 def _stated(

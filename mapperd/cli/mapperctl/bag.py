@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mapperd.cli.mapperctl.map_output import missing, without_checksum
+from mapperd.cli.mapperctl.map_output import missing, remarks_on
 from mapperd.cli.progress import ProgressBar
 from mapperd.config.live import with_values
 from mapperd.config.tree import Config
@@ -52,8 +52,7 @@ def bag_of_map(
     with closing(found.map) as whole, open_bag(path, whole.config, storage) as bag:
         bag.cloud(stamp_ns, whole)
         bag.grid(stamp_ns, whole)
-    if not found.has_checksum:
-        yield without_checksum(source)
+    yield from remarks_on(source, found)
     if found.bricks_lost:
         yield missing(found.bricks_lost)
     yield from _report(path, bag)

@@ -12,8 +12,9 @@ from mapperd.export.cells import Heights
 from mapperd.export.formats import FORMATS, crs_of, write_map
 from mapperd.geometry.geodesy import Origin
 from mapperd.mapping.queries import MapContent
+from mapperd.store.map_files import SourcedMap
 
-__all__ = ["MapOutput", "check_suffix", "make_files", "missing", "origin_among", "without_checksum"]
+__all__ = ["MapOutput", "check_suffix", "make_files", "missing", "origin_among", "remarks_on"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +85,12 @@ def make_files(
     return MapOutput(sizes, crs_of(path, origin), bricks_lost)
 
 
-def without_checksum(path: Path) -> str:
-    """Describe a map file whose settings cannot be verified."""
-    return f"{path}: a file of an earlier version, whose settings cannot be verified"
+def remarks_on(path: Path, source: SourcedMap) -> Iterator[str]:
+    """Yield what people must know of a map file: unverified settings, incomplete sessions."""
+    if not source.has_checksum:
+        yield f"{path}: a file of an earlier version, whose settings cannot be verified"
+    if remarks := source.remarks():
+        yield f"{path}: {remarks}"
 
 
 def missing(bricks: int) -> str:

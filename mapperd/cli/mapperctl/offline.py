@@ -17,7 +17,7 @@ from mapperd.cli.mapperctl.map_output import (
     make_files,
     missing,
     origin_among,
-    without_checksum,
+    remarks_on,
 )
 from mapperd.config.live import occupied_above
 from mapperd.config.tree import Config
@@ -66,8 +66,7 @@ def convert(
     with closing(found.map) as whole:
         counts, edge_m = whole.counts(), whole.resolution_m
         yield f"{source}: {counts.occupied} occupied, {counts.free} free voxels of {edge_m:g} m"
-        if not found.has_checksum:
-            yield without_checksum(source)
+        yield from remarks_on(source, found)
         place = origin_among(origin, found.origin, config)
         made = make_files(whole, path, place, calibration, bricks_lost=found.bricks_lost)
     yield from made.lines()
@@ -185,12 +184,15 @@ def diff_maps(
             write_difference(file, found)
     lost = a.bricks_lost + b.bricks_lost
     if as_json:
-        yield json.dumps(_plain(found, (first, second), edges_m, lost))
+        plain_values = _plain(found, (first, second), edges_m, lost)
+        for side, source in (("a", a), ("b", b)):
+            plain_values[side]["incomplete"] = dict(source.incomplete)
+            plain_values[side]["unrecorded"] = list(source.unrecorded)
+        yield json.dumps(plain_values)
         return
     yield from _lines(found, (first, second), edges_m)
     for path, source in ((first, a), (second, b)):
-        if not source.has_checksum:
-            yield without_checksum(path)
+        yield from remarks_on(path, source)
     if lost:
         yield missing(lost)
     if cloud is not None:

@@ -193,6 +193,8 @@ def run_file_view(args: argparse.Namespace, config: Config) -> Iterator[str]:
         raise CtlError(f"{error}{_hint(args.file)}", file_error_code(error)) from error
     with _page(args) as (server, line):
         yield line
+        if store is not None and store.remarks and not args.json:
+            yield f"{args.file}: {store.remarks}"
         asyncio.run(_show(server, shown, args))
 
 
