@@ -37,6 +37,7 @@ from mapperd.localization.session import LocalizationSession, begun
 from mapperd.localization.status import LocalizationSnapshot
 from mapperd.mapping.queries import MapContent
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
+from mapperd.pipeline.recorder import Recorder
 from mapperd.pipeline.watchdog import process_progress
 from mapperd.server.map_source import MapSource
 from mapperd.server.stream_server import StreamServer
@@ -186,7 +187,7 @@ async def _served(
             run.notifier,
             watchdog_s=watchdog_s(os.environ, os.getpid()),
             stop=stop.set,
-            abandon=partial(_end_at_once, run),
+            abandon=partial(_end_at_once, run, recorder=live.recorder),
             print_line=run.print_line,
         )
         await stack.enter_async_context(feeding)
@@ -204,29 +205,36 @@ async def _served(
     return source, wall_s
 
 
-def _end_at_once(run: LiveRun, signal_number: int) -> NoReturn:
+def _end_at_once(run: LiveRun, signal_number: int, recorder: Recorder | None = None) -> NoReturn:
     """End the process without waiting for its threads; state what becomes of the map."""
-    config = run.settings.current
-    run.print_line(f"ended at once: {_kept(config)}")
+    run.print_line(f"ended at once: {kept_at_once(run.settings.current, recorder)}")
     os._exit(128 + signal_number)
 
 
-def _kept(config: Config) -> str:
-    """Return in one line what a session leaves that ends at any moment."""
-    recorded = config.recording.enabled
+def kept_at_once(config: Config, recorder: Recorder | None) -> str:
+    """Return in one line what a session leaves that ends at any moment.
+
+    Args:
+        config: the settings.
+        recorder: of the session; None before it has begun, while recordings are mapped.
+    """
+    lost = "" if recorder is None else recorder.lost_at_once
+    if not config.recording.enabled and recorder is not None:
+        lost = "recording.enabled is off"
     if config.outofcore.use:
         rest = (
-            "the next start maps the rest of the recording"
-            if recorded
-            else "what came after that is lost: recording.enabled is off"
+            f"what came after that is lost where it is not recorded: {lost}"
+            if lost
+            else "the next start maps the rest of the recording"
         )
         return f"the map is in {map_path(config, os.environ)} as it was saved last; {rest}"
-    if recorded:
-        folder = recordings_folder(config, os.environ)
-        return (
-            f"the map was in memory and is lost; its recordings are in {folder}: mapperd --replay"
-        )
-    return "the map was in memory and is lost, and recording.enabled is off"
+    if not config.recording.enabled:
+        return "the map was in memory and is lost, and recording.enabled is off"
+    folder = recordings_folder(config, os.environ)
+    rest = f"; they lack a part: {lost}" if lost else ""
+    return (
+        f"the map was in memory and is lost; its recordings are in {folder}: mapperd --replay{rest}"
+    )
 
 
 def _server(

@@ -93,6 +93,16 @@ class Recorder:
         lost = self._files.counters.bytes_dropped + self._log.bytes_dropped
         return f"{lost} bytes are not recorded" if lost else ""
 
+    @property
+    def lost_at_once(self) -> str:
+        """What of the session is not recorded if the process ends now; empty without a gap."""
+        if self._log is None or self.missing:
+            return self.missing
+        if self._files.state == "paused":
+            waiting, reason = self._log.waiting_bytes, self._files.reason
+            return f"the recording is paused ({reason}), and {waiting} bytes of it are in memory"
+        return "" if self._files.counters.files_opened else "no file was written yet"
+
     def shortage(self) -> str | None:
         """Return why nothing can be recorded at the moment; None if it can, or need not be."""
         if self._log is None:
