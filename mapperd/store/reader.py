@@ -93,9 +93,13 @@ class StoreReader:
         """Yield all bricks as stored, for another file with the same settings.
 
         Raises:
-            StoreError: the file cannot be read, or a row of it is damaged.
+            StoreError: the file cannot be read, a row of it is damaged, or bricks of it are lost.
         """
         with self._reading():
+            if lost := lost_in(self._connection, self.path):
+                text = f"{len(lost)} damaged bricks of it are not rebuilt"
+                remedy = "map its recordings into a new file"
+                raise StoreError(f"{self.path}: {text}: {remedy}", "bricks_lost")
             found = self._connection.execute(
                 f"SELECT {COLUMNS} FROM brick ORDER BY x, y, z"  # noqa: S608 our own text
             )

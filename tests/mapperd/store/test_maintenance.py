@@ -1,6 +1,8 @@
 """A map's file that is written at once is the file of the same map that was saved ping by ping."""
 
+import shutil
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ import pytest
 from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.maintenance import packed, write_whole
+from mapperd.store.metadata import write_checksum
 from mapperd.store.reader import StoreReader
 from mapperd.store.tiles import BrickRow
 from tests.mapperd.store.dive import CONFIG, dive_on, mapped, open_store
@@ -71,3 +74,16 @@ def test_damaged_rows_are_not_handed_on(whole: Path, tmp_path: Path) -> None:
     write_whole(path, CONFIG, PINGS, [rows[0], bad, *rows[2:]])
     with StoreReader(path) as reader, pytest.raises(StoreError, match="checksum is wrong"):
         list(reader.rows())
+
+
+def test_a_file_with_lost_bricks_is_not_handed_on(whole: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copy(whole, tmp_path / "lost.db"))
+    with closing(sqlite3.connect(path)) as file, file:
+        file.execute(
+            "INSERT INTO quarantine (x, y, z, reason) SELECT x, y, z, 'test' FROM brick LIMIT 1"
+        )
+        file.execute("DELETE FROM brick WHERE rowid IN (SELECT rowid FROM brick LIMIT 1)")
+        write_checksum(file)
+    with StoreReader(path) as reader, pytest.raises(StoreError, match="new file") as refused:
+        next(reader.rows())
+    assert refused.value.reason == "bricks_lost"
