@@ -164,7 +164,7 @@ class _LineState(NamedTuple):
     reader: Any
 
 
-_LINE_END = re.compile(rb"[\r\n]+")
+_LINE_END = re.compile(rb"([\r\n]+)")
 
 
 class LineDecoder:
@@ -192,10 +192,10 @@ class LineDecoder:
         self.counters.bytes_total += len(data)
         *whole, rest = _LINE_END.split(self._rest + data)
         if self._datagrams:
-            whole, rest = [*whole, rest], b""
+            whole, rest = [*whole, rest, b""], b""
         self._rest = b""
-        for line in whole:
-            yield from self._line(line, arrival_ns)
+        for line, end in zip(whole[::2], whole[1::2], strict=True):
+            yield from self._line(line, len(end), arrival_ns)
         if self._skipping or len(rest) > self._max_line_bytes:
             yield from self._too_long(rest)
         else:
@@ -220,7 +220,9 @@ class LineDecoder:
         if isinstance(self._read, RememberingReader):
             self._read.restore(reader)
 
-    def _line(self, line: bytes, arrival_ns: int | None) -> Iterator[Odometry | Reject]:
+    def _line(
+        self, line: bytes, end_bytes: int, arrival_ns: int | None
+    ) -> Iterator[Odometry | Reject]:
         if self._skipping or len(line) > self._max_line_bytes:
             yield from self._too_long(line)
             self._skipping = False
@@ -230,7 +232,7 @@ class LineDecoder:
         frames = self.counters.frames
         result = self._read(line, arrival_ns, self.counters)
         if self.counters.frames == frames:
-            self.counters.bytes_skipped += len(line)
+            self.counters.bytes_skipped += len(line) + end_bytes
         if result is not None:
             yield self.counters.out(result)
 

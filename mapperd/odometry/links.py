@@ -297,10 +297,13 @@ BURST = 128 * KIB
 RESUME = 64 * KIB
 """Allowance at which a limited link is read again; large enough for whole frames."""
 GARBAGE_RATE = KIB
-"""Limit for a link with garbage only, so that its recording does not displace others."""
+"""Limit for a link with garbage, so that its recording does not displace others."""
 GARBAGE_BURST = 4 * KIB
 GARBAGE = 64 * KIB
-"""Bytes without a valid frame after which a link counts as garbage."""
+"""Bytes over which the share of valid ones is judged; `GARBAGE_BURST` to recover."""
+MIN_VALID = 0.1
+"""Share of bytes in valid frames below which a link is garbage. Short checksums pass by chance: one
+in 256 of NMEA."""
 MIN_PIECE = 32
 """Minimum size that a piece counts as, for its processing time."""
 LIMITED_NS = 10 * SECOND_NS
@@ -320,7 +323,8 @@ class InputLimit:
         self.reason = ""
         self._room: float = BURST
         self._is_open = True
-        self._frames = self._valid_bytes = 0
+        self._is_garbage = False
+        self._judged = (0, 0)
         self._since_ns: int | None = None
         self._dropped_ns = 0
 
@@ -330,9 +334,9 @@ class InputLimit:
         Args:
             data: the received piece.
             now_ns: clock of the arrivals.
-            decoded: bytes and valid frames counted by the link's decoder.
+            decoded: bytes counted by the link's decoder, and those of them outside of valid frames.
         """
-        is_garbage = self._is_garbage(*decoded)
+        is_garbage = self._is_garbage = self._judge(*decoded)
         rate, burst = (GARBAGE_RATE, GARBAGE_BURST) if is_garbage else (RATE, BURST)
         since_ns = now_ns if self._since_ns is None else self._since_ns
         self._since_ns = now_ns
@@ -344,16 +348,19 @@ class InputLimit:
         self._count(len(data) - len(kept), now_ns, is_garbage=is_garbage)
         return kept
 
-    def _is_garbage(self, total_bytes: int, frames: int) -> bool:
-        if frames != self._frames:
-            self._frames, self._valid_bytes = frames, total_bytes
-        return total_bytes - self._valid_bytes > GARBAGE
+    def _judge(self, total_bytes: int, skipped_bytes: int) -> bool:
+        """Return whether too few of the newest bytes were in valid frames."""
+        total, skipped = total_bytes - self._judged[0], skipped_bytes - self._judged[1]
+        if total < (GARBAGE_BURST if self._is_garbage else GARBAGE):
+            return self._is_garbage
+        self._judged = total_bytes, skipped_bytes
+        return total - skipped < MIN_VALID * total
 
     def _count(self, dropped: int, now_ns: int, *, is_garbage: bool) -> None:
         if dropped:
             self.bytes_dropped += dropped
             self._dropped_ns = now_ns
-            self.reason = "no valid frame" if is_garbage else f"over {RATE // KIB} KiB/s"
+            self.reason = "hardly any valid frame" if is_garbage else f"over {RATE // KIB} KiB/s"
         elif now_ns - self._dropped_ns > LIMITED_NS:
             self.reason = ""
 
@@ -380,7 +387,7 @@ class OdometryLink:
         take: receives the data.
         clock: the host's clock, nanoseconds.
         on_status: called with each new status.
-        decoded: returns the bytes and valid frames decoded so far.
+        decoded: returns the bytes decoded so far, and those of them outside of valid frames.
 
     Attributes:
         name, address: as given.

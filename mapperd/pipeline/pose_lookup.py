@@ -98,7 +98,7 @@ class PoseLookup(Protocol):
         """Feed bytes of odometry, as for `OdometryBridge.feed`."""
 
     def decoded(self, link: str) -> tuple[int, int]:
-        """Return how many bytes and valid frames of a link were decoded; any thread."""
+        """Return a link's decoded bytes, and those outside of valid frames; any thread."""
 
     def resolved(
         self, now_ns: int | None, *, final: bool = False
@@ -268,7 +268,9 @@ class OdometryPoses:
         """As `PoseLookup.decoded`."""
         decoder = self.odometry.decoder_of(link)
         return (
-            (0, 0) if decoder is None else (decoder.counters.bytes_total, decoder.counters.frames)
+            (0, 0)
+            if decoder is None
+            else (decoder.counters.bytes_total, decoder.counters.bytes_skipped)
         )
 
     def resolved(
