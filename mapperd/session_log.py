@@ -41,6 +41,7 @@ __all__ = [
     "chunk_of",
     "decision_of",
     "is_remark",
+    "obeyed",
     "remarks_in",
     "without_skipped",
 ]
@@ -239,6 +240,15 @@ def decision_of(chunk: Chunk) -> Decision | None:
         return None
 
 
+def obeyed(chunk: Chunk) -> Decision | None:
+    """Decode a decision that is to be carried out; None if the chunk fails its checksum.
+
+    A `Gap` is carried out all the same: it only keeps pieces of messages apart.
+    """
+    decision = decision_of(chunk)
+    return None if chunk.damaged and not isinstance(decision, Gap) else decision
+
+
 def is_remark(decision: Decision | None) -> bool:
     """Return whether a decision is a remark, whose position in the stream has no meaning."""
     return isinstance(decision, Remark)
@@ -260,12 +270,12 @@ class Remarks:
 
 
 def remarks_in(chunks: Iterable[Chunk]) -> Remarks:
-    """Collect the remarks of a session, reading it to its end."""
+    """Collect the intact remarks of a session, reading it to its end."""
     drops: set[int] = set()
     stuck: set[int] = set()
     failed: set[int] = set()
     for chunk in chunks:
-        match decision_of(chunk):
+        match obeyed(chunk):
             case Drop(ping, reason):
                 (stuck if reason == STUCK else drops).add(ping)
             case ResetFailed(number):
@@ -274,14 +284,14 @@ def remarks_in(chunks: Iterable[Chunk]) -> Remarks:
 
 
 def without_skipped(chunks: Iterable[Chunk]) -> Iterator[Chunk]:
-    """Leave out the bytes that a preceding `Skip` names."""
+    """Leave out the bytes that a preceding, intact `Skip` names."""
     skips: dict[str, int] = {}
     for chunk in chunks:
-        decision = decision_of(chunk)
+        decision = obeyed(chunk)
         if isinstance(decision, Skip):
             skips[decision.link] = skips.get(decision.link, 0) + decision.bytes
         left = skips.get(chunk.link, 0)
-        if left and decision is None:
+        if left and chunk.encoding != DECISIONS:
             skips[chunk.link] = left - len(chunk.data)  # the log may cut pieces, never join them
         else:
             yield chunk

@@ -326,6 +326,8 @@ def _damage(recording: dict[str, Any]) -> str:
     more = ", …" if len(parts) > MAX_PLACES else ""
     done = "were mapped all the same" if recording["damaged_used"] else "were not mapped"
     text = f"{size} bytes in {len(parts)} parts fail their checksum and {done} ({places}{more})"
+    if decisions := recording.get("damaged_decisions"):
+        text += f"; {decisions} recorded decisions are among them"
     hint = "" if recording["damaged_used"] else "; --allow-damaged maps them"
     return f"{damage}; {text}{hint}" if damage else f"{text}{hint}"
 

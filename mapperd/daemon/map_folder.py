@@ -292,6 +292,9 @@ def recording_facts(sessions: Sequence[RecordedSession]) -> dict[str, Any]:
             session.damaged.bytes.get(path, 0) for session in sessions for path in session.paths
         ),
         "damaged_parts": parts[:MAX_PARTS],
+        "damaged_decisions": sum(
+            session.damaged.decisions.get(path, 0) for session in sessions for path in session.paths
+        ),
         "damaged_used": sessions[0].damaged.allowed,
     }
     odometry = sessions[0].odometry

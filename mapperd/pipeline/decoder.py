@@ -27,6 +27,7 @@ from mapperd.session_log import (
     Skip,
     decision_of,
     is_remark,
+    obeyed,
 )
 from oculus_driver.clock import SonarClock, SonarClockState
 from oculus_driver.ping import Ping, PingSequence, decode_ping
@@ -278,7 +279,7 @@ class SessionDecoder:
     """Turns the chunks of one session into work: frames, decodes, and looks up poses.
 
     Chunks that fail their checksum are not mapped: their pings keep their numbers and get no pose,
-    their odometry counts as missing. Their decisions are obeyed if they can be decoded.
+    their odometry counts as missing. Their decisions are not carried out, except gaps.
 
     Args:
         config: the settings at the beginning of the session.
@@ -430,7 +431,7 @@ class SessionDecoder:
     def _decide(self, chunk: Chunk) -> Iterator[Work]:
         decision = decision_of(chunk)
         self.orders_taken += not isinstance(decision, Skip) and not is_remark(decision)
-        match decision:
+        match obeyed(chunk):
             case Gap(link):
                 self._gaps.add(link)
             case Skip(link, size) if self._obey:
@@ -439,10 +440,10 @@ class SessionDecoder:
             case Settings(values) if self._obey:
                 self.reconfigure(with_values(self.config, values))
                 yield NewSettings(self.config)
-            case Reset() if self._obey:
-                yield decision
-            case _ if self._obey and isinstance(decision, Request):
-                yield decision
+            case Reset() as reset if self._obey:
+                yield reset
+            case request if self._obey and isinstance(request, Request):
+                yield request
 
     def _gap_before(self, chunk: Chunk) -> bool:
         gap = chunk.gap_before or chunk.link in self._gaps

@@ -44,6 +44,7 @@ class DamagedData:
         allowed: whether data that fail their checksum are mapped all the same.
         bytes: number of bytes that fail it, by file.
         parts: the first 1000 parts that fail it, by file.
+        decisions: number of decisions of the daemon among them, by file.
         losses: the first other damage that may have cost data, by file; no missing end of a
             session's last file.
     """
@@ -52,6 +53,7 @@ class DamagedData:
     bytes: dict[Path, int] = field(default_factory=dict)
     parts: dict[Path, tuple[DamagedPart, ...]] = field(default_factory=dict)
     losses: dict[Path, str] = field(default_factory=dict)
+    decisions: dict[Path, int] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Return what is damaged, with the first places; empty without damage."""
@@ -66,6 +68,11 @@ class DamagedData:
                 f"{sum(self.bytes.values())} bytes in {count} parts fail their checksum and were "
                 f"{mapped}; the first part is at byte {parts[0].offset} of {path.name}"
             )
+            if (decisions := sum(self.decisions.values())) and not self.allowed:
+                found.append(
+                    f"{decisions} recorded decisions are among them: settings, resets, dropped or "
+                    "skipped data"
+                )
         return "; ".join(found)
 
     @property
@@ -81,6 +88,7 @@ class DamagedData:
             {path: size for path, size in self.bytes.items() if path in mine},
             {path: parts for path, parts in self.parts.items() if path in mine},
             {path: loss for path, loss in self.losses.items() if path in mine},
+            {path: count for path, count in self.decisions.items() if path in mine},
         )
 
     def read(self, recording: Recording, *, is_last: bool = True) -> Iterator[Chunk]:
@@ -90,11 +98,15 @@ class DamagedData:
             recording: the file.
             is_last: nothing follows it in its session; such a file may end anywhere.
         """
+        decisions = 0
         try:
             for chunk in recording:
+                decisions += chunk.damaged and chunk.encoding == DECISIONS
                 yield replace(chunk, damaged=False) if self.allowed and chunk.damaged else chunk
         finally:
             self._add(recording)
+            if decisions > self.decisions.get(recording.path, 0):
+                self.decisions[recording.path] = decisions
             if not is_last and recording.truncated and SESSION in recording.metadata:
                 self.add_loss(recording.path, recording.damage or "it has no end")
 

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -74,6 +75,16 @@ def test_decision_comes_back_as_it_was(decision: Decision) -> None:
 @pytest.mark.parametrize("data", [b"", b"\xc1", b"\x80", msgspec.msgpack.encode({"kind": "new"})])
 def test_what_cannot_be_understood_is_no_decision(data: bytes) -> None:
     assert decision_of(Chunk("mapperd", DECISIONS, 0, data)) is None
+
+
+def test_damaged_remarks_and_skips_are_ignored() -> None:
+    chunks = [
+        replace(chunk_of(decision, 0), damaged=True)
+        for decision in (Drop(3), ResetFailed(1), Skip("sonar", 2))
+    ]
+    assert remarks_in(chunks) == Remarks()
+    found = list(without_skipped([*chunks, bytes_of(b"ab")]))
+    assert found == [*chunks, bytes_of(b"ab")]
 
 
 def test_other_links_hold_no_decisions() -> None:

@@ -1,5 +1,6 @@
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from mapperd.config.loader import config_from_text
@@ -102,6 +103,19 @@ def test_only_gaps_are_believed_where_decisions_are_not_obeyed(ping_bytes: MakeB
     engine.feed(sonar(data[:100]))
     reported(engine, Skip("sonar", 5))
     assert numbers(engine.feed(sonar(data[100:]))) == [0]
+
+
+def test_damaged_decisions_are_not_obeyed(ping_bytes: MakeBytes) -> None:
+    engine = engine_of()
+    before = engine.config
+    for decision in (Settings({"filtering.min_range": 2.0}), Reset(4), Skip("sonar", 7)):
+        assert engine.feed(replace(chunk_of(decision, T0), damaged=True)) == []
+    assert engine.config == before
+    assert engine.bytes_taken == 0
+    data = ping_bytes(1)
+    engine.feed(sonar(data[:100]))
+    engine.feed(replace(chunk_of(Gap("sonar"), T0), damaged=True))  # nothing is joined over it
+    assert numbers(engine.feed(sonar(data[100:])) + engine.end()) == []
 
 
 def test_no_decision_settles_a_ping(ping_bytes: MakeBytes, odometry_bytes: MakeBytes) -> None:

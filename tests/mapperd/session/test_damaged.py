@@ -26,6 +26,7 @@ from mapperd.session.recovery import (
     replay_sessions,
 )
 from mapperd.session.startup import open_map
+from mapperd.session_log import DECISIONS
 from mapperd.store.checkpoint import decode_state, encode_state
 from mapperd.store.position import RecordingOffset, position_in
 from mapperd.store.tile_store import TileStore
@@ -291,3 +292,20 @@ def test_a_session_whose_beginning_is_damaged_is_still_one(
     damage(folder, pings[2])
     [session] = sessions_of(files_in([folder]))
     assert session.beginning() is not None
+
+
+def test_damaged_decisions_are_counted_among_the_losses(
+    tmp_path: Path, ping_bytes: PingBytes
+) -> None:
+    folder = tmp_path / "recordings"
+    pings = [ping_bytes(k + 1) for k in range(5)]
+    dive(folder, tmp_path / "map.db", pings)
+    damage(folder, b"voxel_resolution")  # in the settings of its beginning
+    damaged = DamagedData()
+    [session] = sessions_of(files_in([folder]), damaged)
+    decisions = sum(chunk.damaged and chunk.encoding == DECISIONS for chunk in session)
+    for _ in session:
+        """Reading again counts once."""
+    assert decisions > 0
+    assert sum(damaged.decisions.values()) == decisions
+    assert f"{decisions} recorded decisions are among them" in str(damaged)
