@@ -61,6 +61,14 @@ class Event:
     count: int = 1
     first_ns: int | None = None
 
+    @property
+    def subject(self) -> str:
+        """What a repetition has in common: of a link its name and state, as texts hold numbers."""
+        if "state" not in self.facts:
+            return self.text
+        link = self.facts.get("link", self.facts.get("address"))
+        return f"{link} {self.facts['state']}"
+
     def plain(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return {
@@ -79,7 +87,7 @@ _Key = tuple[Severity, str, str]
 
 
 def _key(event: Event) -> _Key:
-    return event.severity, event.code, event.text
+    return event.severity, event.code, event.subject
 
 
 class EventLog:

@@ -19,7 +19,7 @@ PRIORITIES = {
 """Of syslog(3), as sd-daemon(3) writes them before a line."""
 
 REPEAT_S = 10.0
-"""Minimum time between two lines with the same code and text; doubles while the event repeats."""
+"""Minimum time between two lines of the same code and subject; doubles while the event repeats."""
 
 MAX_REPEAT_S = 3600.0
 
@@ -28,7 +28,7 @@ MAX_REMEMBERED = 256
 
 @dataclass(slots=True)
 class _Logged:
-    """The last line with one code and text: its time, the pause after it, repeats since."""
+    """The last line of one code and subject: its time, the pause after it, repeats since."""
 
     at_s: float
     pause_s: float
@@ -73,7 +73,7 @@ class Journal:
         """Write an event, unless the same was written just now."""
         if PRIORITIES[event.severity] > self._max_priority:
             return
-        key, now_s = (event.code, event.text), self._clock()
+        key, now_s = (event.code, event.subject), self._clock()
         logged = self._logged.get(key)
         if logged is not None and now_s - logged.at_s < logged.pause_s:
             logged.repeats += 1

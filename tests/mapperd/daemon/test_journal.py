@@ -151,6 +151,25 @@ def test_repeated_events_are_one_entry_with_a_count_and_the_last_time() -> None:
     assert log.since(log.last - 1)[0][0].count == 2876  # who follows the log receives repeats
 
 
+def test_states_of_a_link_repeat_whatever_numbers_are_in_their_texts() -> None:
+    clock = StandingClock()
+    log = EventLog(lambda: round(clock() * 1e9))
+    writer, stream, journal_clock = journal()
+    log.listen(writer.write)
+    for clock.now_s in range(0, 4 * 3600, 5):
+        journal_clock.now_s = float(clock.now_s)
+        for address in ("10.0.0.1", "10.0.0.2"):
+            text = (
+                f"sonar: silent: no ping for {5 + clock.now_s / 7000:.1f} s"
+            )
+            facts = {"state": "silent", "address": address}
+            log.add(Severity.NOTICE, "sonar_link", text, **facts)
+    events, discarded = log.since(0)
+    assert (len(events), discarded) == (2 * SEPARATE, 0)
+    assert "no ping for 7.1 s" in events[-1].text
+    assert len(stream.getvalue().splitlines()) < 40
+
+
 def test_an_event_long_after_another_is_its_own_entry() -> None:
     clock = StandingClock()
     log = EventLog(lambda: round(clock() * 1e9))
