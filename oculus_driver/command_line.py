@@ -170,7 +170,8 @@ class _PrintCompletion(argparse.Action):
             import shtab  # noqa: PLC0415 of an extra
         except ImportError:
             python = shlex.quote(sys.executable or "python3")
-            parser.error(f"shtab cannot be imported; to install it: {python} -m pip install shtab")
+            text = f"shtab cannot be imported; to install it: {python} -m pip install shtab"
+            parser.exit(ExitCode.BAD_CONFIG, f"{parser.prog}: {text}\n")
         whole = self.const() if self.const is not None else parser
         sys.stdout.write(f"{shtab.complete(whole, shell=values)}\n")
         parser.exit(0)

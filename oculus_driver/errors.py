@@ -17,6 +17,7 @@ Parsers never raise these for received bytes: malformed bytes are counted and re
 
 from __future__ import annotations
 
+import contextlib
 import re
 import shlex
 import sys
@@ -100,14 +101,14 @@ def missing_extra(library: str, extra: str) -> str:
 
     Args:
         library: name for people.
-        extra: name in the optional dependencies of mapperd.
+        extra: name in the optional dependencies of mapperd, or of the driver where it is alone.
     """
     from importlib import metadata  # noqa: PLC0415 slow to import, rarely needed
 
-    try:
-        requirements = metadata.requires("mapperd") or []
-    except metadata.PackageNotFoundError:  # the source tree is on the path
-        requirements = []
+    requirements: list[str] = []  # where the source tree is on the path
+    for distribution in ("mapperd", "oculus-driver"):
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            requirements = requirements or metadata.requires(distribution) or []
     marker = re.compile(rf"""\bextra\s*==\s*['"]{re.escape(extra)}['"]""")
     parts = (requirement.partition(";") for requirement in requirements)
     libraries = [shlex.quote(name.strip()) for name, _, rule in parts if marker.search(rule)]

@@ -1,9 +1,12 @@
 """One table of exit codes for all commands."""
 
+import importlib
 import re
 import sys
+from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mapper_survey
 import pytest
@@ -13,6 +16,7 @@ import oculus_driver.cli
 from mapperd.cli.mapperctl.command import main as mapperctl
 from mapperd.cli.mapperd import main as mapperd
 from oculus_driver.command_line import ExitCode
+from oculus_driver.errors import ExtraMissingError, missing_extra
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "cli.md"
 
@@ -98,6 +102,22 @@ def test_a_missing_extra_is_78(
     if package:
         monkeypatch.delattr(sys.modules[package], name, raising=False)
     assert code_of(line) == ExitCode.BAD_CONFIG
+
+
+@pytest.mark.parametrize(
+    ("module", "draw"),
+    [
+        ("oculus_driver.cli.render", lambda module: module._painter(Namespace())),
+        ("oculus_driver.cli.fire", lambda module: module._draw(Path("a.png"), None)),
+    ],
+)
+def test_pictures_without_opencv_name_the_command_that_installs_it(
+    module: str, draw: Callable[[Any], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "oculus_driver.render", None)
+    with pytest.raises(ExtraMissingError) as missing:
+        draw(importlib.import_module(module))
+    assert missing_extra("OpenCV", "render") in str(missing.value)
 
 
 def test_help_lists_the_commands_in_groups(capsys: pytest.CaptureFixture[str]) -> None:

@@ -65,6 +65,38 @@ def test_command_prints_its_version(command: str) -> None:
     assert done.stdout == f"{command} {mapperd.__version__}\n"
 
 
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("mapperd", []),
+        ("mapperd", ["init"]),
+        ("mapperd", ["doctor"]),
+        ("mapperd", ["calibrate"]),
+        ("mapperctl", []),
+        ("mapperctl", ["view"]),
+        ("mapperctl", ["bag"]),
+        ("mapperctl", ["convert"]),
+        ("oculus", []),
+        ("oculus", ["render"]),
+    ],
+)
+def test_help_needs_no_extra(command: str, words: list[str]) -> None:
+    extras = "aiomqtt cv2 embreex foxglove laspy matplotlib msgpack PIL pymavlink pynmea2 rosbags"
+    extras += " scipy serial shtab tifffile tqdm trimesh viser"
+    code = (
+        "import sys\n"
+        f"for name in {extras.split()}:\n"
+        "    sys.modules[name] = None\n"
+        f"from {COMMANDS[command]} import main\n"
+        f"sys.exit(main({[*words, '--help']}))\n"
+    )
+    done = subprocess.run(  # noqa: S603 our own lines
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (ExitCode.OK, "")
+    assert done.stdout.startswith(f"usage: {' '.join([command, *words])}")
+
+
 def without_extras(command: str, words: list[str]) -> subprocess.CompletedProcess[str]:
     """Run a command where the libraries of its extra are missing."""
     code = (

@@ -137,14 +137,19 @@ async def _map(run: LiveRun) -> tuple[MapContent, dict[str, Any]]:
     with run.notifier.extended_timeout(process_progress):
         whole = opened.persistence.whole()
         if (stored := opened.persistence.status()) is not None:
-            source["store"] = {
-                "path": stored["path"],
-                "bricks_lost": whole.bricks_lost,
-                "sessions_not_mapped": stored["sessions_not_mapped"],
-                "data_lost": stored["data_lost"],
-                "loss": stored["loss"],
-            }
+            source["store"] = store_facts(stored, whole)
         return whole, summary_of(source, whole, live.poses, live.counters, wall_s)
+
+
+def store_facts(stored: dict[str, Any], whole: MapContent) -> dict[str, Any]:
+    """Return what the summary states of the map's file.
+
+    Args:
+        stored: status of its persistence, after the end.
+        whole: the whole map.
+    """
+    named = ("path", "sessions_not_mapped", "data_lost", "loss")
+    return {name: stored[name] for name in named} | {"bricks_lost": whole.bricks_lost}
 
 
 def _require_space(config: Config, live: Live, opened: OpenMap, events: EventLog) -> None:

@@ -16,7 +16,7 @@ from oculus_driver.cli.arguments import (
     settings_of,
 )
 from oculus_driver.command_line import ExitCode
-from oculus_driver.errors import LinkError, OculusError
+from oculus_driver.errors import ExtraMissingError, LinkError, missing_extra
 from oculus_driver.link.confirmation import differences
 from oculus_driver.link.state import LinkState
 from oculus_driver.ping import caption_lines
@@ -110,6 +110,5 @@ def _draw(path: Path, ping: Ping) -> None:
         from oculus_driver.render import Painter  # noqa: PLC0415 - an extra
         from oculus_driver.render.files import write_png  # noqa: PLC0415 - an extra
     except ImportError as error:
-        text = "images need OpenCV: pip install opencv-contrib-python-headless"
-        raise OculusError(text) from error
+        raise ExtraMissingError(f"images: {missing_extra('OpenCV', 'render')}") from error
     write_png(path, Painter().paint(ping))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from oculus_driver.cli.arguments import count, non_negative_int, positive
 from oculus_driver.command_line import ExitCode
-from oculus_driver.errors import ExtraMissingError, OculusError
+from oculus_driver.errors import ExtraMissingError, OculusError, missing_extra
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.wire import MessageId
 
@@ -102,8 +102,7 @@ def _painter(args: argparse.Namespace) -> Painter:
     try:
         from oculus_driver.render import Painter, Style  # noqa: PLC0415 - an extra
     except ImportError as error:
-        text = "images need OpenCV: pip install opencv-contrib-python-headless"
-        raise ExtraMissingError(text) from error
+        raise ExtraMissingError(f"images: {missing_extra('OpenCV', 'render')}") from error
     return Painter(
         Style(
             args.height,

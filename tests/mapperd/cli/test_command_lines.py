@@ -16,7 +16,7 @@ from mapperd.cli.mapperctl.arguments import GROUPS
 from mapperd.cli.mapperctl.arguments import parser as mapperctl_parser
 from mapperd.cli.mapperd import main
 from oculus_driver.cli import _parser as oculus_parser
-from oculus_driver.command_line import CommandParser
+from oculus_driver.command_line import CommandParser, ExitCode
 
 PARSERS = {
     "mapperd": mapperd_parser,
@@ -174,5 +174,5 @@ def test_without_shtab_one_line_installs_it(
     with pytest.raises(SystemExit) as ended:
         mapperctl_parser().parse_args(["--print-completion", "zsh"])
     error = capsys.readouterr().err
-    assert (ended.value.code, error.count("\n")) == (2, 1)
+    assert (ended.value.code, error.count("\n")) == (ExitCode.BAD_CONFIG, 1)
     assert "-m pip install shtab" in error

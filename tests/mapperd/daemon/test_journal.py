@@ -159,9 +159,7 @@ def test_states_of_a_link_repeat_whatever_numbers_are_in_their_texts() -> None:
     for clock.now_s in range(0, 4 * 3600, 5):
         journal_clock.now_s = float(clock.now_s)
         for address in ("10.0.0.1", "10.0.0.2"):
-            text = (
-                f"sonar: silent: no ping for {5 + clock.now_s / 7000:.1f} s"
-            )
+            text = f"sonar: silent: no ping for {5 + clock.now_s / 7000:.1f} s"
             facts = {"state": "silent", "address": address}
             log.add(Severity.NOTICE, "sonar_link", text, **facts)
     events, discarded = log.since(0)

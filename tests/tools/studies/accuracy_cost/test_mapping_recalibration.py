@@ -45,7 +45,7 @@ def test_voxels_alike_stay_together() -> None:
 def test_file_holds_the_curve(tmp_path: Path) -> None:
     curve = fit(*overconfident(20_000, 3))
     path = tmp_path / "curve.yaml"
-    path.write_text(written(curve))
+    path.write_text(written(curve, "# Of a test."))
     read = load_calibration(path)
     assert len(read.log_odds) < len(curve.log_odds)
     anywhere = np.linspace(-12.0, 12.0, 500)
