@@ -137,6 +137,7 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
         "cpp/map/src/arc_integrator.cpp",
         "cpp/map/src/arc_model.cpp",
         "mapperd/mapping/arc.py",
+        "mapperd/mapping/ping_log.py",
         "oculus_driver/noise.py",
     ),
     "checks of the simulator, which run beside it": _in(
