@@ -20,7 +20,12 @@ from mapperd.session.recovery import (
     unmapped_sessions,
 )
 from mapperd.session.store_session import SqlitePersistence
-from mapperd.store.maintenance import Verification, put_aside, rebuild_lost
+from mapperd.store.maintenance import (
+    Verification,
+    position_of_damaged,
+    put_aside,
+    rebuild_lost,
+)
 from mapperd.store.position import Position, position_in, with_incomplete
 from mapperd.store.tile_store import TileStore
 
@@ -241,14 +246,16 @@ class _Startup:
         text = f"{error}; it was renamed to {aside.name}, and a new file was created"
         self._events.add(Severity.ERROR, "store_damaged", text, path=str(aside))
         sessions, _, _ = unmapped_sessions(self._config, self._folder, None, empty=True)
+        self.not_mapped = _lost_with(aside, sessions)
         sonar_map, store = self._at_path()
         if not sessions:
             mark.unlink()
             return sonar_map, store
         try:
-            pings, self.not_mapped = map_recorded_sessions(
+            pings, failed = map_recorded_sessions(
                 store, sonar_map, sessions, self._folder, self._damaged
             )
+            self.not_mapped |= failed
         except BaseException:
             store.close()
             raise
@@ -376,3 +383,23 @@ class _Startup:
             self._not_recovered = session
             return session, recovered.problem
         return None
+
+
+def _lost_with(aside: Path, recorded: tuple[str, ...]) -> dict[str, str]:
+    """Return what of a damaged file no recording restores, with the reason.
+
+    Args:
+        aside: the file.
+        recorded: sessions that are mapped again.
+    """
+    position = position_of_damaged(aside)
+    if position is None:
+        return {} if recorded else {aside.name: "no recording restores what was in it"}
+    lost = {
+        session: f"its recordings are gone, and {aside.name} is damaged"
+        for session in position.sessions
+        if session not in recorded
+    }
+    for session in position.unrecorded:
+        lost.setdefault(session, f"a part of it was in {aside.name} only")
+    return lost

@@ -10,6 +10,7 @@ import sqlite3
 import threading
 import weakref
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import zstandard
@@ -18,12 +19,20 @@ from mapperd.config.tree import Config
 from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.database import migrate, open_reader, transaction, translated
-from mapperd.store.metadata import begun, write_checksum, write_kind
+from mapperd.store.metadata import begun, progress_in, write_checksum, write_kind
+from mapperd.store.position import Position, position_in
 from mapperd.store.tile_store import TileStore
 from mapperd.store.tiles import COLUMNS, LEVEL, BrickRow, Key, pack
 from mapperd.store.transfer import check_structure, damaged_rows
 
-__all__ = ["Verification", "packed", "put_aside", "rebuild_lost", "write_whole"]
+__all__ = [
+    "Verification",
+    "packed",
+    "position_of_damaged",
+    "put_aside",
+    "rebuild_lost",
+    "write_whole",
+]
 
 MapAgain = Callable[[SonarMap], bool]
 """Maps the input again from its start to the store's position; False if parts are missing."""
@@ -98,6 +107,16 @@ def put_aside(path: Path) -> Path:
     except OSError as error:
         raise StoreError(f"{path}: cannot be put aside: {error.strerror}", "read_only") from error
     return aside
+
+
+def position_of_damaged(path: Path) -> Position | None:
+    """Return the position in a file that was put aside; None if it is not readable."""
+    try:
+        with closing(open_reader(path)) as connection, translated(path):
+            progress = progress_in(connection, path)
+        return None if progress is None else position_in(progress[1])
+    except StoreError:
+        return None
 
 
 def packed(bricks: Iterable[tuple[Key, int, bytes]]) -> Iterator[BrickRow]:

@@ -1,5 +1,7 @@
 """Every recorded session is in the map, or is mapped at the next start, or is named."""
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -149,3 +151,33 @@ def test_a_map_that_does_not_record_its_sessions_is_left_as_it_is(tmp_path: Path
     with StoreReader(map_path(config)) as reader:
         reader.load(whole)
     assert whole.sha256() == dive.mapped(10).sha256()
+
+
+@pytest.mark.parametrize("readable", [True, False])
+@pytest.mark.parametrize("left", ["ab", "a", ""])
+def test_what_a_damaged_file_alone_held_is_named(
+    tmp_path: Path, left: str, *, readable: bool
+) -> None:
+    config = sessions.config_of(tmp_path)
+    paths = {
+        session: sessions.record(config, number, session, range(10 * number, 10 * number + 8))
+        for number, session in enumerate("ab", 1)
+    }
+    for session in "ab":
+        sessions.mapped(config, session)
+    for session in set("ab") - set(left):
+        paths[session].unlink()
+    path = map_path(config)
+    if readable:
+        with closing(sqlite3.connect(path)) as file, file:
+            file.execute("UPDATE progress SET revision = 1")  # against its checksum
+    else:
+        path.write_bytes(path.read_bytes()[:100] + bytes(path.stat().st_size - 100))
+    events, status = start(config)
+    assert "store_damaged" in events
+    if readable:
+        assert set(status["sessions_not_mapped"]) == set("ab") - set(left)
+        assert status["data_lost"] == (left != "ab")
+    else:
+        assert status["data_lost"] == (not left)
+        assert list(status["sessions_not_mapped"]) == (["dive.map.damaged-1"] if not left else [])
