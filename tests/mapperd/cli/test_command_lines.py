@@ -60,7 +60,7 @@ def test_every_command_has_a_version(line: str, capsys: pytest.CaptureFixture[st
         ("mapperctl", ["statsu"], "did you mean status?"),
         ("mapperctl", ["status", "--jsn"], "did you mean --json?"),
         ("mapperctl", ["get", "filtering.min_rnge"], "did you mean filtering.min_range?"),
-        ("mapperctl", ["get", "filterin"], "did you mean filtering?"),
+        ("mapperctl", ["get", "filteringg"], "did you mean filtering?"),
         ("mapperctl", ["sonar", "sett"], "did you mean set?"),
         ("mapperctl", ["sonar", "xyzzy"], "allowed: set, standby, live"),
         ("mapperctl", ["xyzzy"], "allowed: status, "),
