@@ -81,9 +81,17 @@ def test_threads_read_while_the_map_changes() -> None:
         for reader in readers:
             reader.start()
         loop = server.connections[0].writer.transport._loop  # type: ignore[attr-defined]
-        for number in range(40):
+        is_served = threading.Event()
+
+        def serve(number: int) -> None:
             served.put((number % 7, 0, 0), a_block(number))
-            loop.call_soon_threadsafe(server.publish)
+            server.publish()
+            if number == 39:
+                is_served.set()
+
+        for number in range(40):
+            loop.call_soon_threadsafe(serve, number)
+        assert is_served.wait(20)
         while mirror.complete != served.revision:
             list(follower.changes(0.01))
         is_over.set()
