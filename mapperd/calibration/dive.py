@@ -73,7 +73,7 @@ class CalibrationDive:
         sound_mps: speed of sound that the ranges were computed with.
         path_s, path_m: (M,) and (M, 3), times and positions of the base, map frame.
         attitudes: M rotations, base to map.
-        refitted: sources of odometry whose clock was fitted anew within the recording, so that the
+        refitted: sources of odometry whose clock was fitted again within the recording, so that the
             time between pings and poses changes.
     """
 

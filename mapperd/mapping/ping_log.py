@@ -64,15 +64,9 @@ class PingLog:
         with self._refusals():
             self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 it lives with the log
         self._entries: list[tuple[int, int, _core.ArcModel]] = []
-        self._end = 0
 
     def __len__(self) -> int:
         return len(self._entries)
-
-    @property
-    def size_bytes(self) -> int:
-        """Size of the file."""
-        return self._end
 
     def add(self, ping: ArcPing, changes: _core.ArcChanges) -> None:
         """Add a ping that the map holds now."""
@@ -89,9 +83,9 @@ class PingLog:
         np.savez(buffer, counts=changes.counts, steps=changes.steps, **arrays)
         data = zlib.compress(buffer.getbuffer(), COMPRESSION)
         with self._refusals():
+            start = self._file.tell()
             self._file.write(data)
-        self._entries.append((self._end, len(data), ping.model))
-        self._end += len(data)
+        self._entries.append((start, len(data), ping.model))
 
     def close(self) -> None:
         """Remove the file."""
@@ -100,7 +94,6 @@ class PingLog:
     def clear(self) -> None:
         """Forget all pings."""
         self._entries.clear()
-        self._end = 0
         with self._refusals():
             self._file.seek(0)
             self._file.truncate()
