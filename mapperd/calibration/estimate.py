@@ -400,7 +400,7 @@ def _parameter(
     limit = LIMITS.get(name)
     if name == "time_offset" and refitted:
         reason = (
-            f"the clock of {', '.join(refitted)} was fitted again within the recording (clock_off), "
+            f"the clock of {', '.join(refitted)} was fitted again in the recording (clock_off), "
             "as on a busy computer: record again"
         )
         return ParameterEstimate(name, 0.0, deviation, reason)
