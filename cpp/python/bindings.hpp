@@ -20,5 +20,6 @@ void bind_point_updates(py::module_& module);  // after bind_map
 void bind_stream_view(py::module_& module);    // after bind_map
 void bind_localization_maps(py::module_& module);
 void bind_localization_filter(py::module_& module);  // after bind_localization_maps
+void bind_alignment(py::module_& module);
 
 }  // namespace mapperd::python

@@ -21,4 +21,5 @@ PYBIND11_MODULE(_core, module) {
   mapperd::python::bind_stream_view(module);
   mapperd::python::bind_localization_maps(module);
   mapperd::python::bind_localization_filter(module);
+  mapperd::python::bind_alignment(module);
 }

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from mapperd.config.tree import Config
 from mapperd.errors import MapError, Reject, ReplayError
 from mapperd.imaging.ping_image import PingImage, ping_image_of
-from mapperd.odometry.fusion import Fusion
+from mapperd.odometry.fusion import PathReader
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import PosedPing, SessionDecoder, Work
 from mapperd.pipeline.pose_lookup import OdometryPoses
@@ -30,8 +30,6 @@ MAX_PINGS = 250
 MIN_PINGS = 50
 
 POSE_STEP_NS = 20_000_000
-POSE_LAG_NS = 500_000_000
-"""Age at which a pose is read: both neighbours have come, and are still in memory."""
 
 MARGIN_S = 0.6
 """A ping keeps so much distance from the ends of the path, for time offsets."""
@@ -147,38 +145,6 @@ class CalibrationDive:
         return self._slerp(t_s).as_matrix(), np.stack(columns, axis=1)
 
 
-class _Path:
-    """Poses of the fused odometry at even times, read while the recording is decoded."""
-
-    def __init__(self, fusion: Fusion) -> None:
-        self._fusion = fusion
-        self._next_ns: int | None = None
-        self._fitted: frozenset[str] | None = None
-        self.t_ns: list[int] = []
-        self.position_m: list[Floats] = []
-        self.quaternion: list[Floats] = []
-
-    def advance(self, now_ns: int | None) -> None:
-        """Read all poses that are old enough at a time of the recording."""
-        if now_ns is None:
-            return
-        if self._next_ns is None or now_ns - self._next_ns > 10**10:
-            self._next_ns = now_ns
-        while self._next_ns < now_ns - POSE_LAG_NS:
-            found = self._fusion.at(self._next_ns)
-            if not isinstance(found, Reject):
-                if self._fitted is None:
-                    self._fitted = self._fusion.fitted
-                self.t_ns.append(self._next_ns)
-                self.position_m.append(found.pose.position_m)
-                self.quaternion.append(found.pose.map_q_base)
-            self._next_ns += POSE_STEP_NS
-
-    def refitted(self) -> tuple[str, ...]:
-        """Return the sources whose stamps are fitted now, and were not at the first pose."""
-        return tuple(sorted(self._fusion.fitted - (self._fitted or frozenset())))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _KeptImage:
     t_ns: int
@@ -224,16 +190,14 @@ def read_dive(
     """
     poses = OdometryPoses(config)
     decoder = SessionDecoder(config, poses, PipelineCounters(), confirm=True, obey=False)
-    path = _Path(poses.odometry.fusion)
+    path = PathReader(poses.odometry.fusion, POSE_STEP_NS)
     alike: dict[object, _Thinned] = {}
-    newest_ns = 0
     for work, arrival_ns in _works(session, decoder):
-        newest_ns = max(newest_ns, arrival_ns or 0)
         path.advance(arrival_ns)
         for ping in _pings(work, config):
             alike.setdefault((ping.image.shape, ping.row_m), _Thinned()).add(ping)
         progress(session.bytes_read / max(session.size_bytes, 1))
-    path.advance(newest_ns + 2 * POSE_LAG_NS)
+    path.finish()
     most = max(alike.values(), key=lambda pings: pings.count, default=_Thinned())
     return _dive(most.kept, path)
 
@@ -270,7 +234,7 @@ def _kept(image: PingImage, t_ns: int, sound_mps: float) -> _KeptImage:
     return _KeptImage(t_ns, small.astype(np.float32), row_m, float(sines[0]), step, sound_mps)
 
 
-def _dive(kept: list[_KeptImage], path: _Path) -> CalibrationDive:
+def _dive(kept: list[_KeptImage], path: PathReader) -> CalibrationDive:
     zero_ns = path.t_ns[0] if path.t_ns else 0
     path_s = (np.array(path.t_ns) - zero_ns) / 1e9
     t_s = np.array([(one.t_ns - zero_ns) / 1e9 for one in kept])
@@ -286,7 +250,10 @@ def _dive(kept: list[_KeptImage], path: _Path) -> CalibrationDive:
     if len(places) > MAX_PINGS:
         places = places[np.linspace(0, len(places) - 1, MAX_PINGS).round().astype(np.intp)]
     first = kept[places[0]]
-    position_m, attitudes = _smoothed(np.array(path.position_m), np.array(path.quaternion))
+    poses = [fused.pose for fused in path.poses]
+    position_m, attitudes = _smoothed(
+        np.array([pose.position_m for pose in poses]), np.array([pose.map_q_base for pose in poses])
+    )
     return CalibrationDive(
         np.stack([kept[place].image for place in places]),
         t_s[places],

@@ -41,7 +41,7 @@ from mapperd.odometry.states import (
 if TYPE_CHECKING:
     from mapperd.odometry.series import Sample
 
-__all__ = ["FusedPose", "Fusion", "FusionState"]
+__all__ = ["FusedPose", "Fusion", "FusionState", "PathReader"]
 
 Floats = NDArray[np.float64]
 
@@ -418,6 +418,59 @@ class Fusion:
         rate = np.asarray(turn / ((pair[1].t_ns - pair[0].t_ns) / 1e9))
         limit_radps = math.radians(self._settings.limits.max_turn_rate)
         return rate if float(np.linalg.norm(rate)) <= limit_radps else None
+
+
+class PathReader:
+    """Poses at even times, read while a recording is decoded.
+
+    Args:
+        fusion: that the decoder feeds.
+        step_ns: between two poses.
+
+    Attributes:
+        t_ns: times of the poses.
+        poses: the poses; times without a pose are left out.
+    """
+
+    LAG_NS = 500_000_000
+    """Age at which a pose is read: both neighbours have come, and are still in memory."""
+
+    MAX_PAUSE_NS = 10**10
+    """After a longer pause of the arrivals the times begin again."""
+
+    def __init__(self, fusion: Fusion, step_ns: int) -> None:
+        self._fusion = fusion
+        self._step_ns = step_ns
+        self._next_ns: int | None = None
+        self._fitted: frozenset[str] | None = None
+        self._newest_ns = 0
+        self.t_ns: list[int] = []
+        self.poses: list[FusedPose] = []
+
+    def advance(self, now_ns: int | None) -> None:
+        """Read all poses that are old enough at a time of the recording."""
+        if now_ns is None:
+            return
+        self._newest_ns = max(self._newest_ns, now_ns)
+        if self._next_ns is None or now_ns - self._next_ns > self.MAX_PAUSE_NS:
+            self._next_ns = now_ns
+        while self._next_ns < now_ns - self.LAG_NS:
+            found = self._fusion.at(self._next_ns)
+            if not isinstance(found, Reject):
+                if self._fitted is None:
+                    self._fitted = self._fusion.fitted
+                self.t_ns.append(self._next_ns)
+                self.poses.append(found)
+            self._next_ns += self._step_ns
+
+    def finish(self) -> None:
+        """Read the last poses, when the recording has ended."""
+        if self._next_ns is not None:
+            self.advance(self._newest_ns + 2 * self.LAG_NS)
+
+    def refitted(self) -> tuple[str, ...]:
+        """Return the sources whose stamps are fitted now, and were not at the first pose."""
+        return tuple(sorted(self._fusion.fitted - (self._fitted or frozenset())))
 
 
 def _speed_mps(odometry: Odometry) -> float | None:

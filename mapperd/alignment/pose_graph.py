@@ -1,0 +1,354 @@
+"""The pose graph: odometry with drift, registrations and position fixes, solved robustly.
+
+Each node has a planar pose and three errors of the odometry that hold there: scale, crab (the
+direction of travel turns against the heading) and turn (the rate of the heading). These wander as
+Ornstein-Uhlenbeck processes, so drift may be constant or change. Loops are robust (Geman-McClure
+with graduated non-convexity: Yang, Antonante, Tzoumas and Carlone 2020); a loop may have several
+alternatives, of which the most likely counts (max-mixture: Olson and Agarwal 2013).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csc_array
+from scipy.sparse.linalg import splu
+
+from mapperd.alignment.submaps import compose, inverse
+
+__all__ = ["DriftModel", "Loop", "PoseGraph", "PositionFix", "Solution", "Step"]
+
+Floats = NDArray[np.float64]
+
+STATES = 6
+"""x, y, yaw, scale, crab, turn of a node."""
+
+GATE = 11.34
+"""Squared Mahalanobis distance of 3 degrees of freedom that 99 % of right loops stay below."""
+
+ACCEPTED_WEIGHT = 0.3
+MAX_STEPS = 60
+ANCHOR_INFORMATION = 1e12
+STOP = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class DriftModel:
+    """How odometry drifts; one standard deviation each.
+
+    Attributes:
+        scale: error of distances, as a share.
+        crab_rad: angle between the course made good and the stated one.
+        turn_radps: drift of the heading.
+        memory_s: time over which these errors stay alike.
+        noise_m: of a step, for each square root of a metre travelled.
+        noise_rad: of a step, for each square root of a second.
+    """
+
+    scale: float = 0.03
+    crab_rad: float = 0.03
+    turn_radps: float = math.radians(3.0) / 60.0
+    memory_s: float = 60.0
+    noise_m: float = 0.02
+    noise_rad: float = math.radians(0.05)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """Odometry between two nodes that follow each other.
+
+    Attributes:
+        motion: (3,) planar pose of the later node in the earlier one.
+        seconds: between them.
+        path_m: length of the way between them.
+        loose_m: further standard deviation: where velocity was missing, or after a jump.
+        loose_rad: the same of the heading.
+    """
+
+    motion: Floats
+    seconds: float
+    path_m: float
+    loose_m: float = 0.0
+    loose_rad: float = 0.0
+
+
+@dataclass(eq=False)
+class Loop:
+    """A registration between two nodes.
+
+    Attributes:
+        i, j: target and source.
+        poses: (K, 3) alternatives of i_T_j, the best first.
+        information: (K, 3, 3) of x, y in the axes of i, and yaw.
+        neighbours: whether the nodes follow each other closely, so that this is no revisit.
+        scores: (K,) agreement of the submaps, 0..1.
+        weight: 0..1 after solving; below `ACCEPTED_WEIGHT` the loop is refused.
+        chosen: index of the alternative that counts.
+    """
+
+    i: int
+    j: int
+    poses: Floats
+    information: Floats
+    neighbours: bool
+    scores: Floats
+    weight: float = 1.0
+    chosen: int = 0
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the solution uses it."""
+        return self.weight >= ACCEPTED_WEIGHT
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionFix:
+    """A known position of a node, such as by GPS at the surface.
+
+    Attributes:
+        node: index.
+        position_m: (2,) in the frame of the result.
+        deviation_m: one standard deviation.
+    """
+
+    node: int
+    position_m: Floats
+    deviation_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """A solved graph.
+
+    Attributes:
+        poses: (N, 3) of the nodes.
+        drift: (N, 3) scale, crab (rad) and turn (rad/s).
+        cost: half the sum of squared, weighted residuals.
+    """
+
+    poses: Floats
+    drift: Floats
+    cost: float
+
+
+def wrapped(angle: Floats) -> Floats:
+    """The same angles in -pi to pi."""
+    return np.remainder(angle + math.pi, 2 * math.pi) - math.pi
+
+
+@dataclass(eq=False)
+class PoseGraph:
+    """A chain of nodes for each dive, and registrations between any nodes.
+
+    Args:
+        start: (N, 3) poses from the odometry, where the solution begins.
+        steps: N entries: the odometry from the node before; None at the first node of a dive.
+        model: of the drift.
+
+    Attributes:
+        loops: registrations.
+        fixes: known positions.
+        anchored: nodes whose poses are given: usually the first.
+    """
+
+    start: Floats
+    steps: Sequence[Step | None]
+    model: DriftModel
+    loops: list[Loop] = field(default_factory=list)
+    fixes: list[PositionFix] = field(default_factory=list)
+    anchored: tuple[int, ...] = (0,)
+    _states: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._states = np.hstack([self.start, np.zeros_like(self.start)])
+
+    def reset(self) -> None:
+        """Begin from the odometry again."""
+        self.__post_init__()
+
+    @property
+    def poses(self) -> Floats:
+        """(N, 3) present poses."""
+        return self._states[:, :3]
+
+    def move(self, first: int, last: int, frame: Floats) -> None:
+        """Move the nodes first..last - 1 by a planar transform (3,)."""
+        self._states[first:last, :3] = compose(frame[None], self._states[first:last, :3])
+
+    def solve(self) -> Solution:
+        """Solve the graph; sets weight and chosen alternative of all loops."""
+        for loop in self.loops:
+            loop.weight = 1.0
+        # Graduated non-convexity: the kernel starts wide enough to be convex.
+        worst = max((self._distance(loop)[0] for loop in self.loops), default=0.0)
+        control = max(1.0, 2 * worst / GATE)
+        cost = 0.0
+        while True:
+            last = control <= 1.0
+            for _ in range(MAX_STEPS if last else 4):
+                self._weigh(control)
+                cost, change = self._step()
+                if change < STOP:
+                    break
+            if last:
+                break
+            control = max(1.0, control / 2.0)
+        self._weigh(1.0)
+        return Solution(self._states[:, :3].copy(), self._states[:, 3:].copy(), cost)
+
+    def _weigh(self, control: float) -> None:
+        for loop in self.loops:
+            squared, loop.chosen = self._distance(loop)
+            loop.weight = (control * GATE / (control * GATE + squared)) ** 2
+
+    def _distance(self, loop: Loop) -> tuple[float, int]:
+        """Return the least squared Mahalanobis distance of the alternatives, and which it is."""
+        relative = compose(inverse(self.poses[loop.i]), self.poses[loop.j])
+        residual = relative - loop.poses
+        residual[:, 2] = wrapped(residual[:, 2])
+        squared = np.einsum("ki,kij,kj->k", residual, loop.information, residual)
+        best = int(squared.argmin())
+        return float(squared[best]), best
+
+    def residual_of(self, loop: Loop) -> Floats:
+        """(3,) x, y (m) and yaw (rad) by which the nodes deviate from a loop's measurement."""
+        relative = compose(inverse(self.poses[loop.i]), self.poses[loop.j])
+        residual: Floats = relative - loop.poses[loop.chosen]
+        residual[2] = math.remainder(residual[2], math.tau)
+        return residual
+
+    def _step(self) -> tuple[float, float]:
+        """Take one step of Gauss and Newton; return the cost before it and the largest change."""
+        builder = self._linearized()
+        matrix, gradient = builder.matrix(), builder.gradient
+        change = splu(matrix).solve(-gradient).reshape(-1, STATES)
+        self._states += change
+        self._states[:, 2] = wrapped(self._states[:, 2])
+        return builder.cost, float(np.abs(change[:, :3]).max())
+
+    def _linearized(self) -> "_Normal":
+        normal = _Normal(len(self._states))
+        for node in self.anchored:
+            residual = self._states[node, :3] - self.start[node]
+            residual[2] = math.remainder(residual[2], math.tau)
+            normal.add([node], [np.eye(3, STATES)], residual, ANCHOR_INFORMATION * np.eye(3))
+        model = self.model
+        spread = np.array([model.scale, model.crab_rad, model.turn_radps])
+        for k, step in enumerate(self.steps):
+            drift = np.eye(3, STATES, 3)
+            if step is None:
+                normal.add([k], [drift], self._states[k, 3:], np.diag(spread**-2.0))
+                continue
+            keep = math.exp(-step.seconds / model.memory_s)
+            residual = self._states[k, 3:] - keep * self._states[k - 1, 3:]
+            variance = spread**2 * max(1 - keep**2, 1e-6)
+            normal.add([k - 1, k], [-keep * drift, drift], residual, np.diag(1 / variance))
+            self._add_step(normal, k, step)
+        for loop in self.loops:
+            measured = loop.poses[loop.chosen]
+            jacobians, residual = self._relative(loop.i, loop.j, measured)
+            information = loop.weight * loop.information[loop.chosen]
+            normal.add([loop.i, loop.j], jacobians, residual, information)
+        for fix in self.fixes:
+            residual = self._states[fix.node, :2] - fix.position_m
+            squared = float(residual @ residual) / fix.deviation_m**2
+            weight = (GATE / (GATE + squared)) ** 2 / fix.deviation_m**2
+            normal.add([fix.node], [np.eye(2, STATES)], residual, weight * np.eye(2))
+        return normal
+
+    def _add_step(self, normal: "_Normal", k: int, step: Step) -> None:
+        scale, crab, turn = self._states[k - 1, 3:]
+        angle = crab + turn * step.seconds / 2
+        c, s = math.cos(angle), math.sin(angle)
+        x, y, yaw = step.motion
+        turned = np.array([c * x - s * y, s * x + c * y])
+        across = np.array([-turned[1], turned[0]])
+        drifted = np.array([*((1 + scale) * turned), yaw + turn * step.seconds])
+        jacobians, residual = self._relative(k - 1, k, drifted)
+        jacobians[0][:2, 3] -= turned
+        jacobians[0][:2, 4] -= (1 + scale) * across
+        jacobians[0][:2, 5] -= (1 + scale) * across * step.seconds / 2
+        jacobians[0][2, 5] -= step.seconds
+        model = self.model
+        variance_m2 = model.noise_m**2 * max(step.path_m, 0.1) + 0.01**2 + step.loose_m**2
+        variance_rad2 = model.noise_rad**2 * step.seconds + 1e-6 + step.loose_rad**2
+        information = np.diag([1 / variance_m2, 1 / variance_m2, 1 / variance_rad2])
+        normal.add([k - 1, k], jacobians, residual, information)
+
+    def _relative(self, i: int, j: int, measured: Floats) -> tuple[list[Floats], Floats]:
+        """Jacobians of i_T_j less a measurement by the states of i and j, and the residual."""
+        a, b = self._states[i, :3], self._states[j, :3]
+        c, s = math.cos(a[2]), math.sin(a[2])
+        dx, dy = b[:2] - a[:2]
+        x, y = c * dx + s * dy, -s * dx + c * dy
+        residual = np.array([x, y, b[2] - a[2]]) - measured
+        residual[2] = math.remainder(residual[2], math.tau)
+        of_i, of_j = np.zeros((3, STATES)), np.zeros((3, STATES))
+        of_i[:, :3] = [[-c, -s, y], [s, -c, -x], [0, 0, -1]]
+        of_j[:, :3] = [[c, s, 0], [-s, c, 0], [0, 0, 1]]
+        return [of_i, of_j], residual
+
+    def covariance_of(self, i: int, others: Sequence[int]) -> Floats:
+        """Return the covariances (M, 3, 3) of i_T_j for some nodes j, without the loops' outliers.
+
+        `prepare_covariances` must have been called since the last change.
+        """
+        joint = self._columns(i)
+        own = joint[i]
+        found = np.empty((len(others), 3, 3))
+        for row, j in enumerate(others):
+            jacobians, _ = self._relative(i, j, np.zeros(3))
+            a, b = jacobians[0][:, :3], jacobians[1][:, :3]
+            cross = joint[j]  # covariance of j with i
+            found[row] = (
+                a @ own @ a.T + a @ cross.T @ b.T + b @ cross @ a.T + b @ self._own[j] @ b.T
+            )
+        return found
+
+    def prepare_covariances(self) -> Floats:
+        """Factorize the present graph; return the covariance (N, 3, 3) of every node's pose."""
+        count = len(self._states)
+        self._factor = splu(self._linearized().matrix())
+        self._own = np.empty((count, 3, 3))
+        for i in range(count):
+            self._own[i] = self._columns(i)[i]
+        return self._own
+
+    def _columns(self, i: int) -> Floats:
+        """(N, 3, 3) covariances of all poses with that of node i."""
+        count = len(self._states)
+        right = np.zeros((count * STATES, 3))
+        right[i * STATES : i * STATES + 3] = np.eye(3)
+        return self._factor.solve(right).reshape(count, STATES, 3)[:, :3]
+
+
+class _Normal:
+    """Normal equations, collected in blocks."""
+
+    def __init__(self, nodes: int) -> None:
+        self.size = nodes * STATES
+        self.gradient = np.zeros(self.size)
+        self.cost = 0.0
+        self._rows: list[NDArray[np.intp]] = []
+        self._columns: list[NDArray[np.intp]] = []
+        self._values: list[Floats] = []
+
+    def add(
+        self, nodes: list[int], jacobians: list[Floats], residual: Floats, information: Floats
+    ) -> None:
+        self.cost += 0.5 * float(residual @ information @ residual)
+        places = np.concatenate([np.arange(n * STATES, (n + 1) * STATES) for n in nodes])
+        jacobian = np.hstack(jacobians)
+        weighted = jacobian.T @ information
+        self.gradient[places] += weighted @ residual
+        self._rows.append(np.repeat(places, len(places)))
+        self._columns.append(np.tile(places, len(places)))
+        self._values.append((weighted @ jacobian).ravel())
+
+    def matrix(self) -> csc_array:
+        rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)
+        values = np.concatenate(self._values)
+        shape = (self.size, self.size)
+        return coo_array((values, (rows, columns)), shape=shape).tocsc()

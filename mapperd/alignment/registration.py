@@ -1,0 +1,266 @@
+"""Finds registrations between submaps: which pairs to try, where to look, and what to believe."""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd._core import Submap, register_submaps, search_poses
+from mapperd.alignment.pose_graph import Loop, PoseGraph
+from mapperd.alignment.submaps import SonarSubmap, compose, inverse
+
+__all__ = ["LoopFinder", "Pair", "Rejection", "Trial"]
+
+Floats = NDArray[np.float64]
+
+KEPT_SUBMAPS = 64
+"""Submaps whose distances are in memory at the same time."""
+
+NEIGHBOURS = 2
+"""Submaps that follow each other are registered to so many before them."""
+
+LOOP_S = 25.0
+"""Time between the submaps of a revisit, at least."""
+
+GATE = 16.3
+"""Squared Mahalanobis distance from the prediction, 3 degrees of freedom, 99.9 %."""
+
+SIGMAS = 2.5
+MIN_HALF_M, MAX_HALF_M = 0.6, 6.0
+MIN_HALF_RAD, MAX_HALF_RAD = math.radians(4.0), math.radians(20.0)
+STEP_M, STEP_RAD = 0.4, math.radians(2.5)
+CANDIDATES = 4
+
+MIN_SCORE = 0.55
+MIN_MATCHED = 0.25
+RIVAL_SHARE = 0.9
+"""Alternatives whose score is at least this share of the best one's are kept."""
+
+APART_M, APART_RAD = 0.3, math.radians(2.0)
+"""Alternatives closer than this are the same."""
+
+FLOOR_M, FLOOR_RAD = 0.05, math.radians(0.4)
+PARTIAL_M, PARTIAL_RAD = 0.25, math.radians(2.5)
+"""Standard deviation of every registration, because odometry drifts within a submap, and the part that
+grows with the unmatched share: submaps that see different parts of a thing pull at its edges."""
+
+DEGENERATE_SHARE = 0.03
+"""A direction with less of the largest curvature than this is left open by the scene."""
+
+LEVER_M = 5.0
+"""Distance at which a turn counts as a shift, to compare curvatures."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two submaps to register: indices of target and source."""
+
+    i: int
+    j: int
+    neighbours: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """Why a pair gives no registration: `reason` is a word, for counts."""
+
+    pair: Pair
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """A pair with the prediction to look around: i_T_j, (3,), and its covariance, (3, 3)."""
+
+    pair: Pair
+    prediction: Floats
+    covariance: Floats
+
+
+@dataclass(eq=False)
+class LoopFinder:
+    """Registers submaps of one or more dives.
+
+    Args:
+        submaps: all of them.
+        nodes: index of the graph's node of each submap.
+        threads: that register pairs at the same time; results do not depend on it.
+    """
+
+    submaps: Sequence[SonarSubmap]
+    nodes: Sequence[int]
+    threads: int = 2
+    tried: int = 0
+    rejected: dict[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._built: Callable[[int], Submap] = lru_cache(KEPT_SUBMAPS)(self._build)
+
+    def _build(self, index: int) -> Submap:
+        return self.submaps[index].build()
+
+    def neighbours(self) -> list[Pair]:
+        """Pairs of submaps that follow each other."""
+        usable = [k for k, submap in enumerate(self.submaps) if submap.usable]
+        return [
+            Pair(i, j, neighbours=True)
+            for place, j in enumerate(usable)
+            for i in usable[max(place - NEIGHBOURS, 0) : place]
+            if self.submaps[j].segment == self.submaps[i].segment
+            and (self.submaps[j].begin_ns - self.submaps[i].end_ns) / 1e9 < LOOP_S
+        ]
+
+    def loops(self, graph: PoseGraph, known: Iterable[Pair], per_submap: int) -> list[Trial]:
+        """Pairs of revisits that the graph predicts, the best predicted first.
+
+        Args:
+            graph: whose covariances are prepared.
+            known: pairs not to try again.
+            per_submap: number of partners of a submap.
+        """
+        skip = {(pair.i, pair.j) for pair in known}
+        usable = [k for k, submap in enumerate(self.submaps) if submap.usable]
+        ranked: list[tuple[float, Trial]] = []
+        for i in usable:
+            others = [j for j in usable if self._is_revisit(i, j) and (i, j) not in skip]
+            if not others:
+                continue
+            node, nodes = self.nodes[i], [self.nodes[j] for j in others]
+            relative = compose(inverse(graph.poses[node])[None], graph.poses[nodes])
+            covariances = graph.covariance_of(node, nodes)
+            for j, predicted, covariance in zip(others, relative, covariances, strict=True):
+                quality = self._quality(i, j, predicted, covariance)
+                if quality > 0:
+                    pair = Pair(i, j, neighbours=False)
+                    ranked.append((quality, Trial(pair, predicted, covariance)))
+        ranked.sort(key=lambda one: -one[0])
+        count = np.zeros(len(self.submaps), dtype=np.intp)
+        chosen = []
+        for _, trial in ranked:
+            ends = [trial.pair.i, trial.pair.j]
+            if count[ends].min() < per_submap and count[ends].max() < 2 * per_submap:
+                count[ends] += 1
+                chosen.append(trial)
+        return chosen
+
+    def _is_revisit(self, i: int, j: int) -> bool:
+        a, b = self.submaps[i], self.submaps[j]
+        return j > i and (b.begin_ns - a.end_ns) / 1e9 >= LOOP_S
+
+    def _quality(self, i: int, j: int, predicted: Floats, covariance: Floats) -> float:
+        """Predicted overlap, less for an uncertain prediction; 0 for a pair that is not tried."""
+        a, b = self.submaps[i], self.submaps[j]
+        c, s = math.cos(predicted[2]), math.sin(predicted[2])
+        centre_m = predicted[:2] + np.array([[c, -s], [s, c]]) @ b.centre_m
+        apart_m = float(np.hypot(*(centre_m - a.centre_m)))
+        reach_m = max(min(a.radius_m, b.radius_m), 1.0)
+        spread_m = math.sqrt(max(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]), 0.0))
+        if SIGMAS * spread_m > MAX_HALF_M or apart_m > 1.5 * reach_m + spread_m:
+            return 0.0
+        return math.exp(-((apart_m / reach_m) ** 2)) / (1.0 + spread_m)
+
+    def register(
+        self, trials: Sequence[Trial], progress: Callable[[int], None] = lambda _: None
+    ) -> list[Loop]:
+        """Register pairs; return the loops that can be believed, in the order of the pairs."""
+        loops: list[Loop] = []
+        with ThreadPoolExecutor(self.threads) as pool:
+            for done, found in enumerate(pool.map(self._register, trials), start=1):
+                self.tried += 1
+                if isinstance(found, Rejection):
+                    self.rejected[found.reason] = self.rejected.get(found.reason, 0) + 1
+                else:
+                    loops.append(found)
+                progress(done)
+        return loops
+
+    def _register(self, trial: Trial) -> Loop | Rejection:
+        pair, predicted = trial.pair, trial.prediction
+        target, source = self._built(pair.i), self._built(pair.j)
+        sigma = np.sqrt(np.diag(trial.covariance))
+        half_m = np.clip(SIGMAS * sigma[:2], MIN_HALF_M, MAX_HALF_M)
+        half_rad = float(np.clip(SIGMAS * sigma[2], MIN_HALF_RAD, MAX_HALF_RAD))
+        starts = search_poses(
+            target,
+            source,
+            predicted,
+            half_x_m=float(half_m[0]),
+            half_y_m=float(half_m[1]),
+            half_yaw_rad=half_rad,
+            step_m=STEP_M,
+            step_yaw_rad=STEP_RAD,
+            count=CANDIDATES,
+        )
+        prior = np.linalg.inv(
+            trial.covariance + np.diag([FLOOR_M**2, FLOOR_M**2, FLOOR_RAD**2])
+        )
+        found: list[tuple[float, Floats, Floats]] = []
+        reason = "no_overlap"
+        for start, *_ in starts:
+            result = register_submaps(target, source, start)
+            if result.matched < MIN_MATCHED:
+                continue
+            if result.score < MIN_SCORE or not result.converged:
+                reason = "poor_fit"
+                continue
+            away = result.pose - predicted
+            away[2] = math.remainder(away[2], math.tau)
+            if float(away @ prior @ away) > GATE:
+                reason = "far_from_prediction"
+                continue
+            information = usable_information(
+                result.information, result.curvature, 1.0 - result.matched
+            )
+            if not information.any():
+                reason = "degenerate"
+                continue
+            if not any(_alike(result.pose, other) for _, other, _ in found):
+                found.append((result.score, result.pose, information))
+        if not found:
+            return Rejection(pair, reason)
+        found.sort(key=lambda one: -one[0])
+        kept = [one for one in found if one[0] >= RIVAL_SHARE * found[0][0]]
+        return Loop(
+            self.nodes[pair.i],
+            self.nodes[pair.j],
+            np.stack([pose for _, pose, _ in kept]),
+            np.stack([information for _, _, information in kept]),
+            pair.neighbours,
+            np.array([score for score, _, _ in kept]),
+        )
+
+
+def _alike(a: Floats, b: Floats) -> bool:
+    turn = abs(math.remainder(float(a[2] - b[2]), math.tau))
+    return math.dist(a[:2], b[:2]) < APART_M and turn < APART_RAD
+
+
+def usable_information(information: Floats, curvature: Floats, unmatched: float) -> Floats:
+    """Return the information without directions that the scene leaves open, and with the floor.
+
+    Args:
+        information: (3, 3) of x, y and yaw.
+        curvature: (3, 3) of the registration's cost.
+        unmatched: share of the submaps' points without a partner.
+
+    Returns:
+        (3, 3); all zeros if no direction is left.
+    """
+    units = np.diag([1.0, 1.0, 1.0 / LEVER_M])
+    values, vectors = np.linalg.eigh(units @ curvature @ units)
+    held = vectors[:, values > DEGENERATE_SHARE * max(values[-1], 1e-12)]
+    onto = held @ held.T
+    scaled = onto @ (units @ information @ units) @ onto
+    values, vectors = np.linalg.eigh(scaled)
+    floor_m = math.hypot(FLOOR_M, PARTIAL_M * unmatched)
+    floor_rad = math.hypot(FLOOR_RAD, PARTIAL_RAD * unmatched)
+    floor = np.array([floor_m, floor_m, floor_rad * LEVER_M])
+    floors_m2 = np.einsum("ik,i,ik->k", vectors, floor**2, vectors)
+    values = np.where(values > 1e-6, 1 / (1 / np.maximum(values, 1e-6) + floors_m2), 0.0)
+    back = np.linalg.inv(units)
+    result: Floats = back @ (vectors * values) @ vectors.T @ back
+    return result

@@ -1,0 +1,316 @@
+"""Submaps of a dive: short pieces of odometry, mapped in frames of their own.
+
+Odometry is trusted over a few seconds. The pings of a piece make one small map in the levelled frame
+of its middle ping: x forward, y to port, z up and absolute. Depth, roll and pitch come from sensors,
+so submaps differ by x, y and yaw only.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd._core import PingStats, Submap
+from mapperd.config.live import with_values
+from mapperd.config.tree import Config
+from mapperd.errors import MapError, Reject, ReplayError
+from mapperd.geometry.motion import PingMotion
+from mapperd.imaging.ping_image import PingImage
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.odometry.fusion import PathReader
+from mapperd.pipeline.decoder import PosedPing
+from mapperd.pipeline.pose_lookup import OdometryPoses
+from mapperd.session.recordings import RecordedSession
+from mapperd.session.replay import Window, as_asked
+
+__all__ = ["DiveSubmaps", "DiveTrack", "SonarSubmap", "compose", "inverse", "read_submaps"]
+
+Floats = NDArray[np.float64]
+
+MIN_RESOLUTION_M = 0.2
+MAX_S, MAX_M, MAX_TURN = 8.0, 5.0, math.radians(60.0)
+"""Ends of a submap: the first that is reached."""
+
+MAX_PAUSE_S = 2.0
+"""A longer pause between pings ends a submap: odometry alone connects what follows."""
+
+POSE_STEP_NS = 100_000_000
+
+MIN_VOXELS = 150
+"""Occupied voxels below which a submap is not registered."""
+
+MIN_PINGS = 3
+
+
+def compose(a: Floats, b: Floats) -> Floats:
+    """Return a_T_c of a_T_b and b_T_c; planar poses (..., 3) of x, y (m) and yaw (rad)."""
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    x = a[..., 0] + c * b[..., 0] - s * b[..., 1]
+    y = a[..., 1] + s * b[..., 0] + c * b[..., 1]
+    yaw = np.remainder(a[..., 2] + b[..., 2] + math.pi, 2 * math.pi) - math.pi
+    return np.stack([x, y, yaw], axis=-1)
+
+
+def inverse(a: Floats) -> Floats:
+    """Return b_T_a of a_T_b; planar poses (..., 3)."""
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    x = -c * a[..., 0] - s * a[..., 1]
+    y = s * a[..., 0] - c * a[..., 1]
+    return np.stack([x, y, -a[..., 2]], axis=-1)
+
+
+def matrix_of(pose: Floats) -> Floats:
+    """Return the (4, 4) transform of a planar pose (3,)."""
+    matrix = np.eye(4)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    matrix[:2, :2] = (c, -s), (s, c)
+    matrix[:2, 3] = pose[:2]
+    return matrix
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiveTrack:
+    """The odometry of a dive at even times, also where no ping was mapped.
+
+    Attributes:
+        t_ns: (N,) int64, Unix time, increasing.
+        position_m: (N, 3), base in the odometry's map frame.
+        map_q_base: (N, 4) quaternions w, x, y, z.
+        segment: (N,) int64, increases at each jump of the odometry.
+        deviation_m: (N,) standard deviation that the odometry states for its horizontal position.
+    """
+
+    t_ns: NDArray[np.int64]
+    position_m: Floats
+    map_q_base: Floats
+    segment: NDArray[np.int64]
+    deviation_m: Floats
+
+    def __post_init__(self) -> None:
+        if not len(self.t_ns):
+            raise ReplayError("no pose of the vehicle is known, so there is nothing to align")
+
+    @property
+    def planar(self) -> Floats:
+        """(N, 3) x, y and yaw; the yaw is continuous."""
+        w, x, y, z = self.map_q_base.T
+        yaw = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+        return np.column_stack([self.position_m[:, :2], yaw])
+
+    def at(self, t_ns: NDArray[np.int64]) -> Floats:
+        """Return interpolated planar poses (M, 3); beyond the ends those of the ends."""
+        columns = [np.interp(t_ns, self.t_ns, column) for column in self.planar.T]
+        return np.stack(columns, axis=-1)
+
+
+@dataclass(eq=False)
+class SonarSubmap:
+    """A piece of a dive.
+
+    Attributes:
+        begin_ns, anchor_ns, end_ns: times of its first, middle and last ping.
+        anchor: (3,) odometry at the middle ping; the submap's frame.
+        segment: of the odometry.
+        pings: number of pings.
+        occupied, free: (N, 3) int32 voxels, in the submap's frame.
+        resolution_m: edge of a voxel.
+    """
+
+    begin_ns: int
+    anchor_ns: int
+    end_ns: int
+    anchor: Floats
+    segment: int
+    pings: int
+    occupied: NDArray[np.int32]
+    free: NDArray[np.int32]
+    resolution_m: float
+    centre_m: Floats = field(init=False)
+    radius_m: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        points_m = (self.occupied[:, :2] + 0.5) * self.resolution_m
+        self.centre_m = points_m.mean(axis=0) if len(points_m) else np.zeros(2)
+        spread_m = points_m - self.centre_m
+        self.radius_m = float(np.sqrt((spread_m**2).sum(axis=1).mean())) if len(points_m) else 0.0
+
+    @property
+    def usable(self) -> bool:
+        """Whether it holds enough to be registered."""
+        return len(self.occupied) >= MIN_VOXELS
+
+    def build(self) -> Submap:
+        """Return its distances and distributions, for registration."""
+        occupied, free = ((v + 0.5) * self.resolution_m for v in (self.occupied, self.free))
+        return Submap(occupied, free, self.resolution_m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiveSubmaps:
+    """A dive as alignment reads it.
+
+    Attributes:
+        track: the odometry.
+        submaps: in order of time.
+        pings: number of pings in the submaps.
+        recorded_s: time from the first pose to the last.
+    """
+
+    track: DiveTrack
+    submaps: list[SonarSubmap]
+    pings: int
+
+    @property
+    def recorded_s(self) -> float:
+        """Time from the first pose to the last."""
+        return float(self.track.t_ns[-1] - self.track.t_ns[0]) / 1e9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ping:
+    image: PingImage
+    map_T_sonar: Floats  # noqa: N815 frames are named
+    motion: PingMotion | None
+    t_ns: int
+    base: Floats
+    segment: int
+
+
+class _SubmapMapper(SonarMap):
+    """Accepts and refuses pings like a map, and makes submaps of them."""
+
+    def __init__(self, config: Config) -> None:
+        super().__init__(config)
+        self.submaps: list[SonarSubmap] = []
+        self.pings = 0
+        self.posed: PosedPing | None = None
+        self._held: list[_Ping] = []
+        self._path_m = 0.0
+
+    def integrate(
+        self,
+        image: PingImage,
+        map_T_sonar: Floats,  # noqa: N803 frames are named
+        motion: PingMotion | None = None,
+    ) -> PingStats:
+        """Hold a ping until its submap is complete; raises like a map."""
+        self.blocks_of(image, map_T_sonar, motion)
+        posed = self.posed
+        if posed is None or posed.t_ns is None or isinstance(posed.pose, Reject):
+            return PingStats()
+        matrix = posed.pose.pose.map_T_base
+        yaw = math.atan2(matrix[1, 0], matrix[0, 0])
+        base = np.array([matrix[0, 3], matrix[1, 3], yaw])
+        ping = _Ping(image, map_T_sonar, motion, posed.t_ns, base, posed.pose.segment)
+        if self._ends_before(ping):
+            self.finish()
+        if self._held:
+            self._path_m += math.dist(self._held[-1].base[:2], base[:2])
+        self._held.append(ping)
+        return PingStats()
+
+    def _ends_before(self, ping: _Ping) -> bool:
+        if not self._held:
+            return False
+        first, last = self._held[0], self._held[-1]
+        step_s = (ping.t_ns - last.t_ns) / 1e9
+        turn = abs(math.remainder(ping.base[2] - first.base[2], math.tau))
+        return (
+            ping.segment != last.segment
+            or not 0 <= step_s <= MAX_PAUSE_S
+            or (ping.t_ns - first.t_ns) / 1e9 > MAX_S
+            or self._path_m > MAX_M
+            or turn > MAX_TURN
+        )
+
+    def finish(self) -> None:
+        """Make a submap of the held pings."""
+        held, self._held, self._path_m = self._held, [], 0.0
+        if len(held) < MIN_PINGS:
+            return
+        anchor = held[len(held) // 2]
+        anchor_T_map = matrix_of(inverse(anchor.base))  # noqa: N806 frames are named
+        for ping in held:
+            try:
+                super().integrate(ping.image, anchor_T_map @ ping.map_T_sonar, ping.motion)
+            except MapError:  # it was checked at a pose nearby
+                continue
+        kinds = (self.voxels(kind).centres_m for kind in ("occupied", "free"))
+        occupied, free = (np.floor(c / self.resolution_m).astype(np.int32) for c in kinds)
+        self.submaps.append(
+            SonarSubmap(
+                held[0].t_ns,
+                anchor.t_ns,
+                held[-1].t_ns,
+                anchor.base,
+                anchor.segment,
+                len(held),
+                occupied,
+                free,
+                self.resolution_m,
+            )
+        )
+        self.pings += len(held)
+        self.clear()
+
+
+def read_submaps(
+    session: RecordedSession, config: Config, progress: Callable[[float], None] = lambda _: None
+) -> DiveSubmaps:
+    """Map a recorded session in submaps.
+
+    Args:
+        session: with sonar data and odometry.
+        config: the settings to map with; voxels are at least 0.2 m.
+        progress: called with the share of the recording that is read.
+
+    Raises:
+        ReplayError: no pose of the vehicle is known.
+        RecordingError: the recording cannot be read.
+    """
+    config = _submap_settings(config)
+    mapper = _SubmapMapper(config)
+    run = as_asked(session, None, config)
+    replay = run.replay(mapper, Window())
+    poses = run.poses
+    assert isinstance(poses, OdometryPoses)  # noqa: S101 no fixed pose was given
+    path = PathReader(poses.odometry.fusion, POSE_STEP_NS)
+
+    def note(posed: PosedPing) -> None:
+        mapper.posed = posed
+
+    replay.on_posed = note
+    for _ in replay.run(_read_along(session, path, progress)):
+        pass
+    mapper.finish()
+    path.finish()
+    track = DiveTrack(
+        np.array(path.t_ns, dtype=np.int64),
+        np.array([fused.pose.position_m for fused in path.poses]).reshape(-1, 3),
+        np.array([fused.pose.map_q_base for fused in path.poses]).reshape(-1, 4),
+        np.array([fused.segment for fused in path.poses], dtype=np.int64),
+        np.sqrt([max(fused.covariance[0, 0] + fused.covariance[1, 1], 0) for fused in path.poses]),
+    )
+    return DiveSubmaps(track, mapper.submaps, mapper.pings)
+
+
+def _submap_settings(config: Config) -> Config:
+    return with_values(
+        config,
+        {
+            "octree.voxel_resolution": max(MIN_RESOLUTION_M, config.octree.voxel_resolution),
+            "localization.mode": "off",
+        },
+    )
+
+
+def _read_along(
+    session: RecordedSession, path: PathReader, progress: Callable[[float], None]
+) -> Iterator[object]:
+    """Yield the chunks of a session, and read the path of what was decoded before each."""
+    for chunk in session:
+        path.advance(chunk.arrival_ns)
+        yield chunk
+        progress(session.bytes_read / max(session.size_bytes, 1))
