@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mapperd.alignment.pose_graph import DriftModel, Loop, PoseGraph, PositionFix, Solution, Step
 from mapperd.alignment.registration import LoopFinder, Pair, Trial
-from mapperd.alignment.submaps import DiveSubmaps, DiveTrack, compose, inverse
+from mapperd.alignment.submaps import Correction, DiveSubmaps, DiveTrack, compose, inverse
 
 __all__ = ["AlignOptions", "AlignedDive", "Alignment", "align_dive"]
 
@@ -26,6 +26,11 @@ JUMP_M, JUMP_RAD = 10.0, 1.0
 STATED_SHARE = 0.05
 """Growth of the odometry's own standard deviation by more than this share of the way loosens a
 step: velocity was missing."""
+
+NEIGHBOUR_NOISE = np.array([0.6, 0.6, math.radians(2.0)])
+AGAIN_NOISE = np.array([0.3, 0.3, math.radians(2.0)])
+"""Standard deviations (m, m, rad) that predictions are widened by: of submaps that follow each other,
+where velocity may have failed unnoticed; of registrations that are repeated."""
 
 MIN_LOOPS = 4
 MAX_UNCERTAINTY_SHARE = 0.6
@@ -158,31 +163,55 @@ class Alignment:
     rejected: dict[str, int] = field(default_factory=dict)
 
 
+Read = Callable[[Correction | None], DiveSubmaps]
+"""Reads a dive in submaps that follow corrected odometry, or the odometry itself."""
+
+
 def align_dive(
-    dive: DiveSubmaps,
+    read: Read,
     options: AlignOptions = AlignOptions(),
     progress: Callable[[float, str], None] = lambda *_: None,
 ) -> Alignment:
-    """Align one dive."""
+    """Align one dive.
+
+    The odometry also drifts within a submap, which shears it. So all is done twice: the second time
+    with submaps that follow the trajectory of the first.
+    """
+    dive = read(None)
     nodes = nodes_of(dive)
     graph = PoseGraph(nodes.odometry, nodes.steps, options.drift)
-    finder = LoopFinder(dive.submaps, nodes.of_submap, options.threads)
     graph.solve()
-    prior = graph.prepare_covariances()
-    pairs = finder.neighbours()
-    trials = [
-        Trial(
-            pair,
-            compose(
-                inverse(graph.poses[nodes.of_submap[pair.i]]), graph.poses[nodes.of_submap[pair.j]]
-            ),
-            graph.covariance_of(nodes.of_submap[pair.i], [nodes.of_submap[pair.j]])[0],
+    graph.prepare_covariances()
+    finder = LoopFinder(dive.submaps, nodes.of_submap, options.threads)
+    graph.loops += finder.register(_predicted(finder.neighbours(), nodes, graph, NEIGHBOUR_NOISE))
+    solution, known = _close_loops(graph, finder, [])
+    first = _aligned(dive, nodes, graph, solution)
+    dive = read(first.correction_at)
+    again = LoopFinder(dive.submaps, nodes.of_submap, options.threads)
+    pairs = [
+        pair
+        for pair in [*finder.neighbours(), *known]
+        if any(
+            loop.accepted and (loop.i, loop.j) == (nodes.of_submap[pair.i], nodes.of_submap[pair.j])
+            for loop in graph.loops
         )
-        for pair in pairs
     ]
-    graph.loops += finder.register(trials)
+    trials = _predicted(pairs, nodes, graph, AGAIN_NOISE)
+    graph.loops = again.register(trials)
     solution = graph.solve()
-    known: list[Pair] = []
+    solution, _ = _close_loops(graph, again, pairs)
+    aligned = _aligned(dive, nodes, graph, solution)
+    return Alignment(
+        [aligned], graph.loops, True, "", finder.tried + again.tried, finder.rejected
+    )
+
+
+def _close_loops(
+    graph: PoseGraph, finder: LoopFinder, known: list[Pair]
+) -> tuple[Solution, list[Pair]]:
+    """Register revisits, the best predicted first, until there are no more."""
+    solution = graph.solve()
+    known = list(known)
     for _ in range(ROUNDS):
         graph.prepare_covariances()
         trials = finder.loops(graph, known, PER_SUBMAP)
@@ -191,8 +220,25 @@ def align_dive(
         known += [trial.pair for trial in trials]
         graph.loops += finder.register(trials)
         solution = graph.solve()
+    return solution, known
+
+
+def _predicted(
+    pairs: Sequence[Pair], nodes: Nodes, graph: PoseGraph, noise: Floats
+) -> list[Trial]:
+    trials = []
+    for pair in pairs:
+        i, j = nodes.of_submap[pair.i], nodes.of_submap[pair.j]
+        predicted = compose(inverse(graph.poses[i]), graph.poses[j])
+        covariance = graph.covariance_of(i, [j])[0] + np.diag(noise**2)
+        trials.append(Trial(pair, predicted, covariance))
+    return trials
+
+
+def _aligned(
+    dive: DiveSubmaps, nodes: Nodes, graph: PoseGraph, solution: Solution
+) -> AlignedDive:
     covariance = graph.prepare_covariances()
-    aligned = AlignedDive(
+    return AlignedDive(
         nodes.t_ns, nodes.odometry, solution.poses, covariance, solution.drift, dive.track
     )
-    return Alignment([aligned], graph.loops, True, "", finder.tried, finder.rejected)

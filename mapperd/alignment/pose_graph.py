@@ -28,6 +28,9 @@ STATES = 6
 GATE = 11.34
 """Squared Mahalanobis distance of 3 degrees of freedom that 99 % of right loops stay below."""
 
+STEP_GATE = 16.0
+"""The same of a step of the odometry: where velocity fails it errs by far more than it drifts."""
+
 ACCEPTED_WEIGHT = 0.3
 MAX_STEPS = 60
 ANCHOR_INFORMATION = 1e12
@@ -160,13 +163,19 @@ class PoseGraph:
     fixes: list[PositionFix] = field(default_factory=list)
     anchored: tuple[int, ...] = (0,)
     _states: Floats = field(init=False)
+    _trust: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         self._states = np.hstack([self.start, np.zeros_like(self.start)])
+        self._trust = np.ones(len(self.start))
 
     def reset(self) -> None:
         """Begin from the odometry again."""
         self.__post_init__()
+
+    def begin_at(self, poses: Floats) -> None:
+        """Begin from other poses (N, 3)."""
+        self._states[:, :3] = poses
 
     @property
     def poses(self) -> Floats:
@@ -181,6 +190,7 @@ class PoseGraph:
         """Solve the graph; sets weight and chosen alternative of all loops."""
         for loop in self.loops:
             loop.weight = 1.0
+        self._trust[:] = 1.0
         # Graduated non-convexity: the kernel starts wide enough to be convex.
         worst = max((self._distance(loop)[0] for loop in self.loops), default=0.0)
         control = max(1.0, 2 * worst / GATE)
@@ -202,6 +212,11 @@ class PoseGraph:
         for loop in self.loops:
             squared, loop.chosen = self._distance(loop)
             loop.weight = (control * GATE / (control * GATE + squared)) ** 2
+        for k, step in enumerate(self.steps):
+            if step is not None:
+                _, residual, information = self._of_step(k, step)
+                squared = float(residual @ information @ residual)
+                self._trust[k] = (control * STEP_GATE / (control * STEP_GATE + squared)) ** 2
 
     def _distance(self, loop: Loop) -> tuple[float, int]:
         """Return the least squared Mahalanobis distance of the alternatives, and which it is."""
@@ -245,7 +260,8 @@ class PoseGraph:
             residual = self._states[k, 3:] - keep * self._states[k - 1, 3:]
             variance = spread**2 * max(1 - keep**2, 1e-6)
             normal.add([k - 1, k], [-keep * drift, drift], residual, np.diag(1 / variance))
-            self._add_step(normal, k, step)
+            jacobians, residual, information = self._of_step(k, step)
+            normal.add([k - 1, k], jacobians, residual, self._trust[k] * information)
         for loop in self.loops:
             measured = loop.poses[loop.chosen]
             jacobians, residual = self._relative(loop.i, loop.j, measured)
@@ -258,7 +274,8 @@ class PoseGraph:
             normal.add([fix.node], [np.eye(2, STATES)], residual, weight * np.eye(2))
         return normal
 
-    def _add_step(self, normal: "_Normal", k: int, step: Step) -> None:
+    def _of_step(self, k: int, step: Step) -> tuple[list[Floats], Floats, Floats]:
+        """Jacobians by the states of the nodes k - 1 and k, residual and information of a step."""
         scale, crab, turn = self._states[k - 1, 3:]
         angle = crab + turn * step.seconds / 2
         c, s = math.cos(angle), math.sin(angle)
@@ -274,8 +291,7 @@ class PoseGraph:
         model = self.model
         variance_m2 = model.noise_m**2 * max(step.path_m, 0.1) + 0.01**2 + step.loose_m**2
         variance_rad2 = model.noise_rad**2 * step.seconds + 1e-6 + step.loose_rad**2
-        information = np.diag([1 / variance_m2, 1 / variance_m2, 1 / variance_rad2])
-        normal.add([k - 1, k], jacobians, residual, information)
+        return jacobians, residual, np.diag([1 / variance_m2, 1 / variance_m2, 1 / variance_rad2])
 
     def _relative(self, i: int, j: int, measured: Floats) -> tuple[list[Floats], Floats]:
         """Jacobians of i_T_j less a measurement by the states of i and j, and the residual."""

@@ -44,9 +44,12 @@ APART_M, APART_RAD = 0.3, math.radians(2.0)
 """Alternatives closer than this are the same."""
 
 FLOOR_M, FLOOR_RAD = 0.05, math.radians(0.4)
-PARTIAL_M, PARTIAL_RAD = 0.25, math.radians(2.5)
-"""Standard deviation of every registration, because odometry drifts within a submap, and the part that
-grows with the unmatched share: submaps that see different parts of a thing pull at its edges."""
+FULL_SHARE, UNMATCHED_GROWTH = 0.7, 5.0
+TURN_M, TURN_RAD = 0.1, math.radians(1.2)
+"""Standard deviation of every registration, for odometry drifts within a submap. It grows
+exponentially as the matched share falls below `FULL_SHARE`, and by so much for each radian between
+the headings: echoes of unknown elevation are spread over arcs, and submaps that see a thing from
+different places, or different parts of it, disagree about its middle by some percent."""
 
 DEGENERATE_SHARE = 0.03
 """A direction with less of the largest curvature than this is left open by the scene."""
@@ -213,7 +216,7 @@ class LoopFinder:
                 reason = "far_from_prediction"
                 continue
             information = usable_information(
-                result.information, result.curvature, 1.0 - result.matched
+                result.information, result.curvature, result.matched, float(result.pose[2])
             )
             if not information.any():
                 reason = "degenerate"
@@ -239,13 +242,16 @@ def _alike(a: Floats, b: Floats) -> bool:
     return math.dist(a[:2], b[:2]) < APART_M and turn < APART_RAD
 
 
-def usable_information(information: Floats, curvature: Floats, unmatched: float) -> Floats:
+def usable_information(
+    information: Floats, curvature: Floats, matched: float, turn: float
+) -> Floats:
     """Return the information without directions that the scene leaves open, and with the floor.
 
     Args:
         information: (3, 3) of x, y and yaw.
         curvature: (3, 3) of the registration's cost.
-        unmatched: share of the submaps' points without a partner.
+        matched: share of the submaps' points that have partners.
+        turn: yaw between the submaps, rad.
 
     Returns:
         (3, 3); all zeros if no direction is left.
@@ -256,8 +262,9 @@ def usable_information(information: Floats, curvature: Floats, unmatched: float)
     onto = held @ held.T
     scaled = onto @ (units @ information @ units) @ onto
     values, vectors = np.linalg.eigh(scaled)
-    floor_m = math.hypot(FLOOR_M, PARTIAL_M * unmatched)
-    floor_rad = math.hypot(FLOOR_RAD, PARTIAL_RAD * unmatched)
+    growth = math.exp(UNMATCHED_GROWTH * max(FULL_SHARE - matched, 0.0))
+    floor_m = math.hypot(FLOOR_M * growth, TURN_M * turn)
+    floor_rad = math.hypot(FLOOR_RAD * growth, TURN_RAD * turn)
     floor = np.array([floor_m, floor_m, floor_rad * LEVER_M])
     floors_m2 = np.einsum("ik,i,ik->k", vectors, floor**2, vectors)
     values = np.where(values > 1e-6, 1 / (1 / np.maximum(values, 1e-6) + floors_m2), 0.0)

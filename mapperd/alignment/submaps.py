@@ -25,7 +25,7 @@ from mapperd.pipeline.pose_lookup import OdometryPoses
 from mapperd.session.recordings import RecordedSession
 from mapperd.session.replay import Window, as_asked
 
-__all__ = ["DiveSubmaps", "DiveTrack", "SonarSubmap", "compose", "inverse", "read_submaps"]
+__all__ = ["Correction", "DiveSubmaps", "DiveTrack", "SonarSubmap", "compose", "inverse", "read_submaps"]
 
 Floats = NDArray[np.float64]
 
@@ -181,8 +181,9 @@ class _Ping:
 class _SubmapMapper(SonarMap):
     """Accepts and refuses pings like a map, and makes submaps of them."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, correction: "Correction | None") -> None:
         super().__init__(config)
+        self._correction = correction
         self.submaps: list[SonarSubmap] = []
         self.pings = 0
         self.posed: PosedPing | None = None
@@ -231,10 +232,14 @@ class _SubmapMapper(SonarMap):
         if len(held) < MIN_PINGS:
             return
         anchor = held[len(held) // 2]
-        anchor_T_map = matrix_of(inverse(anchor.base))  # noqa: N806 frames are named
-        for ping in held:
+        times = np.array([ping.t_ns for ping in held], dtype=np.int64)
+        bends = np.zeros((len(held), 3)) if self._correction is None else self._correction(times)
+        corrected_T_anchor = compose(bends[len(held) // 2], anchor.base)  # noqa: N806 frames
+        for ping, bend in zip(held, bends, strict=True):
+            anchor_T_map = matrix_of(compose(inverse(corrected_T_anchor), bend))  # noqa: N806
+            motion = ping.motion
             try:
-                super().integrate(ping.image, anchor_T_map @ ping.map_T_sonar, ping.motion)
+                super().integrate(ping.image, anchor_T_map @ ping.map_T_sonar, motion)
             except MapError:  # it was checked at a pose nearby
                 continue
         kinds = (self.voxels(kind).centres_m for kind in ("occupied", "free"))
@@ -256,14 +261,23 @@ class _SubmapMapper(SonarMap):
         self.clear()
 
 
+Correction = Callable[[NDArray[np.int64]], Floats]
+"""Returns planar transforms (M, 3) that take odometry to better poses at some times."""
+
+
 def read_submaps(
-    session: RecordedSession, config: Config, progress: Callable[[float], None] = lambda _: None
+    session: RecordedSession,
+    config: Config,
+    correction: Correction | None = None,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> DiveSubmaps:
     """Map a recorded session in submaps.
 
     Args:
         session: with sonar data and odometry.
         config: the settings to map with; voxels are at least 0.2 m.
+        correction: of the odometry within each submap; None trusts it. Anchors and boundaries stay
+            those of the odometry.
         progress: called with the share of the recording that is read.
 
     Raises:
@@ -271,7 +285,7 @@ def read_submaps(
         RecordingError: the recording cannot be read.
     """
     config = _submap_settings(config)
-    mapper = _SubmapMapper(config)
+    mapper = _SubmapMapper(config, correction)
     run = as_asked(session, None, config)
     replay = run.replay(mapper, Window())
     poses = run.poses
@@ -302,6 +316,7 @@ def _submap_settings(config: Config) -> Config:
         {
             "octree.voxel_resolution": max(MIN_RESOLUTION_M, config.octree.voxel_resolution),
             "localization.mode": "off",
+            "mapping.rule": "iwlo",
         },
     )
 
