@@ -1,0 +1,1 @@
+"""Whether alignment mends the drift of odometry: simulated dives, aligned and judged."""
