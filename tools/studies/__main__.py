@@ -9,6 +9,7 @@ STUDIES = {
     "adaptive-ratio": "studies.adaptive_ratio",
     "calibration": "studies.accuracy_cost.mapping.recalibration",
     "chaos": "studies.chaos.run",
+    "drift": "studies.drift.run",
     "elevation": "studies.elevation.run",
     "hard-cases": "studies.numerics.catalogue",
     "localization-dives": "studies.localization.dives",
