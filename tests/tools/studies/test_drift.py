@@ -118,6 +118,16 @@ def test_wrong_depth_is_an_error() -> None:
     assert errors.rms_m == pytest.approx(0.3)
 
 
+def test_wrong_roll_is_an_error_of_the_attitude_alone() -> None:
+    track, half_rad = circle(), math.radians(2.0) / 2.0
+    w, _, _, z = track.quaternion.T
+    c, s = math.cos(half_rad), math.sin(half_rad)
+    rolled = np.column_stack([c * w, s * w, s * z, c * z])
+    errors = track_errors(replace(track, quaternion=rolled), track, PINGS_S)
+    assert errors.rms_deg == pytest.approx(2.0, abs=1e-3)
+    assert errors.rms_m == pytest.approx(0.0, abs=1e-6)
+
+
 def test_track_that_ends_early_covers_less() -> None:
     whole = circle()
     part = PoseTrack(whole.time_s[:301], whole.position_m[:301], whole.quaternion[:301])
