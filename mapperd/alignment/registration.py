@@ -44,7 +44,7 @@ APART_M, APART_RAD = 0.3, math.radians(2.0)
 """Alternatives closer than this are the same."""
 
 FLOOR_M, FLOOR_RAD = 0.05, math.radians(0.4)
-FULL_SHARE, UNMATCHED_GROWTH = 0.7, 5.0
+FULL_SHARE, UNMATCHED_GROWTH = 0.7, 7.0
 TURN_M, TURN_RAD = 0.1, math.radians(1.2)
 """Standard deviation of every registration, for odometry drifts within a submap. It grows
 exponentially as the matched share falls below `FULL_SHARE`, and by so much for each radian between

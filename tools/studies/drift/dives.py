@@ -425,8 +425,10 @@ def write_odometry(path: Path, track: DriftedTrack) -> None:
     """Record what a vehicle believes, as native records with covariances."""
     with RecordingWriter(path, overwrite=True) as recording:
         link = recording.add_link("odometry", ODOMETRY_NATIVE)
+        lost_s = _integral(track.in_outage.astype(np.float64), track.time_s[1] - track.time_s[0])
         for k, time_s in enumerate(track.time_s.tolist()):
             stamp_ns = _unix_ns(time_s)
+            claimed = _claimed_pose(time_s, float(track.way_m[k]), float(lost_s[k]))
             record = NativeRecord(
                 v=1,
                 clk="unix",
@@ -437,16 +439,19 @@ def write_odometry(path: Path, track: DriftedTrack) -> None:
                 q=tuple(quaternion_of(track.rotation[k]).tolist()),
                 u=tuple(track.velocity_mps[k].tolist()),
                 r=tuple(track.turn_rates_rps[k].tolist()),
-                pc=_triangle(_claimed_pose(time_s, float(track.way_m[k]))),
+                pc=_triangle(claimed),
                 uc=_triangle(_claimed_motion(lost=bool(track.in_outage[k]))),
                 src="drift_study",
             )
             recording.write(link, encode_native(record), stamp_ns + round(LATENCY_S * 1e9))
 
 
-def _claimed_pose(time_s: float, way_m: float) -> tuple[float, ...]:
-    """Standard deviations of x, y, z (m) and of rotations about them (rad)."""
-    place_m = math.hypot(CLAIMED_START_M, CLAIMED_WAY * way_m)
+def _claimed_pose(time_s: float, way_m: float, lost_s: float) -> tuple[float, ...]:
+    """Standard deviations of x, y, z (m) and of rotations about them (rad).
+
+    The position's grows while the log has lost the floor, as in every reckoning that knows it.
+    """
+    place_m = math.hypot(CLAIMED_START_M, CLAIMED_WAY * way_m, CLAIMED_OUTAGE_MPS * lost_s)
     tilt = math.radians(TILT_NOISE_DEG)
     turn_deg = math.hypot(CLAIMED_HEADING_DEG, CLAIMED_HEADING_DEG_PER_MIN * time_s / 60.0)
     return (place_m, place_m, DEPTH_NOISE_M, tilt, tilt, math.radians(turn_deg))
