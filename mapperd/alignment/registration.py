@@ -31,12 +31,23 @@ GATE = 16.3
 
 SIGMAS = 2.5
 MIN_HALF_M, MAX_HALF_M = 0.6, 6.0
+LOOP_NOISE = np.array([1.0, 1.0, math.radians(2.0)])
+"""Standard deviations (m, m, rad) that predictions of revisits are widened by: one wrong registration
+must not hide the right ones."""
+
+MAX_NEIGHBOUR_M = 0.8
+"""Largest standard deviation, m, of a prediction between submaps that follow each other. What moves
+with the vehicle, such as the near edge of the floor, looks the same a few metres further."""
+
 MIN_HALF_RAD, MAX_HALF_RAD = math.radians(4.0), math.radians(20.0)
 STEP_M, STEP_RAD = 0.4, math.radians(2.5)
 CANDIDATES = 4
 
 MIN_SCORE = 0.55
 MIN_MATCHED = 0.25
+PRIOR_WEIGHT = 0.01
+"""Score that a candidate loses for each unit of squared distance from the prediction."""
+
 RIVAL_SHARE = 0.9
 """Alternatives whose score is at least this share of the best one's are kept."""
 
@@ -139,7 +150,8 @@ class LoopFinder:
                 quality = self._quality(i, j, predicted, covariance)
                 if quality > 0:
                     pair = Pair(i, j, neighbours=False)
-                    ranked.append((quality, Trial(pair, predicted, covariance)))
+                    widened = covariance + np.diag(LOOP_NOISE**2)
+                    ranked.append((quality, Trial(pair, predicted, widened)))
         ranked.sort(key=lambda one: -one[0])
         count = np.zeros(len(self.submaps), dtype=np.intp)
         chosen = []
@@ -184,7 +196,12 @@ class LoopFinder:
     def _register(self, trial: Trial) -> Loop | Rejection:
         pair, predicted = trial.pair, trial.prediction
         target, source = self._built(pair.i), self._built(pair.j)
-        sigma = np.sqrt(np.diag(trial.covariance))
+        covariance = trial.covariance
+        if pair.neighbours:
+            limit = min(1.0, MAX_NEIGHBOUR_M / math.sqrt(float(covariance[:2, :2].trace()) / 2))
+            units = np.array([limit, limit, 1.0])
+            covariance = units[:, None] * covariance * units
+        sigma = np.sqrt(np.diag(covariance))
         half_m = np.clip(SIGMAS * sigma[:2], MIN_HALF_M, MAX_HALF_M)
         half_rad = float(np.clip(SIGMAS * sigma[2], MIN_HALF_RAD, MAX_HALF_RAD))
         starts = search_poses(
@@ -199,7 +216,7 @@ class LoopFinder:
             count=CANDIDATES,
         )
         prior = np.linalg.inv(
-            trial.covariance + np.diag([FLOOR_M**2, FLOOR_M**2, FLOOR_RAD**2])
+            covariance + np.diag([FLOOR_M**2, FLOOR_M**2, FLOOR_RAD**2])
         )
         found: list[tuple[float, Floats, Floats]] = []
         reason = "no_overlap"
@@ -212,7 +229,8 @@ class LoopFinder:
                 continue
             away = result.pose - predicted
             away[2] = math.remainder(away[2], math.tau)
-            if float(away @ prior @ away) > GATE:
+            squared = float(away @ prior @ away)
+            if squared > GATE:
                 reason = "far_from_prediction"
                 continue
             information = usable_information(
@@ -222,7 +240,8 @@ class LoopFinder:
                 reason = "degenerate"
                 continue
             if not any(_alike(result.pose, other) for _, other, _ in found):
-                found.append((result.score, result.pose, information))
+                likely = result.score - PRIOR_WEIGHT * squared
+                found.append((likely, result.pose, information))
         if not found:
             return Rejection(pair, reason)
         found.sort(key=lambda one: -one[0])
