@@ -2,20 +2,45 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.alignment.pose_graph import DriftModel, Loop, PoseGraph, PositionFix, Solution, Step
+from mapperd._core import Submap, register_submaps, search_poses
+from mapperd.alignment.pose_graph import (
+    Anchor,
+    DriftModel,
+    Loop,
+    PoseGraph,
+    PositionFix,
+    Solution,
+    Step,
+)
 from mapperd.alignment.registration import LoopFinder, Pair, Trial
-from mapperd.alignment.submaps import Correction, DiveSubmaps, DiveTrack, compose, inverse
+from mapperd.alignment.submaps import (
+    Correction,
+    DiveSubmaps,
+    DiveTrack,
+    SonarSubmap,
+    compose,
+    inverse,
+)
+from mapperd.errors import ReplayError
 
-__all__ = ["AlignOptions", "AlignedDive", "Alignment", "align_dive"]
+__all__ = ["AlignOptions", "AlignedDive", "Alignment", "DiveInput", "Fix", "Read", "align"]
 
 Floats = NDArray[np.float64]
 
-NODE_S = 8.0
+Read = Callable[[Correction | None], DiveSubmaps]
+"""Reads a dive in submaps that follow corrected odometry, or the odometry itself."""
+
+Fix = tuple[int, float, float, float]
+"""A known position: Unix time (ns), x and y (m) in the common frame, standard deviation (m)."""
+
+Progress = Callable[[float, str], None]
+
+NODE_S = 12.0
 """Nodes are at most so far apart, also where there is no submap."""
 
 ROUNDS = 5
@@ -32,9 +57,25 @@ AGAIN_NOISE = np.array([0.3, 0.3, math.radians(2.0)])
 """Standard deviations (m, m, rad) that predictions are widened by: of submaps that follow each other,
 where velocity may have failed unnoticed; of registrations that are repeated."""
 
-MIN_LOOPS = 4
-MAX_UNCERTAINTY_SHARE = 0.6
-MAX_SPLIT_SHARE = 0.5
+FREE_FRAME = np.array([1e3, 1e3, 10.0])
+FOUND_FRAME = np.array([0.5, 0.5, math.radians(2.0)])
+"""Standard deviations (m, m, rad) of a dive's first pose: held by position fixes alone; by the
+registration of whole dives."""
+
+FRAME_HALF_M, FRAME_HALF_RAD = 12.0, math.radians(45.0)
+FRAME_STEP_M, FRAME_STEP_RAD = 0.5, math.radians(3.0)
+FRAME_CANDIDATES = 8
+MIN_FRAME_SCORE, MIN_FRAME_MATCHED, FRAME_RIVAL_SHARE = 0.6, 0.3, 0.9
+"""What the registration of two whole dives must reach, and how far any other place must stay below."""
+
+MIN_LOOPS = 6
+MIN_BETWEEN_DIVES = 4
+MIN_ACCEPTED_SHARE = 0.6
+MAX_UNCERTAINTY_SHARE = 0.45
+MAX_SPLIT_M, MAX_SPLIT_SHARE = 0.25, 0.5
+"""What an alignment must reach to be used: revisits and their accepted share; standard deviation as a
+share of the odometry's; difference of the trajectories by two halves of the revisits, absolute or as a
+share of the correction."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,36 +92,130 @@ class AlignOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Nodes:
-    """The graph's nodes of one dive.
+class DiveInput:
+    """A dive to align.
 
     Attributes:
-        t_ns: (N,) int64.
-        odometry: (N, 3) planar poses.
-        of_submap: index of the node of each submap.
-        steps: odometry from the node before; None at the first.
+        name: for files and messages.
+        read: reads it.
+        frame: (3,) known planar pose of its odometry's frame in the common frame; None leaves it to
+            the alignment. The first dive's is the common frame without one.
+        fixes: known positions in the common frame.
     """
 
+    name: str
+    read: Read
+    frame: Floats | None = None
+    fixes: tuple[Fix, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AlignedDive:
+    """Result for one dive. Planar poses are x, y (m) and yaw (rad) of the base.
+
+    Attributes:
+        name: of the input.
+        t_ns: (N,) int64, of the nodes.
+        odometry: (N, 3) poses of the nodes in the odometry's frame.
+        poses: (N, 3) in the common frame; if not corrected, those of the odometry in that frame.
+        covariance: (N, 3, 3) of the aligned poses; of the odometry's if not corrected.
+        drift: (N, 3) estimated scale, crab (rad), turn (rad/s) of the odometry.
+        frame: (3,) pose of the odometry's frame in the common frame, at the first node.
+        track: the odometry.
+    """
+
+    name: str
+    t_ns: NDArray[np.int64]
+    odometry: Floats
+    poses: Floats
+    covariance: Floats
+    drift: Floats
+    frame: Floats
+    track: DiveTrack
+
+    def correction_at(self, t_ns: NDArray[np.int64]) -> Floats:
+        """(M, 3) transforms that take the odometry to aligned poses; between nodes they are mixed."""
+        planar = self.track.at(t_ns)
+        return compose(self.poses_at(t_ns), inverse(planar))
+
+    def poses_at(self, t_ns: NDArray[np.int64]) -> Floats:
+        """(M, 3) aligned poses."""
+        planar = self.track.at(t_ns)
+        k = np.clip(np.searchsorted(self.t_ns, t_ns, side="right") - 1, 0, len(self.t_ns) - 2)
+        span = np.maximum(self.t_ns[k + 1] - self.t_ns[k], 1)
+        part = np.clip((t_ns - self.t_ns[k]) / span, 0.0, 1.0)
+        before, after = (
+            compose(self.poses[n], compose(inverse(self.odometry[n]), planar)) for n in (k, k + 1)
+        )
+        turn = np.remainder(after[:, 2] - before[:, 2] + math.pi, 2 * math.pi) - math.pi
+        step = np.column_stack([after[:, :2] - before[:, :2], turn])
+        return np.asarray(before + part[:, None] * step)
+
+
+@dataclass(eq=False)
+class Alignment:
+    """Result of an alignment.
+
+    Attributes:
+        dives: in the given order.
+        loops: all registrations, accepted or not; nodes count over all dives.
+        corrected: whether the aligned poses are to be used.
+        reason: why they are not; empty if they are.
+        tried: number of registered pairs.
+        rejected: pairs without a registration, by reason.
+        figures: what the verdict rests on, by name.
+    """
+
+    dives: list[AlignedDive]
+    loops: list[Loop]
+    corrected: bool
+    reason: str
+    tried: int
+    rejected: dict[str, int] = field(default_factory=dict)
+    figures: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def verdict(self) -> str:
+        """One line."""
+        return "corrected" if self.corrected else f"not corrected, because {self.reason}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Dive:
+    """A dive and its nodes: times, planar odometry, of each submap, and steps from node to node."""
+
+    given: DiveInput
+    submaps: list[SonarSubmap]
+    track: DiveTrack
     t_ns: NDArray[np.int64]
     odometry: Floats
     of_submap: list[int]
     steps: list[Step | None]
 
+    @classmethod
+    def of(cls, given: DiveInput, dive: DiveSubmaps) -> "_Dive":
+        """Place nodes at the submaps, between them where they are far apart, and at fixes."""
+        track = dive.track
+        anchors = [submap.anchor_ns for submap in dive.submaps]
+        begin, end = int(track.t_ns[0]), int(track.t_ns[-1])
+        ends = sorted({begin, *anchors, end, *(t for t, *_ in given.fixes if begin <= t <= end)})
+        times = set(ends)
+        for before, after in zip(ends[:-1], ends[1:], strict=True):
+            parts = math.ceil((after - before) / 1e9 / NODE_S)
+            times |= {before + (after - before) * k // parts for k in range(1, parts)}
+        t_ns = np.array(sorted(times), dtype=np.int64)
+        steps: list[Step | None] = [None]
+        steps += [_step(track, int(t_ns[k - 1]), int(t_ns[k])) for k in range(1, len(t_ns))]
+        of_submap = [int(np.searchsorted(t_ns, t)) for t in anchors]
+        return cls(given, dive.submaps, track, t_ns, track.at(t_ns), of_submap, steps)
 
-def nodes_of(dive: DiveSubmaps) -> Nodes:
-    """Place nodes at the submaps, and between them where they are far apart."""
-    track = dive.track
-    anchors = [submap.anchor_ns for submap in dive.submaps]
-    ends = [int(track.t_ns[0]), *anchors, int(track.t_ns[-1])]
-    times = set(ends)
-    for before, after in zip(ends[:-1], ends[1:], strict=True):
-        parts = math.ceil((after - before) / 1e9 / NODE_S / 1.5)
-        times |= {before + (after - before) * k // parts for k in range(1, parts)}
-    t_ns = np.array(sorted(times), dtype=np.int64)
-    odometry = track.at(t_ns)
-    steps: list[Step | None] = [None]
-    steps += [_step(track, int(t_ns[k - 1]), int(t_ns[k])) for k in range(1, len(t_ns))]
-    return Nodes(t_ns, odometry, [int(np.searchsorted(t_ns, t)) for t in anchors], steps)
+    def fixes(self, first: int) -> list[PositionFix]:
+        """Known positions, at nodes counted from `first`."""
+        inside = [fix for fix in self.given.fixes if self.t_ns[0] <= fix[0] <= self.t_ns[-1]]
+        return [
+            PositionFix(first + int(np.searchsorted(self.t_ns, t)), np.array([x, y]), deviation_m)
+            for t, x, y, deviation_m in inside
+        ]
 
 
 def _step(track: DiveTrack, begin_ns: int, end_ns: int) -> Step:
@@ -101,144 +236,214 @@ def _step(track: DiveTrack, begin_ns: int, end_ns: int) -> Step:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AlignedDive:
-    """Result for one dive.
+def align(
+    dives: Sequence[DiveInput],
+    options: AlignOptions = AlignOptions(),
+    progress: Progress = lambda *_: None,
+) -> Alignment:
+    """Align one or more dives; the same input gives the same result, whatever the threads.
 
-    Attributes:
-        t_ns: (N,) of the nodes.
-        odometry: (N, 3) planar poses of the nodes by the odometry.
-        poses: (N, 3) aligned; those of the odometry if not corrected.
-        covariance: (N, 3, 3) of x, y and yaw of the aligned poses.
-        drift: (N, 3) estimated scale, crab (rad), turn (rad/s) of the odometry.
-        track: the odometry.
-        steps: for interpolation.
+    Each dive is aligned on its own. Dives whose frames are unknown are then registered to those
+    before them as a whole, and revisits between all dives join one graph.
+
+    Args:
+        dives: at least one.
+        options: drift of the odometry, and threads.
+        progress: called with the share that is done, and what is being done.
+
+    Raises:
+        ReplayError: no poses of a dive are known, or names of dives are equal.
+        RecordingError: a recording cannot be read.
     """
+    names = [dive.name for dive in dives]
+    if len(set(names)) < len(names):
+        raise ReplayError("two dives have the same name")
+    alone = []
+    for k, dive in enumerate(dives):
+        def part(share: float, what: str, k: int = k, name: str = dive.name) -> None:
+            progress((k + share) / len(dives), f"{name}: {what}")
 
-    t_ns: NDArray[np.int64]
-    odometry: Floats
-    poses: Floats
-    covariance: Floats
-    drift: Floats
-    track: DiveTrack
-
-    def correction_at(self, t_ns: NDArray[np.int64]) -> Floats:
-        """(M, 3) planar transform that takes odometry to aligned poses, between nodes linear."""
-        planar = self.track.at(t_ns)
-        k = np.clip(np.searchsorted(self.t_ns, t_ns, side="right") - 1, 0, len(self.t_ns) - 2)
-        span = np.maximum(self.t_ns[k + 1] - self.t_ns[k], 1)
-        part = np.clip((t_ns - self.t_ns[k]) / span, 0.0, 1.0)
-        ends = [
-            compose(self.poses[n], compose(inverse(self.odometry[n]), planar)) for n in (k, k + 1)
-        ]
-        turn = np.remainder(ends[1][:, 2] - ends[0][:, 2] + math.pi, 2 * math.pi) - math.pi
-        placed = ends[0] + part[:, None] * np.column_stack(
-            [ends[1][:, :2] - ends[0][:, :2], turn]
-        )
-        return compose(placed, inverse(planar))
-
-    def poses_at(self, t_ns: NDArray[np.int64]) -> Floats:
-        """(M, 3) aligned planar poses."""
-        return compose(self.correction_at(t_ns), self.track.at(t_ns))
+        alone.append(_AloneDive.align(dive, options, part))
+    if len(dives) == 1:
+        return alone[0].result()
+    return _aligned_together(alone, options)
 
 
 @dataclass(eq=False)
-class Alignment:
-    """Result of an alignment.
+class _AloneDive:
+    """A dive that was aligned by itself."""
 
-    Attributes:
-        dives: in the given order.
-        loops: all registrations, accepted or not.
-        corrected: whether the aligned poses are to be used.
-        reason: why they are not; empty if they are.
-        tried: number of registered pairs.
-        rejected: pairs without a registration, by reason.
-    """
-
-    dives: list[AlignedDive]
-    loops: list[Loop]
-    corrected: bool
-    reason: str
+    dive: _Dive
+    graph: PoseGraph
+    finder: LoopFinder
+    solution: Solution
+    prior_m: float
     tried: int
-    rejected: dict[str, int] = field(default_factory=dict)
 
+    @classmethod
+    def align(cls, given: DiveInput, options: AlignOptions, progress: Progress) -> "_AloneDive":
+        """Align in two passes: the second has submaps that follow the trajectory of the first.
 
-Read = Callable[[Correction | None], DiveSubmaps]
-"""Reads a dive in submaps that follow corrected odometry, or the odometry itself."""
+        The odometry also drifts within a submap, which shears it.
+        """
+        progress(0.0, "mapping")
+        dive = _Dive.of(given, given.read(None))
+        start = dive.odometry
+        frame = given.frame if given.frame is not None else np.zeros(3)
+        graph = PoseGraph(compose(frame[None], start), dive.steps, options.drift)
+        graph.fixes = dive.fixes(0)
+        if graph.fixes and given.frame is None:
+            graph.anchors = [Anchor(0, graph.start[0], FREE_FRAME)]
+        graph.solve()
+        prior_m = _deviation_m(graph.prepare_covariances())
+        first = LoopFinder(dive.submaps, dive.of_submap, options.threads)
+        progress(0.3, "registering")
+        trials = _predicted(first.neighbours(), dive.of_submap, graph, NEIGHBOUR_NOISE)
+        graph.loops += first.register(trials)
+        solution, known = _close_loops(graph, first, [])
+        progress(0.5, "mapping again")
+        aligned = _result_of(dive, solution.poses, graph.prepare_covariances(), solution.drift)
+        again = given.read(aligned.correction_at)
+        finder = LoopFinder(again.submaps, dive.of_submap, options.threads)
+        dive = replace(dive, submaps=again.submaps)
+        accepted = {(loop.i, loop.j) for loop in graph.loops if loop.accepted}
+        pairs = [
+            pair
+            for pair in [*first.neighbours(), *known]
+            if (dive.of_submap[pair.i], dive.of_submap[pair.j]) in accepted
+        ]
+        progress(0.8, "registering again")
+        graph.loops = finder.register(_predicted(pairs, dive.of_submap, graph, AGAIN_NOISE))
+        solution, _ = _close_loops(graph, finder, pairs)
+        return cls(dive, graph, finder, solution, prior_m, first.tried + finder.tried)
 
-
-def align_dive(
-    read: Read,
-    options: AlignOptions = AlignOptions(),
-    progress: Callable[[float, str], None] = lambda *_: None,
-) -> Alignment:
-    """Align one dive.
-
-    The odometry also drifts within a submap, which shears it. So all is done twice: the second time
-    with submaps that follow the trajectory of the first.
-    """
-    dive = read(None)
-    nodes = nodes_of(dive)
-    graph = PoseGraph(nodes.odometry, nodes.steps, options.drift)
-    graph.solve()
-    graph.prepare_covariances()
-    finder = LoopFinder(dive.submaps, nodes.of_submap, options.threads)
-    graph.loops += finder.register(_predicted(finder.neighbours(), nodes, graph, NEIGHBOUR_NOISE))
-    solution, known = _close_loops(graph, finder, [])
-    first = _aligned(dive, nodes, graph, solution)
-    dive = read(first.correction_at)
-    again = LoopFinder(dive.submaps, nodes.of_submap, options.threads)
-    pairs = [
-        pair
-        for pair in [*finder.neighbours(), *known]
-        if any(
-            loop.accepted and (loop.i, loop.j) == (nodes.of_submap[pair.i], nodes.of_submap[pair.j])
-            for loop in graph.loops
+    def result(self) -> Alignment:
+        """Judge the alignment of this dive alone."""
+        covariance = self.graph.prepare_covariances()
+        figures, reason = _judged(self.graph, self.prior_m)
+        if reason:
+            self.solution = _without_loops(self.graph)
+            covariance = self.graph.prepare_covariances()
+        aligned = _result_of(self.dive, self.solution.poses, covariance, self.solution.drift)
+        if reason:
+            aligned = _uncorrected(aligned)
+        rejected = dict(sorted(self.finder.rejected.items()))
+        return Alignment(
+            [aligned], self.graph.loops, not reason, reason, self.tried, rejected, figures
         )
-    ]
-    trials = _predicted(pairs, nodes, graph, AGAIN_NOISE)
-    graph.loops = again.register(trials)
-    solution = graph.solve()
-    solution, _ = _close_loops(graph, again, pairs)
-    aligned = _aligned(dive, nodes, graph, solution)
-    return Alignment(
-        [aligned], graph.loops, True, "", finder.tried + again.tried, finder.rejected
+
+
+def _uncorrected(dive: AlignedDive) -> AlignedDive:
+    return replace(dive, poses=compose(dive.frame[None], dive.odometry))
+
+
+def _result_of(dive: _Dive, poses: Floats, covariance: Floats, drift: Floats) -> AlignedDive:
+    frame = compose(poses[0], inverse(dive.odometry[0]))
+    return AlignedDive(
+        dive.given.name, dive.t_ns, dive.odometry, poses, covariance, drift, frame, dive.track
     )
 
 
+def _without_loops(graph: PoseGraph) -> Solution:
+    """Solve again without revisits; the graph keeps them, refused."""
+    loops, graph.loops = graph.loops, []
+    graph.reset()
+    solution = graph.solve()
+    graph.prepare_covariances()
+    for loop in loops:
+        loop.weight = 0.0
+    graph.loops = loops
+    return solution
+
+
 def _close_loops(
-    graph: PoseGraph, finder: LoopFinder, known: list[Pair]
+    graph: PoseGraph, finder: LoopFinder, known: Sequence[Pair]
 ) -> tuple[Solution, list[Pair]]:
     """Register revisits, the best predicted first, until there are no more."""
-    solution = graph.solve()
-    known = list(known)
+    solution, tried = graph.solve(), list(known)
     for _ in range(ROUNDS):
         graph.prepare_covariances()
-        trials = finder.loops(graph, known, PER_SUBMAP)
+        trials = finder.loops(graph, tried, PER_SUBMAP)
         if not trials:
             break
-        known += [trial.pair for trial in trials]
+        tried += [trial.pair for trial in trials]
         graph.loops += finder.register(trials)
         solution = graph.solve()
-    return solution, known
+    return solution, tried
 
 
 def _predicted(
-    pairs: Sequence[Pair], nodes: Nodes, graph: PoseGraph, noise: Floats
+    pairs: Sequence[Pair], nodes: Sequence[int], graph: PoseGraph, noise: Floats
 ) -> list[Trial]:
     trials = []
+    graph.prepare_covariances()
     for pair in pairs:
-        i, j = nodes.of_submap[pair.i], nodes.of_submap[pair.j]
+        i, j = nodes[pair.i], nodes[pair.j]
         predicted = compose(inverse(graph.poses[i]), graph.poses[j])
         covariance = graph.covariance_of(i, [j])[0] + np.diag(noise**2)
         trials.append(Trial(pair, predicted, covariance))
     return trials
 
 
-def _aligned(
-    dive: DiveSubmaps, nodes: Nodes, graph: PoseGraph, solution: Solution
-) -> AlignedDive:
-    covariance = graph.prepare_covariances()
-    return AlignedDive(
-        nodes.t_ns, nodes.odometry, solution.poses, covariance, solution.drift, dive.track
-    )
+def _deviation_m(covariance: Floats) -> float:
+    """Mean horizontal standard deviation of the nodes."""
+    return float(np.sqrt(np.maximum(covariance[:, 0, 0] + covariance[:, 1, 1], 0)).mean())
+
+
+def _judged(graph: PoseGraph, prior_m: float) -> tuple[dict[str, float], str]:
+    """Return what the verdict rests on, and why the result must not be used; empty if it may."""
+    loops = [loop for loop in graph.loops if not loop.neighbours]
+    accepted = [loop for loop in loops if loop.accepted]
+    deviation_m = _deviation_m(graph.prepare_covariances())
+    correction_m = _rms_m(compose(graph.start, inverse(graph.start[:1])), graph.poses)
+    correction_m = _rms_m(graph.start, graph.poses)
+    split_m = _split_m(graph, accepted)
+    figures = {
+        "revisits_found": float(len(loops)),
+        "revisits_accepted": float(len(accepted)),
+        "odometry_deviation_m": prior_m,
+        "deviation_m": deviation_m,
+        "correction_m": correction_m,
+        "split_m": split_m,
+    }
+    if graph.fixes:
+        return figures, ""
+    if len(accepted) < MIN_LOOPS:
+        found = f"{len(accepted)} revisits" if accepted else "no revisit"
+        return figures, f"{found} could be registered, and {MIN_LOOPS} are needed"
+    if len(accepted) < MIN_ACCEPTED_SHARE * len(loops):
+        return figures, f"{len(loops) - len(accepted)} of {len(loops)} revisits contradict the rest"
+    if deviation_m > MAX_UNCERTAINTY_SHARE * prior_m:
+        share = deviation_m / max(prior_m, 1e-9)
+        return figures, f"the revisits leave {share:.0%} of the uncertainty of the odometry"
+    if split_m > max(MAX_SPLIT_M, MAX_SPLIT_SHARE * correction_m):
+        return figures, (
+            f"two halves of the revisits give trajectories {split_m:.2f} m apart, and the correction "
+            f"is {correction_m:.2f} m"
+        )
+    return figures, ""
+
+
+def _rms_m(a: Floats, b: Floats) -> float:
+    return float(np.sqrt(((a[:, :2] - b[:, :2]) ** 2).sum(axis=1).mean()))
+
+
+def _split_m(graph: PoseGraph, accepted: Sequence[Loop]) -> float:
+    """RMS distance of the trajectories by two halves of the revisits."""
+    saved, states = list(graph.loops), graph.save()
+    weights = [(loop, loop.weight, loop.chosen) for loop in saved]
+    halves = []
+    for half in (0, 1):
+        left = {id(loop) for loop in accepted[half::2]}
+        graph.loops = [loop for loop in saved if loop.neighbours or id(loop) in left]
+        halves.append(graph.solve().poses)
+    graph.loops = saved
+    graph.restore(states)
+    for loop, weight, chosen in weights:
+        loop.weight, loop.chosen = weight, chosen
+    return _rms_m(*halves)
+
+
+def _aligned_together(alone: list[_AloneDive], options: AlignOptions) -> Alignment:
+    """Join dives that were aligned by themselves in one graph."""
+    raise NotImplementedError

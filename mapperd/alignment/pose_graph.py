@@ -18,7 +18,7 @@ from scipy.sparse.linalg import splu
 
 from mapperd.alignment.submaps import compose, inverse
 
-__all__ = ["DriftModel", "Loop", "PoseGraph", "PositionFix", "Solution", "Step"]
+__all__ = ["Anchor", "DriftModel", "Loop", "PoseGraph", "PositionFix", "Solution", "Step"]
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ STEP_GATE = 16.0
 
 ACCEPTED_WEIGHT = 0.3
 MAX_STEPS = 60
-ANCHOR_INFORMATION = 1e12
+EXACT = np.array([1e-6, 1e-6, 1e-6])
 STOP = 1e-5
 
 
@@ -107,6 +107,21 @@ class Loop:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Anchor:
+    """A known pose of a node.
+
+    Attributes:
+        node: index.
+        pose: (3,) in the frame of the result.
+        deviation: (3,) standard deviations of x, y (m) and yaw (rad).
+    """
+
+    node: int
+    pose: Floats
+    deviation: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PositionFix:
     """A known position of a node, such as by GPS at the surface.
 
@@ -153,7 +168,7 @@ class PoseGraph:
     Attributes:
         loops: registrations.
         fixes: known positions.
-        anchored: nodes whose poses are given: usually the first.
+        anchors: known poses: at first that of node 0.
     """
 
     start: Floats
@@ -161,30 +176,36 @@ class PoseGraph:
     model: DriftModel
     loops: list[Loop] = field(default_factory=list)
     fixes: list[PositionFix] = field(default_factory=list)
-    anchored: tuple[int, ...] = (0,)
+    anchors: list[Anchor] = field(default_factory=list)
     _states: Floats = field(init=False)
     _trust: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         self._states = np.hstack([self.start, np.zeros_like(self.start)])
         self._trust = np.ones(len(self.start))
+        if not self.anchors:
+            self.anchors = [Anchor(0, self.start[0].copy(), EXACT)]
 
     def reset(self) -> None:
         """Begin from the odometry again."""
         self.__post_init__()
 
-    def begin_at(self, poses: Floats) -> None:
-        """Begin from other poses (N, 3)."""
-        self._states[:, :3] = poses
+    def save(self) -> tuple[Floats, Floats]:
+        """Return the present states, for `restore`."""
+        return self._states.copy(), self._trust.copy()
+
+    def restore(self, saved: tuple[Floats, Floats]) -> None:
+        """Return to states of `save`."""
+        self._states, self._trust = saved[0].copy(), saved[1].copy()
+
+    def begin_at(self, poses: Floats, drift: Floats) -> None:
+        """Begin from other poses and drift, (N, 3) each."""
+        self._states = np.hstack([poses, drift])
 
     @property
     def poses(self) -> Floats:
         """(N, 3) present poses."""
         return self._states[:, :3]
-
-    def move(self, first: int, last: int, frame: Floats) -> None:
-        """Move the nodes first..last - 1 by a planar transform (3,)."""
-        self._states[first:last, :3] = compose(frame[None], self._states[first:last, :3])
 
     def solve(self) -> Solution:
         """Solve the graph; sets weight and chosen alternative of all loops."""
@@ -245,10 +266,11 @@ class PoseGraph:
 
     def _linearized(self) -> "_Normal":
         normal = _Normal(len(self._states))
-        for node in self.anchored:
-            residual = self._states[node, :3] - self.start[node]
+        for anchor in self.anchors:
+            residual = self._states[anchor.node, :3] - anchor.pose
             residual[2] = math.remainder(residual[2], math.tau)
-            normal.add([node], [np.eye(3, STATES)], residual, ANCHOR_INFORMATION * np.eye(3))
+            information = np.diag(anchor.deviation**-2.0)
+            normal.add([anchor.node], [np.eye(3, STATES)], residual, information)
         model = self.model
         spread = np.array([model.scale, model.crab_rad, model.turn_radps])
         for k, step in enumerate(self.steps):

@@ -31,7 +31,7 @@ GATE = 16.3
 
 SIGMAS = 2.5
 MIN_HALF_M, MAX_HALF_M = 0.6, 6.0
-LOOP_NOISE = np.array([1.0, 1.0, math.radians(2.0)])
+LOOP_NOISE = np.array([0.8, 0.8, math.radians(2.0)])
 """Standard deviations (m, m, rad) that predictions of revisits are widened by: one wrong registration
 must not hide the right ones."""
 
@@ -44,7 +44,7 @@ STEP_M, STEP_RAD = 0.4, math.radians(2.5)
 CANDIDATES = 4
 
 MIN_SCORE = 0.55
-MIN_MATCHED = 0.25
+MIN_MATCHED, MIN_MATCHED_NEIGHBOUR = 0.35, 0.25
 PRIOR_WEIGHT = 0.01
 """Score that a candidate loses for each unit of squared distance from the prediction."""
 
@@ -218,11 +218,12 @@ class LoopFinder:
         prior = np.linalg.inv(
             covariance + np.diag([FLOOR_M**2, FLOOR_M**2, FLOOR_RAD**2])
         )
+        least = MIN_MATCHED_NEIGHBOUR if pair.neighbours else MIN_MATCHED
         found: list[tuple[float, Floats, Floats]] = []
         reason = "no_overlap"
         for start, *_ in starts:
             result = register_submaps(target, source, start)
-            if result.matched < MIN_MATCHED:
+            if result.matched < least:
                 continue
             if result.score < MIN_SCORE or not result.converged:
                 reason = "poor_fit"
