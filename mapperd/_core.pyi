@@ -1099,3 +1099,69 @@ def mcl_squared_distances(
 
 def mcl_kld_size(buckets: int, error: float, quantile: float) -> int:
     """Particles wanted for so many buckets; the largest 64-bit number for up to two."""
+
+class Submap:
+    """Observed voxels of a part of a dive, for registration in x, y and yaw.
+
+    Its frame is levelled: z is vertical. Raises ValueError without occupied voxels, for centres that
+    are not finite, or where their box has over 2**27 voxels.
+    """
+
+    def __init__(
+        self, occupied_m: NDArray[np.float64], free_m: NDArray[np.float64], resolution_m: float
+    ) -> None: ...
+    @property
+    def memory_bytes(self) -> int: ...
+    @property
+    def occupied(self) -> int: ...
+
+class Registration:
+    """Result of `register_submaps`; `pose` is target_T_source, (3,) x, y (m) and yaw (rad).
+
+    `information` (3, 3) is the inverse of its covariance, `curvature` (3, 3) that of the cost.
+    `score`, `matched` and `contradicted` are those of `compare_submaps` with 0.2 m and 2500 points.
+    """
+
+    @property
+    def pose(self) -> NDArray[np.float64]: ...
+    @property
+    def information(self) -> NDArray[np.float64]: ...
+    @property
+    def curvature(self) -> NDArray[np.float64]: ...
+    @property
+    def score(self) -> float: ...
+    @property
+    def matched(self) -> float: ...
+    @property
+    def contradicted(self) -> float: ...
+    @property
+    def residual_m(self) -> float: ...
+    @property
+    def pairs(self) -> int: ...
+    @property
+    def converged(self) -> bool: ...
+
+def search_poses(
+    target: Submap,
+    source: Submap,
+    centre: NDArray[np.float64],
+    *,
+    half_x_m: float,
+    half_y_m: float,
+    half_yaw_rad: float,
+    step_m: float,
+    step_yaw_rad: float,
+    count: int,
+) -> list[tuple[NDArray[np.float64], float, float, float]]:
+    """Find the best places in a window: pose target_T_source, score, matched, contradicted.
+
+    Raises ValueError for a window that is not finite or has over a million poses.
+    """
+
+def compare_submaps(
+    target: Submap, source: Submap, pose: NDArray[np.float64], *, scale_m: float, points: int
+) -> tuple[NDArray[np.float64], float, float, float]:
+    """Return pose, score 0..1, and the shares of points matched and contradicted."""
+
+def register_submaps(target: Submap, source: Submap, start: NDArray[np.float64]) -> Registration:
+    """Refine target_T_source from a start, by distances and then by distributions."""

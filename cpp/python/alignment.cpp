@@ -1,10 +1,9 @@
 // Registration of submaps.
-#include "mapperd/alignment/registration.hpp"
-
 #include <pybind11/pybind11.h>
 
 #include "bindings.hpp"
 #include "localization_types.hpp"
+#include "mapperd/alignment/registration.hpp"
 
 namespace mapperd::python {
 namespace {
@@ -87,14 +86,12 @@ void bind_alignment(py::module_& module) {
       .def_property_readonly("matched",
                              [](const alg::Registration& r) { return r.fit.agreement.matched; })
       .def_property_readonly(
-          "contradicted",
-          [](const alg::Registration& r) { return r.fit.agreement.contradicted; })
+          "contradicted", [](const alg::Registration& r) { return r.fit.agreement.contradicted; })
       .def_readonly("residual_m", &alg::Registration::residual_m)
       .def_readonly("pairs", &alg::Registration::pairs)
       .def_readonly("converged", &alg::Registration::converged);
   module.def("search_poses", &searched, "target"_a, "source"_a, "centre"_a, py::kw_only(),
-             "half_x_m"_a, "half_y_m"_a, "half_yaw_rad"_a, "step_m"_a, "step_yaw_rad"_a,
-             "count"_a);
+             "half_x_m"_a, "half_y_m"_a, "half_yaw_rad"_a, "step_m"_a, "step_yaw_rad"_a, "count"_a);
   module.def("compare_submaps", &compared, "target"_a, "source"_a, "pose"_a, py::kw_only(),
              "scale_m"_a, "points"_a);
   module.def("register_submaps", &registered, "target"_a, "source"_a, "start"_a);

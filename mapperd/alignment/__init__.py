@@ -1,1 +1,1 @@
-"""Estimates a dive's trajectory again from what the sonar saw: submaps, registration, pose graph."""
+"""Estimates trajectories again from what the sonar saw: submaps, registration, pose graph."""

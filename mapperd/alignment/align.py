@@ -1,5 +1,6 @@
 """Alignment: estimates trajectories again, and judges whether they are better than the odometry."""
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -43,7 +44,7 @@ Progress = Callable[[float, str], None]
 NODE_S = 12.0
 """Nodes are at most so far apart, also where there is no submap."""
 
-ROUNDS = 5
+ROUNDS, ROUNDS_BETWEEN = 5, 2
 PER_SUBMAP = 3
 JUMP_M, JUMP_RAD = 10.0, 1.0
 """Standard deviation of a step over a jump of the odometry."""
@@ -54,8 +55,8 @@ step: velocity was missing."""
 
 NEIGHBOUR_NOISE = np.array([0.6, 0.6, math.radians(2.0)])
 AGAIN_NOISE = np.array([0.3, 0.3, math.radians(2.0)])
-"""Standard deviations (m, m, rad) that predictions are widened by: of submaps that follow each other,
-where velocity may have failed unnoticed; of registrations that are repeated."""
+"""Standard deviations (m, m, rad) that predictions are widened by: of submaps that follow each
+other, where velocity may have failed unnoticed; of registrations that are repeated."""
 
 FREE_FRAME = np.array([1e3, 1e3, 10.0])
 FOUND_FRAME = np.array([0.5, 0.5, math.radians(2.0)])
@@ -66,16 +67,17 @@ FRAME_HALF_M, FRAME_HALF_RAD = 12.0, math.radians(45.0)
 FRAME_STEP_M, FRAME_STEP_RAD = 0.5, math.radians(3.0)
 FRAME_CANDIDATES = 8
 MIN_FRAME_SCORE, MIN_FRAME_MATCHED, FRAME_RIVAL_SHARE = 0.6, 0.3, 0.9
-"""What the registration of two whole dives must reach, and how far any other place must stay below."""
+"""What the registration of two whole dives must reach, and the share of its score that any other
+place must stay below."""
 
 MIN_LOOPS = 6
 MIN_BETWEEN_DIVES = 4
 MIN_ACCEPTED_SHARE = 0.6
 MAX_UNCERTAINTY_SHARE = 0.45
 MAX_SPLIT_M, MAX_SPLIT_SHARE = 0.25, 0.5
-"""What an alignment must reach to be used: revisits and their accepted share; standard deviation as a
-share of the odometry's; difference of the trajectories by two halves of the revisits, absolute or as a
-share of the correction."""
+"""What an alignment must reach to be used: revisits and their accepted share; standard deviation as
+a share of the odometry's; difference of the trajectories by two halves of the revisits, absolute or
+as a share of the correction."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +89,7 @@ class AlignOptions:
         threads: that register submaps.
     """
 
-    drift: DriftModel = DriftModel()
+    drift: DriftModel = field(default_factory=DriftModel)
     threads: int = 2
 
 
@@ -134,7 +136,7 @@ class AlignedDive:
     track: DiveTrack
 
     def correction_at(self, t_ns: NDArray[np.int64]) -> Floats:
-        """(M, 3) transforms that take the odometry to aligned poses; between nodes they are mixed."""
+        """(M, 3) transforms that take the odometry to aligned poses, mixed between nodes."""
         planar = self.track.at(t_ns)
         return compose(self.poses_at(t_ns), inverse(planar))
 
@@ -200,7 +202,7 @@ class _Dive:
         begin, end = int(track.t_ns[0]), int(track.t_ns[-1])
         ends = sorted({begin, *anchors, end, *(t for t, *_ in given.fixes if begin <= t <= end)})
         times = set(ends)
-        for before, after in zip(ends[:-1], ends[1:], strict=True):
+        for before, after in itertools.pairwise(ends):
             parts = math.ceil((after - before) / 1e9 / NODE_S)
             times |= {before + (after - before) * k // parts for k in range(1, parts)}
         t_ns = np.array(sorted(times), dtype=np.int64)
@@ -238,7 +240,7 @@ def _step(track: DiveTrack, begin_ns: int, end_ns: int) -> Step:
 
 def align(
     dives: Sequence[DiveInput],
-    options: AlignOptions = AlignOptions(),
+    options: AlignOptions | None = None,
     progress: Progress = lambda *_: None,
 ) -> Alignment:
     """Align one or more dives; the same input gives the same result, whatever the threads.
@@ -255,11 +257,13 @@ def align(
         ReplayError: no poses of a dive are known, or names of dives are equal.
         RecordingError: a recording cannot be read.
     """
+    options = options or AlignOptions()
     names = [dive.name for dive in dives]
     if len(set(names)) < len(names):
         raise ReplayError("two dives have the same name")
     alone = []
     for k, dive in enumerate(dives):
+
         def part(share: float, what: str, k: int = k, name: str = dive.name) -> None:
             progress((k + share) / len(dives), f"{name}: {what}")
 
@@ -357,11 +361,11 @@ def _without_loops(graph: PoseGraph) -> Solution:
 
 
 def _close_loops(
-    graph: PoseGraph, finder: LoopFinder, known: Sequence[Pair]
+    graph: PoseGraph, finder: LoopFinder, known: Sequence[Pair], rounds: int = ROUNDS
 ) -> tuple[Solution, list[Pair]]:
     """Register revisits, the best predicted first, until there are no more."""
     solution, tried = graph.solve(), list(known)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         graph.prepare_covariances()
         trials = finder.loops(graph, tried, PER_SUBMAP)
         if not trials:
@@ -395,7 +399,6 @@ def _judged(graph: PoseGraph, prior_m: float) -> tuple[dict[str, float], str]:
     loops = [loop for loop in graph.loops if not loop.neighbours]
     accepted = [loop for loop in loops if loop.accepted]
     deviation_m = _deviation_m(graph.prepare_covariances())
-    correction_m = _rms_m(compose(graph.start, inverse(graph.start[:1])), graph.poses)
     correction_m = _rms_m(graph.start, graph.poses)
     split_m = _split_m(graph, accepted)
     figures = {
@@ -418,8 +421,8 @@ def _judged(graph: PoseGraph, prior_m: float) -> tuple[dict[str, float], str]:
         return figures, f"the revisits leave {share:.0%} of the uncertainty of the odometry"
     if split_m > max(MAX_SPLIT_M, MAX_SPLIT_SHARE * correction_m):
         return figures, (
-            f"two halves of the revisits give trajectories {split_m:.2f} m apart, and the correction "
-            f"is {correction_m:.2f} m"
+            f"two halves of the revisits give trajectories {split_m:.2f} m apart, and the "
+            f"correction is {correction_m:.2f} m"
         )
     return figures, ""
 
@@ -446,4 +449,160 @@ def _split_m(graph: PoseGraph, accepted: Sequence[Loop]) -> float:
 
 def _aligned_together(alone: list[_AloneDive], options: AlignOptions) -> Alignment:
     """Join dives that were aligned by themselves in one graph."""
-    raise NotImplementedError
+    results = [one.result() for one in alone]
+    first = np.cumsum([0, *(len(one.dive.t_ns) for one in alone)])
+    frames, reason = _frames_of(alone)
+    tried = sum(one.tried for one in alone)
+    rejected: dict[str, int] = {}
+    if reason:
+        dives = [_uncorrected(result.dives[0]) for result in results]
+        return Alignment(
+            dives, _shifted_loops(alone, first), corrected=False, reason=reason, tried=tried
+        )
+    start = np.vstack(
+        [compose(frame[None], one.graph.start) for frame, one in zip(frames, alone, strict=True)]
+    )
+    graph = PoseGraph(start, [step for one in alone for step in one.dive.steps], options.drift)
+    graph.anchors = _anchors_of(alone, frames, first)
+    graph.fixes = [fix for k, one in enumerate(alone) for fix in one.dive.fixes(int(first[k]))]
+    graph.loops = _shifted_loops(alone, first)
+    poses = [compose(f[None], one.solution.poses) for f, one in zip(frames, alone, strict=True)]
+    graph.begin_at(np.vstack(poses), np.vstack([one.solution.drift for one in alone]))
+    submaps = [submap for one in alone for submap in one.dive.submaps]
+    nodes = [int(first[k]) + n for k, one in enumerate(alone) for n in one.dive.of_submap]
+    dive_of = [k for k, one in enumerate(alone) for _ in one.dive.submaps]
+    finder = LoopFinder(submaps, nodes, options.threads, dive_of=dive_of)
+    solution = graph.solve()
+    solution, _ = _close_loops(graph, finder, (), ROUNDS_BETWEEN)
+    covariance = graph.prepare_covariances()
+    rejected = dict(sorted(finder.rejected.items()))
+    dive_of_node = np.repeat(np.arange(len(alone)), np.diff(first))
+    between = [loop for loop in graph.loops if dive_of_node[loop.i] != dive_of_node[loop.j]]
+    reason = _judged_between(alone, dive_of_node, between) or next(
+        (f"{r.dives[0].name}: {r.reason}" for r in results if not r.corrected), ""
+    )
+    figures = {
+        "revisits_between_dives": float(len(between)),
+        "revisits_between_dives_accepted": float(sum(loop.accepted for loop in between)),
+        "deviation_m": _deviation_m(covariance),
+    }
+    dives = []
+    for k, one in enumerate(alone):
+        part = slice(int(first[k]), int(first[k + 1]))
+        aligned = _result_of(one.dive, solution.poses[part], covariance[part], solution.drift[part])
+        dives.append(_uncorrected(aligned) if reason else aligned)
+    tried += finder.tried
+    return Alignment(dives, graph.loops, not reason, reason, tried, rejected, figures)
+
+
+def _shifted_loops(alone: list[_AloneDive], first: NDArray[np.int64]) -> list[Loop]:
+    """The loops of all dives, with nodes that count over all dives."""
+    return [
+        replace(loop, i=loop.i + int(first[k]), j=loop.j + int(first[k]))
+        for k, one in enumerate(alone)
+        for loop in one.graph.loops
+    ]
+
+
+def _anchors_of(
+    alone: list[_AloneDive], frames: list[Floats], first: NDArray[np.int64]
+) -> list[Anchor]:
+    """First poses: exact of the first dive and where a frame is given, else as they were found."""
+    anchors = []
+    for k, one in enumerate(alone):
+        [own] = one.graph.anchors
+        given = one.dive.given.frame is not None
+        deviation = own.deviation if k == 0 or given else FOUND_FRAME
+        anchors.append(Anchor(int(first[k]), compose(frames[k], own.pose), deviation))
+    return anchors
+
+
+def _judged_between(
+    alone: list[_AloneDive], dive_of_node: NDArray[np.intp], between: list[Loop]
+) -> str:
+    """Return why dives are not connected; empty if they are."""
+    for k, one in enumerate(alone[1:], start=1):
+        if one.dive.given.frame is not None:
+            continue
+        accepted = sum(
+            loop.accepted and k in (dive_of_node[loop.i], dive_of_node[loop.j]) for loop in between
+        )
+        if accepted < MIN_BETWEEN_DIVES:
+            return (
+                f"{one.dive.given.name}: {accepted} of its submaps could be registered to other "
+                f"dives, and {MIN_BETWEEN_DIVES} are needed"
+            )
+    return ""
+
+
+def _frames_of(alone: list[_AloneDive]) -> tuple[list[Floats], str]:
+    """Find how each dive must be moved into the common frame, or why one cannot be placed."""
+    frames: list[Floats] = []
+    placed: list[Submap] = []
+    for k, one in enumerate(alone):
+        whole = _whole_map(one, np.zeros(3))
+        if k == 0 or one.dive.given.frame is not None or one.graph.fixes:
+            frames.append(np.zeros(3))
+        elif whole is None or not placed:
+            return [], f"{one.dive.given.name}: too few echoes to register it to other dives"
+        else:
+            found = [_placed(target, whole) for target in placed]
+            best = max(found, key=lambda one: one[1])
+            if isinstance(best[0], str):
+                return [], f"{one.dive.given.name}: {best[0]}"
+            frames.append(best[0])
+        if whole is not None:
+            at = frames[k]
+            placed.append(whole if not at.any() else _whole_map(one, at) or whole)
+    return frames, ""
+
+
+def _whole_map(one: _AloneDive, frame: Floats) -> Submap | None:
+    """The map of a whole dive at its aligned poses, moved by a planar transform."""
+    occupied: list[Floats] = []
+    free: list[Floats] = []
+    for submap, node in zip(one.dive.submaps, one.dive.of_submap, strict=True):
+        pose = compose(frame, one.solution.poses[node])
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        for voxels, points in ((submap.occupied, occupied), (submap.free, free)):
+            centres = (voxels + 0.5) * submap.resolution_m
+            points.append(centres @ turn.T + [pose[0], pose[1], 0.0])
+    if not sum(map(len, occupied)):
+        return None
+    resolution_m = one.dive.submaps[0].resolution_m
+    solid, empty = (_thinned(np.vstack(points), resolution_m) for points in (occupied, free))
+    return Submap(solid, empty, resolution_m)
+
+
+def _thinned(points_m: Floats, cell_m: float) -> Floats:
+    """One centre for each voxel that holds a point."""
+    voxels = np.unique(np.floor(points_m / cell_m).astype(np.int32), axis=0)
+    return np.ascontiguousarray((voxels + 0.5) * cell_m)
+
+
+def _placed(target: Submap, source: Submap) -> tuple[Floats | str, float]:
+    """Register two whole dives; return target_T_source, or why not, and the score."""
+    starts = search_poses(
+        target,
+        source,
+        np.zeros(3),
+        half_x_m=FRAME_HALF_M,
+        half_y_m=FRAME_HALF_M,
+        half_yaw_rad=FRAME_HALF_RAD,
+        step_m=FRAME_STEP_M,
+        step_yaw_rad=FRAME_STEP_RAD,
+        count=FRAME_CANDIDATES,
+    )
+    found = [register_submaps(target, source, pose) for pose, *_ in starts]
+    able = [one for one in found if one.matched >= MIN_FRAME_MATCHED]
+    able.sort(key=lambda one: -one.score * one.matched)
+    if not able or able[0].score < MIN_FRAME_SCORE:
+        return "its map fits that of no other dive", 0.0
+    best = able[0]
+    for other in able[1:]:
+        apart_m = float(np.hypot(*(other.pose - best.pose)[:2]))
+        rival = other.score * other.matched > FRAME_RIVAL_SHARE * best.score * best.matched
+        if apart_m > 1.0 and rival:
+            return "its map fits at two places alike", 0.0
+    return best.pose, best.score

@@ -304,7 +304,7 @@ class PoseGraph:
         x, y, yaw = step.motion
         turned = np.array([c * x - s * y, s * x + c * y])
         across = np.array([-turned[1], turned[0]])
-        drifted = np.array([*((1 + scale) * turned), yaw + turn * step.seconds])
+        drifted = np.append((1 + scale) * turned, yaw + turn * step.seconds)
         jacobians, residual = self._relative(k - 1, k, drifted)
         jacobians[0][:2, 3] -= turned
         jacobians[0][:2, 4] -= (1 + scale) * across
@@ -324,8 +324,8 @@ class PoseGraph:
         residual = np.array([x, y, b[2] - a[2]]) - measured
         residual[2] = math.remainder(residual[2], math.tau)
         of_i, of_j = np.zeros((3, STATES)), np.zeros((3, STATES))
-        of_i[:, :3] = [[-c, -s, y], [s, -c, -x], [0, 0, -1]]
-        of_j[:, :3] = [[c, s, 0], [-s, c, 0], [0, 0, 1]]
+        of_i[:, :3] = np.array([(-c, -s, y), (s, -c, -x), (0.0, 0.0, -1.0)])
+        of_j[:, :3] = np.array([(c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)])
         return [of_i, of_j], residual
 
     def covariance_of(self, i: int, others: Sequence[int]) -> Floats:
@@ -359,7 +359,8 @@ class PoseGraph:
         count = len(self._states)
         right = np.zeros((count * STATES, 3))
         right[i * STATES : i * STATES + 3] = np.eye(3)
-        return self._factor.solve(right).reshape(count, STATES, 3)[:, :3]
+        columns: Floats = self._factor.solve(right).reshape(count, STATES, 3)[:, :3]
+        return columns
 
 
 class _Normal:

@@ -32,8 +32,8 @@ GATE = 16.3
 SIGMAS = 2.5
 MIN_HALF_M, MAX_HALF_M = 0.6, 6.0
 LOOP_NOISE = np.array([0.8, 0.8, math.radians(2.0)])
-"""Standard deviations (m, m, rad) that predictions of revisits are widened by: one wrong registration
-must not hide the right ones."""
+"""Standard deviations (m, m, rad) that predictions of revisits are widened by: one wrong
+registration must not hide the right ones."""
 
 MAX_NEIGHBOUR_M = 0.8
 """Largest standard deviation, m, of a prediction between submaps that follow each other. What moves
@@ -64,6 +64,9 @@ different places, or different parts of it, disagree about its middle by some pe
 
 DEGENERATE_SHARE = 0.03
 """A direction with less of the largest curvature than this is left open by the scene."""
+
+NOTHING = 1e-6
+"""Information, 1/m2, below which a direction is open."""
 
 LEVER_M = 5.0
 """Distance at which a turn counts as a shift, to compare curvatures."""
@@ -103,11 +106,13 @@ class LoopFinder:
         submaps: all of them.
         nodes: index of the graph's node of each submap.
         threads: that register pairs at the same time; results do not depend on it.
+        dive_of: dive of each submap. With it only revisits between dives are sought.
     """
 
     submaps: Sequence[SonarSubmap]
     nodes: Sequence[int]
     threads: int = 2
+    dive_of: Sequence[int] = ()
     tried: int = 0
     rejected: dict[str, int] = field(default_factory=dict)
 
@@ -164,6 +169,8 @@ class LoopFinder:
 
     def _is_revisit(self, i: int, j: int) -> bool:
         a, b = self.submaps[i], self.submaps[j]
+        if self.dive_of:
+            return j > i and self.dive_of[i] != self.dive_of[j]
         return j > i and (b.begin_ns - a.end_ns) / 1e9 >= LOOP_S
 
     def _quality(self, i: int, j: int, predicted: Floats, covariance: Floats) -> float:
@@ -215,9 +222,7 @@ class LoopFinder:
             step_yaw_rad=STEP_RAD,
             count=CANDIDATES,
         )
-        prior = np.linalg.inv(
-            covariance + np.diag([FLOOR_M**2, FLOOR_M**2, FLOOR_RAD**2])
-        )
+        prior = np.linalg.inv(covariance + np.diag([FLOOR_M**2, FLOOR_M**2, FLOOR_RAD**2]))
         least = MIN_MATCHED_NEIGHBOUR if pair.neighbours else MIN_MATCHED
         found: list[tuple[float, Floats, Floats]] = []
         reason = "no_overlap"
@@ -287,7 +292,8 @@ def usable_information(
     floor_rad = math.hypot(FLOOR_RAD * growth, TURN_RAD * turn)
     floor = np.array([floor_m, floor_m, floor_rad * LEVER_M])
     floors_m2 = np.einsum("ik,i,ik->k", vectors, floor**2, vectors)
-    values = np.where(values > 1e-6, 1 / (1 / np.maximum(values, 1e-6) + floors_m2), 0.0)
+    known = np.maximum(values, NOTHING)
+    values = np.where(values > NOTHING, 1 / (1 / known + floors_m2), 0.0)
     back = np.linalg.inv(units)
     result: Floats = back @ (vectors * values) @ vectors.T @ back
     return result

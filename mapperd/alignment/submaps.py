@@ -1,8 +1,8 @@
 """Submaps of a dive: short pieces of odometry, mapped in frames of their own.
 
-Odometry is trusted over a few seconds. The pings of a piece make one small map in the levelled frame
-of its middle ping: x forward, y to port, z up and absolute. Depth, roll and pitch come from sensors,
-so submaps differ by x, y and yaw only.
+Odometry is trusted over a few seconds. The pings of a piece make one small map in the levelled
+frame of its middle ping: x forward, y to port, z up and absolute. Depth, roll and pitch come from
+sensors, so submaps differ by x, y and yaw only.
 """
 
 import math
@@ -24,8 +24,17 @@ from mapperd.pipeline.decoder import PosedPing
 from mapperd.pipeline.pose_lookup import OdometryPoses
 from mapperd.session.recordings import RecordedSession
 from mapperd.session.replay import Window, as_asked
+from oculus_driver.recording import Chunk
 
-__all__ = ["Correction", "DiveSubmaps", "DiveTrack", "SonarSubmap", "compose", "inverse", "read_submaps"]
+__all__ = [
+    "Correction",
+    "DiveSubmaps",
+    "DiveTrack",
+    "SonarSubmap",
+    "compose",
+    "inverse",
+    "read_submaps",
+]
 
 Floats = NDArray[np.float64]
 
@@ -143,7 +152,10 @@ class SonarSubmap:
 
     def build(self) -> Submap:
         """Return its distances and distributions, for registration."""
-        occupied, free = ((v + 0.5) * self.resolution_m for v in (self.occupied, self.free))
+        occupied, free = (
+            np.multiply(voxels + 0.5, self.resolution_m, dtype=np.float64)
+            for voxels in (self.occupied, self.free)
+        )
         return Submap(occupied, free, self.resolution_m)
 
 
@@ -323,7 +335,7 @@ def _submap_settings(config: Config) -> Config:
 
 def _read_along(
     session: RecordedSession, path: PathReader, progress: Callable[[float], None]
-) -> Iterator[object]:
+) -> Iterator[Chunk]:
     """Yield the chunks of a session, and read the path of what was decoded before each."""
     for chunk in session:
         path.advance(chunk.arrival_ns)

@@ -50,8 +50,8 @@ class Submap {
   double distance_of_voxel_m(const Vec3& point_m) const;
   /// Whether the voxel at a point was observed and is free.
   bool is_free(const Vec3& point_m) const;
-  /// Whether the voxel at a point was observed, or is so near to an occupied one. What lies beyond the
-  /// edge of the view has no partner, and must not be pulled to the edge.
+  /// Whether the voxel at a point was observed, or is so near to an occupied one. What lies beyond
+  /// the edge of the view has no partner, and must not be pulled to the edge.
   bool was_observed(const Vec3& point_m, double margin_m) const;
   /// Index of the nearest occupied voxel within `reach_m`; -1 without one.
   std::int32_t nearest(const Vec3& point_m, double reach_m) const;
@@ -110,12 +110,12 @@ std::vector<Candidate> search_poses(const Submap& target, const Submap& source,
 
 /// Result of a registration.
 struct Registration {
-  Pose2 pose;              ///< target_T_source
-  Matrix3 information{};   ///< of x, y (target axes, m) and yaw (rad): inverse of a covariance
-  Matrix3 curvature{};     ///< of the cost: singular along directions that the scene leaves open
-  Candidate fit;           ///< agreement at the pose
-  double residual_m = 0.0; ///< root mean square distance of matched points to their distribution
-  std::size_t pairs = 0;   ///< of points and distributions in the last step
+  Pose2 pose;               ///< target_T_source
+  Matrix3 information{};    ///< of x, y (target axes, m) and yaw (rad): inverse of a covariance
+  Matrix3 curvature{};      ///< of the cost: singular along directions that the scene leaves open
+  Candidate fit;            ///< agreement at the pose
+  double residual_m = 0.0;  ///< root mean square distance of matched points to their distribution
+  std::size_t pairs = 0;    ///< of points and distributions in the last step
   bool converged = false;
 };
 
