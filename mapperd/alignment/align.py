@@ -478,9 +478,7 @@ def _aligned_together(alone: list[_AloneDive], options: AlignOptions) -> Alignme
     rejected = dict(sorted(finder.rejected.items()))
     dive_of_node = np.repeat(np.arange(len(alone)), np.diff(first))
     between = [loop for loop in graph.loops if dive_of_node[loop.i] != dive_of_node[loop.j]]
-    reason = _judged_between(alone, dive_of_node, between) or next(
-        (f"{r.dives[0].name}: {r.reason}" for r in results if not r.corrected), ""
-    )
+    reason = _judged_together(alone, graph.loops, dive_of_node)
     figures = {
         "revisits_between_dives": float(len(between)),
         "revisits_between_dives_accepted": float(sum(loop.accepted for loop in between)),
@@ -517,20 +515,29 @@ def _anchors_of(
     return anchors
 
 
-def _judged_between(
-    alone: list[_AloneDive], dive_of_node: NDArray[np.intp], between: list[Loop]
+def _judged_together(
+    alone: list[_AloneDive], loops: Sequence[Loop], dive_of_node: NDArray[np.intp]
 ) -> str:
-    """Return why dives are not connected; empty if they are."""
-    for k, one in enumerate(alone[1:], start=1):
-        if one.dive.given.frame is not None:
+    """Return why the result of several dives must not be used; empty if it may."""
+    revisits = [loop for loop in loops if not loop.neighbours]
+    for k, one in enumerate(alone):
+        name = one.dive.given.name
+        own = [loop for loop in revisits if k in (dive_of_node[loop.i], dive_of_node[loop.j])]
+        accepted = sum(loop.accepted for loop in own)
+        if accepted < MIN_LOOPS and not one.graph.fixes:
+            return f"{name}: {accepted} revisits could be registered, and {MIN_LOOPS} are needed"
+        if accepted < MIN_ACCEPTED_SHARE * len(own):
+            contrary = len(own) - accepted
+            return f"{name}: {contrary} of {len(own)} revisits contradict the rest"
+        if k == 0 or one.dive.given.frame is not None or one.graph.fixes:
             continue
         accepted = sum(
-            loop.accepted and k in (dive_of_node[loop.i], dive_of_node[loop.j]) for loop in between
+            loop.accepted and dive_of_node[loop.i] != dive_of_node[loop.j] for loop in own
         )
         if accepted < MIN_BETWEEN_DIVES:
             return (
-                f"{one.dive.given.name}: {accepted} of its submaps could be registered to other "
-                f"dives, and {MIN_BETWEEN_DIVES} are needed"
+                f"{name}: {accepted} of its submaps could be registered to other dives, and "
+                f"{MIN_BETWEEN_DIVES} are needed"
             )
     return ""
 

@@ -1,0 +1,181 @@
+"""The pose graph against finite differences, dense algebra and cases with known answers."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mapperd.alignment.pose_graph import DriftModel, Loop, PoseGraph, PositionFix, Step
+from mapperd.alignment.submaps import compose, inverse
+
+Floats = NDArray[np.float64]
+
+MODEL = DriftModel()
+NODES = 33
+
+
+def circle(laps: float = 2.0, nodes: int = NODES) -> Floats:
+    """True poses on a circle of 8 m, looking along it."""
+    angle = np.linspace(0, 2 * math.pi * laps, nodes)
+    yaw = np.remainder(angle + math.pi / 2 + math.pi, 2 * math.pi) - math.pi
+    return np.column_stack([8 * np.cos(angle), 8 * np.sin(angle), yaw])
+
+
+def drifting(truth: Floats, scale: float, crab: float, turn_radps: float) -> list[Step | None]:
+    """Odometry whose error the model knows: dividing by it gives the truth."""
+    steps: list[Step | None] = [None]
+    for a, b in itertools.pairwise(truth):
+        true, seconds = compose(inverse(a), b), 8.0
+        angle = -(crab + turn_radps * seconds / 2)
+        c, s = math.cos(angle), math.sin(angle)
+        x, y = np.array([[c, -s], [s, c]]) @ true[:2] / (1 + scale)
+        motion = np.array([x, y, true[2] - turn_radps * seconds])
+        steps.append(Step(motion, seconds, float(np.hypot(x, y))))
+    return steps
+
+
+def reckoned(first: Floats, steps: list[Step | None]) -> Floats:
+    poses = [first]
+    for step in steps[1:]:
+        assert step is not None
+        poses.append(compose(poses[-1], step.motion))
+    return np.array(poses)
+
+
+def loop_of(truth: Floats, i: int, j: int, error: Floats | None = None) -> Loop:
+    relative = compose(inverse(truth[i]), truth[j])
+    if error is not None:
+        relative = relative + error
+    information = np.diag([1 / 0.05**2, 1 / 0.05**2, 1 / 0.01**2])
+    return Loop(i, j, relative[None], information[None], neighbours=False, scores=np.ones(1))
+
+
+def graph_of(truth: Floats, **drift: float) -> PoseGraph:
+    values = {"scale": 0.03, "crab": -0.02, "turn_radps": 0.0008} | drift
+    steps = drifting(truth, **values)
+    return PoseGraph(reckoned(truth[0], steps), steps, MODEL)
+
+
+def revisits(truth: Floats, lap: int = 16) -> list[Loop]:
+    return [loop_of(truth, i, i + lap) for i in range(0, len(truth) - lap, 2)]
+
+
+def rms_m(a: Floats, b: Floats) -> float:
+    return float(np.sqrt(((a - b)[:, :2] ** 2).sum(axis=1).mean()))
+
+
+def test_odometry_alone_stays_as_it_is() -> None:
+    graph = graph_of(circle())
+    assert np.allclose(graph.solve().poses, graph.start, atol=1e-6)
+
+
+def test_revisits_correct_the_drift() -> None:
+    truth = circle()
+    graph = graph_of(truth)
+    graph.loops = revisits(truth)
+    solution = graph.solve()
+    # Laps in one direction do not show their common scale.
+    assert rms_m(solution.poses, truth) < 0.5 * rms_m(graph.start, truth)
+    assert all(loop.accepted for loop in graph.loops)
+
+
+def test_drift_is_found_where_crossings_show_it() -> None:
+    truth = circle()
+    graph = graph_of(truth)
+    # Registrations of neighbours show all three errors.
+    graph.loops = [loop_of(truth, i, i + 1) for i in range(NODES - 1)]
+    drift = graph.solve().drift[4:-4].mean(axis=0)
+    assert drift == pytest.approx([0.03, -0.02, 0.0008], rel=0.25)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_wrong_revisits_are_refused(count: int) -> None:
+    truth = circle()
+    graph = graph_of(truth)
+    graph.loops = revisits(truth)
+    wrong = [loop_of(truth, 3 + k, 20 + k, np.array([2.5, -1.0, 0.3])) for k in range(count)]
+    graph.loops += wrong
+    solution = graph.solve()
+    assert not any(loop.accepted for loop in wrong)
+    assert rms_m(solution.poses, truth) < 0.5 * rms_m(graph.start, truth)
+
+
+def test_of_alternatives_the_one_that_fits_the_others_counts() -> None:
+    truth = circle()
+    graph = graph_of(truth)
+    graph.loops = revisits(truth)
+    right = loop_of(truth, 5, 21)
+    poses = np.stack([right.poses[0] + [3.0, 0.0, 0.0], right.poses[0]])
+    both = Loop(
+        5, 21, poses, np.repeat(right.information, 2, axis=0), neighbours=False, scores=np.ones(2)
+    )
+    graph.loops.append(both)
+    graph.solve()
+    assert both.chosen == 1
+    assert both.accepted
+
+
+def test_a_step_without_velocity_gives_way_to_revisits() -> None:
+    truth = circle()
+    steps = drifting(truth, 0.0, 0.0, 0.0)
+    broken = steps[7]
+    assert broken is not None
+    steps[7] = Step(broken.motion + np.array([1.5, -1.0, 0.0]), broken.seconds, broken.path_m)
+    graph = PoseGraph(reckoned(truth[0], steps), steps, MODEL)
+    graph.loops = [*revisits(truth), loop_of(truth, 5, 9), loop_of(truth, 6, 8)]
+    assert rms_m(graph.solve().poses, truth) < 0.4 * rms_m(graph.start, truth)
+
+
+def test_fixes_hold_positions() -> None:
+    truth = circle(0.8)
+    graph = graph_of(truth)
+    graph.fixes = [PositionFix(n, truth[n, :2], 0.1) for n in (8, 16, 24, NODES - 1)]
+    assert rms_m(graph.solve().poses, truth) < 0.35 * rms_m(graph.start, truth)
+
+
+def test_covariances_are_those_of_the_dense_inverse() -> None:
+    truth = circle(nodes=9)
+    graph = graph_of(truth)
+    graph.loops = [loop_of(truth, 0, 4), loop_of(truth, 1, 8)]
+    graph.solve()
+    own = graph.prepare_covariances()
+    dense = np.linalg.inv(graph._linearized().matrix().toarray())
+    for node in range(9):
+        block = slice(6 * node, 6 * node + 3)
+        assert np.allclose(own[node], dense[block, block], rtol=1e-5, atol=1e-9)
+    jacobian_a, jacobian_b = np.zeros((3, 3)), np.zeros((3, 3))
+    a, b = graph.poses[2].copy(), graph.poses[7].copy()
+    for k in range(3):
+        step = np.eye(3)[k] * 1e-6
+        jacobian_a[:, k] = (compose(inverse(a + step), b) - compose(inverse(a - step), b)) / 2e-6
+        jacobian_b[:, k] = (compose(inverse(a), b + step) - compose(inverse(a), b - step)) / 2e-6
+    places = [*range(12, 15), *range(42, 45)]
+    both = np.hstack([jacobian_a, jacobian_b])
+    expected = both @ dense[np.ix_(places, places)] @ both.T
+    assert np.allclose(graph.covariance_of(2, [7])[0], expected, rtol=1e-4, atol=1e-8)
+
+
+def test_jacobians_of_steps_are_their_differences() -> None:
+    graph = graph_of(circle(nodes=9))
+    rng = np.random.default_rng(3)
+    graph._states = graph._states + 0.05 * rng.standard_normal(graph._states.shape)
+    step = graph.steps[4]
+    assert step is not None
+    jacobians, _, _ = graph._of_step(4, step)
+    saved = graph._states.copy()
+    for node, jacobian in zip((3, 4), jacobians, strict=True):
+        for k in range(6):
+            ends = []
+            for sign in (1.0, -1.0):
+                graph._states = saved.copy()
+                graph._states[node, k] += sign * 1e-6
+                ends.append(graph._of_step(4, step)[1])
+            assert np.allclose((ends[0] - ends[1]) / 2e-6, jacobian[:, k], atol=1e-5)
+
+
+def test_compose_and_inverse_cancel() -> None:
+    rng = np.random.default_rng(1)
+    a, b = rng.uniform(-3, 3, (2, 50, 3))
+    assert np.allclose(compose(inverse(a), compose(a, b))[:, :2], b[:, :2])

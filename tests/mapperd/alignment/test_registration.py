@@ -1,0 +1,146 @@
+"""Registration of submaps against known displacements, and what it must not claim."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mapperd import _core
+from mapperd.alignment.registration import usable_information
+
+Floats = NDArray[np.float64]
+
+EDGE_M = 0.2
+
+
+def scene(kind: str = "room") -> Floats:
+    """Points of surfaces, dense."""
+    rng = np.random.default_rng(5)
+    z = rng.uniform(-2, 0, 6000)
+    along = rng.uniform(-6, 6, 6000)
+    if kind == "wall":
+        return np.column_stack([2 * along, np.full_like(along, 4.0), z])
+    wall = np.column_stack([along, np.full_like(along, 4.0), z])
+    side = np.column_stack([np.full_like(along, -5.0), along * 0.6, z])
+    angle = rng.uniform(0, 2 * math.pi, 3000)
+    pillars = [
+        np.column_stack([x + 0.5 * np.cos(angle), y + 0.5 * np.sin(angle), z[:3000]])
+        for x, y in ((1.0, 0.5), (3.5, -2.5), (-2.0, -1.5))
+    ]
+    return np.vstack([wall, side, *pillars])
+
+
+def submap(points: Floats, frame: Floats) -> _core.Submap:
+    """A submap in a frame whose pose in the scene is (x, y, yaw); all else around is free."""
+    c, s = math.cos(frame[2]), math.sin(frame[2])
+    moved = points - [frame[0], frame[1], 0.0]
+    local = np.column_stack([c * moved[:, 0] + s * moved[:, 1], -s * moved[:, 0] + c * moved[:, 1]])
+    voxels = np.floor(np.column_stack([local, points[:, 2]]) / EDGE_M).astype(int)
+    occupied = np.unique(voxels, axis=0)
+    low, high = occupied.min(axis=0) - [0, 2, 0], occupied.max(axis=0) + 1
+    grid = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), -1).reshape(-1, 3)
+    solid = set(map(tuple, occupied.tolist()))
+    free = np.array([v for v in grid if tuple(v.tolist()) not in solid])
+    return _core.Submap((occupied + 0.5) * EDGE_M, (free + 0.5) * EDGE_M, EDGE_M)
+
+
+def relative(a: Floats, b: Floats) -> Floats:
+    c, s = math.cos(a[2]), math.sin(a[2])
+    dx, dy = (b - a)[:2]
+    return np.array([c * dx + s * dy, -s * dx + c * dy, b[2] - a[2]])
+
+
+@pytest.mark.parametrize(
+    "start",
+    [(0.0, 0.0, 0.0), (0.5, -0.4, 0.05), (-0.6, 0.3, -0.08)],
+)
+def test_a_known_displacement_is_found(start: tuple[float, float, float]) -> None:
+    a, b = np.array([0.3, -0.2, 0.1]), np.array([1.1, 0.6, -0.25])
+    true = relative(a, b)
+    found = _core.register_submaps(submap(scene(), a), submap(scene(), b), true + np.array(start))
+    assert found.converged
+    assert np.hypot(*(found.pose - true)[:2]) < 0.05
+    assert abs(found.pose[2] - true[2]) < math.radians(0.5)
+    assert found.matched > 0.8
+
+
+def test_the_search_finds_the_place_in_its_window() -> None:
+    a, b = np.zeros(3), np.array([2.0, -1.5, 0.2])
+    candidates = _core.search_poses(
+        submap(scene(), a),
+        submap(scene(), b),
+        np.zeros(3),
+        half_x_m=3.0,
+        half_y_m=3.0,
+        half_yaw_rad=0.4,
+        step_m=0.4,
+        step_yaw_rad=0.05,
+        count=3,
+    )
+    best = candidates[0][0]
+    assert np.hypot(*(best - relative(a, b))[:2]) < 0.6
+    scores = [score for _, score, _, _ in candidates]
+    assert scores == sorted(scores, reverse=True)
+
+
+def test_free_space_contradicts_and_unknown_space_does_not() -> None:
+    whole = submap(scene(), np.zeros(3))
+    edge = (np.array([[40.0, 40.0, -1.0], [40.2, 40.0, -1.0]])) + 0.1
+    elsewhere = _core.Submap(edge, np.zeros((0, 3)), EDGE_M)
+    _, _, _, away = _core.compare_submaps(whole, elsewhere, np.zeros(3), scale_m=0.2, points=100)
+    assert away == 0.0
+    inside = _core.Submap(edge - np.array([40.0, 40.0, 0.0]), np.zeros((0, 3)), EDGE_M)
+    _, _, _, within = _core.compare_submaps(whole, inside, np.zeros(3), scale_m=0.2, points=100)
+    assert within > 0.0
+
+
+def test_a_wall_leaves_its_own_direction_open() -> None:
+    a, b = np.zeros(3), np.array([0.5, 0.3, 0.0])
+    wall = scene("wall")
+    seen = [submap(wall[np.abs(wall[:, 0] - frame[0]) < 5], frame) for frame in (a, b)]
+    found = _core.register_submaps(*seen, relative(a, b))
+    information = usable_information(
+        found.information, found.curvature, found.matched, float(found.pose[2])
+    )
+    across, along = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    assert along @ information @ along < 0.05 * (across @ information @ across)
+    assert across @ information @ across > 50
+
+
+def test_less_overlap_gives_less_information() -> None:
+    full = usable_information(1e6 * np.eye(3), np.eye(3) * [1, 1, 25], 0.9, 0.0)
+    part = usable_information(1e6 * np.eye(3), np.eye(3) * [1, 1, 25], 0.4, 0.0)
+    turned = usable_information(1e6 * np.eye(3), np.eye(3) * [1, 1, 25], 0.9, 1.5)
+    for less in (part, turned):
+        assert np.all(np.diag(less) < 0.5 * np.diag(full))
+
+
+def test_bad_submaps_are_refused() -> None:
+    one = np.zeros((1, 3))
+    for occupied, free, edge_m in (
+        (np.zeros((0, 3)), one, 0.2),
+        (one, one, 0.0),
+        (np.full((1, 3), np.nan), one, 0.2),
+        (np.array([[0.0, 0.0, 0.0], [1e6, 1e6, 1e6]]), one, 0.2),
+        (np.full((1, 3), 1e300), one, 0.2),
+    ):
+        with pytest.raises(ValueError, match=r"submap|centre|resolution"):
+            _core.Submap(occupied, free, edge_m)
+
+
+def test_windows_without_end_are_refused() -> None:
+    whole = submap(scene(), np.zeros(3))
+    for half_m, step_m in ((math.inf, 0.4), (1.0, 0.0), (1e4, 0.1), (math.nan, 0.4)):
+        with pytest.raises(ValueError, match="window"):
+            _core.search_poses(
+                whole,
+                whole,
+                np.zeros(3),
+                half_x_m=half_m,
+                half_y_m=half_m,
+                half_yaw_rad=0.1,
+                step_m=step_m,
+                step_yaw_rad=0.05,
+                count=1,
+            )
