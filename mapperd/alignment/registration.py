@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd._core import Submap, register_submaps, search_poses
+from mapperd._core import Registration, Submap, compare_submaps, register_submaps, search_poses
 from mapperd.alignment.pose_graph import Loop, PoseGraph
 from mapperd.alignment.submaps import SonarSubmap, compose, inverse
 
@@ -62,8 +62,9 @@ exponentially as the matched share falls below `FULL_SHARE`, and by so much for 
 the headings: echoes of unknown elevation are spread over arcs, and submaps that see a thing from
 different places, or different parts of it, disagree about its middle by some percent."""
 
-DEGENERATE_SHARE = 0.03
-"""A direction with less of the largest curvature than this is left open by the scene."""
+PROBE_M, PROBE_POINTS = 0.5, 800
+OPEN_FALL = 0.04
+"""A direction along which the agreement falls by less than this share over `PROBE_M` is open."""
 
 NOTHING = 1e-6
 """Information, 1/m2, below which a direction is open."""
@@ -239,9 +240,7 @@ class LoopFinder:
             if squared > GATE:
                 reason = "far_from_prediction"
                 continue
-            information = usable_information(
-                result.information, result.curvature, result.matched, float(result.pose[2])
-            )
+            information = usable_information(target, source, result)
             if not information.any():
                 reason = "degenerate"
                 continue
@@ -267,33 +266,43 @@ def _alike(a: Floats, b: Floats) -> bool:
     return math.dist(a[:2], b[:2]) < APART_M and turn < APART_RAD
 
 
-def usable_information(
-    information: Floats, curvature: Floats, matched: float, turn: float
-) -> Floats:
-    """Return the information without directions that the scene leaves open, and with the floor.
+def usable_information(target: Submap, source: Submap, result: Registration) -> Floats:
+    """Return a registration's information without directions that the scene leaves open.
+
+    Along an open direction, such as that of a straight wall, the submaps agree as well half a metre
+    further. The agreement tells more than the curvature, which voxels alone give to any direction.
 
     Args:
-        information: (3, 3) of x, y and yaw.
-        curvature: (3, 3) of the registration's cost.
-        matched: share of the submaps' points that have partners.
-        turn: yaw between the submaps, rad.
+        target: as registered.
+        source: as registered.
+        result: of the registration.
 
     Returns:
-        (3, 3); all zeros if no direction is left.
+        (3, 3) of x, y and yaw, with the standard deviation of every registration added; all zeros
+        if no direction is left.
     """
     units = np.diag([1.0, 1.0, 1.0 / LEVER_M])
-    values, vectors = np.linalg.eigh(units @ curvature @ units)
-    held = vectors[:, values > DEGENERATE_SHARE * max(values[-1], 1e-12)]
-    onto = held @ held.T
-    scaled = onto @ (units @ information @ units) @ onto
-    values, vectors = np.linalg.eigh(scaled)
-    growth = math.exp(UNMATCHED_GROWTH * max(FULL_SHARE - matched, 0.0))
+    _, directions = np.linalg.eigh(units @ result.curvature @ units)
+    here = compare_submaps(target, source, result.pose, scale_m=0.2, points=PROBE_POINTS)[1]
+    held = np.zeros((3, 3))
+    for direction in directions.T:
+        step = units @ direction * PROBE_M
+        ends = (result.pose + step, result.pose - step)
+        there = [
+            compare_submaps(target, source, end, scale_m=0.2, points=PROBE_POINTS)[1]
+            for end in ends
+        ]
+        if here - sum(there) / 2 > OPEN_FALL * here:
+            held += np.outer(direction, direction)
+    growth = math.exp(UNMATCHED_GROWTH * max(FULL_SHARE - result.matched, 0.0))
+    turn = abs(float(result.pose[2]))
     floor_m = math.hypot(FLOOR_M * growth, TURN_M * turn)
     floor_rad = math.hypot(FLOOR_RAD * growth, TURN_RAD * turn)
     floor = np.array([floor_m, floor_m, floor_rad * LEVER_M])
+    values, vectors = np.linalg.eigh(held @ (units @ result.information @ units) @ held)
     floors_m2 = np.einsum("ik,i,ik->k", vectors, floor**2, vectors)
     known = np.maximum(values, NOTHING)
     values = np.where(values > NOTHING, 1 / (1 / known + floors_m2), 0.0)
     back = np.linalg.inv(units)
-    result: Floats = back @ (vectors * values) @ vectors.T @ back
-    return result
+    information: Floats = back @ (vectors * values) @ vectors.T @ back
+    return information
