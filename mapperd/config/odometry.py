@@ -23,6 +23,7 @@ from mapperd.config.field import rule
 __all__ = [
     "FIXED",
     "NOBODY",
+    "SONAR",
     "DeadReckoningConfig",
     "FormatName",
     "FormatSettings",
@@ -32,6 +33,7 @@ __all__ = [
     "OdometryFusionConfig",
     "OwnersConfig",
     "SlamQualityConfig",
+    "SonarOdometryConfig",
     "TimeSyncConfig",
     "WorldInitConfig",
     "parse_address",
@@ -371,6 +373,31 @@ class OdometrySourceConfig(FormatSettings, frozen=True, forbid_unknown_fields=Tr
         parse_address(self.link)
 
 
+SONAR = "sonar"
+"""Name of the source that sonar odometry is."""
+
+
+class SonarOdometryConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """Velocity over ground from consecutive pings, for a vehicle without a DVL."""
+
+    enabled: Annotated[
+        bool,
+        rule(
+            "Measure surge, sway and, if `owners.attitude` is `sonar`, yaw. The source is called "
+            "`sonar`."
+        ),
+    ] = False
+    max_speed: Annotated[
+        float,
+        rule(
+            "Maximum speed of the vehicle; more of it finds more false matches.",
+            "m/s",
+            gt=0,
+            le=5,
+        ),
+    ] = 1.5
+
+
 class OdometryFusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Fusion of the sources' records into one pose."""
 
@@ -381,6 +408,7 @@ class OdometryFusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     owners: OwnersConfig = OwnersConfig()
     limits: LimitsConfig = LimitsConfig()
     dead_reckoning: DeadReckoningConfig = DeadReckoningConfig()
+    sonar: SonarOdometryConfig = SonarOdometryConfig()
     at_jump: Annotated[
         Literal["continue", "follow"],
         rule(
@@ -427,6 +455,12 @@ class OdometryFusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
                 raise ValueError(f"a source cannot be called {word!r}: the owners have this word")
         if len(set(names)) < len(names):
             raise ValueError(f"two sources share a name: {', '.join(names)}; allowed: one each")
+        if self.sonar.enabled:
+            if SONAR in names:
+                raise ValueError(
+                    f"a source cannot be called {SONAR!r} while odometry.sonar is enabled"
+                )
+            names = [*names, SONAR]
         for quantity in ("position", "attitude", "depth", "velocity"):
             owner = getattr(self.owners, quantity)
             words = (NOBODY, FIXED) if quantity == "position" else (NOBODY,)

@@ -4,13 +4,20 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from mapperd.config.odometry import FormatSettings, OdometrySourceConfig, parse_address
+from mapperd.config.odometry import SONAR, FormatSettings, OdometrySourceConfig, parse_address
 from mapperd.config.tree import Config
-from mapperd.errors import ConfigError, Reject
+from mapperd.errors import ConfigError, MapError, Reject
+from mapperd.imaging.ping_image import ping_image_of
 from mapperd.odometry.decoder import Decoder
 from mapperd.odometry.formats import make_decoder
 from mapperd.odometry.fusion import Fusion, FusionState
 from mapperd.odometry.records import Odometry
+from mapperd.odometry.sonar_odometry import (
+    SonarOdometry,
+    SonarOdometryState,
+    sonar_odometry,
+)
+from oculus_driver.ping import Ping
 
 __all__ = ["ENCODING_PREFIX", "BridgeState", "OdometryBridge", "encoding_of"]
 
@@ -31,12 +38,16 @@ class BridgeState(NamedTuple):
         unreadable: number of pieces without a decoder, by link.
         accepted: as in `OdometryBridge`.
         fusion: state of the fusion.
+        sonar: state of the sonar odometry; None without one.
+        sonar_records: number of its records.
     """
 
     decoders: dict[str, tuple[str | None, Any]]
     unreadable: dict[str, int]
     accepted: int
     fusion: FusionState
+    sonar: SonarOdometryState | None = None
+    sonar_records: int = 0
 
 
 class OdometryBridge:
@@ -48,6 +59,7 @@ class OdometryBridge:
     Attributes:
         fusion: combines the records.
         accepted: number of records of which anything was used.
+        sonar: sonar odometry, if enabled.
     """
 
     def __init__(self, config: Config) -> None:
@@ -63,6 +75,10 @@ class OdometryBridge:
             config.world_init,
             {name: source.latency_sec for name, source in self._sources.items()},
         )
+        self.sonar: SonarOdometry | None = sonar_odometry(config)
+        self._sonar_config = config.sonar
+        self._sonar_heads = config.odometry.owners.attitude == SONAR
+        self._sonar_records = 0
 
     def feed(
         self,
@@ -98,20 +114,64 @@ class OdometryBridge:
             ):
                 self.accepted += 1
 
+    def reconfigure(self, config: Config) -> None:
+        """Use other settings from now on; they differ only in what may change while running."""
+        self.fusion.reconfigure(config.odometry, config.time_sync, config.slam_quality)
+        if self.sonar is not None:
+            self.sonar.reconfigure(config)
+
+    def awaits_attitude(self, t_ns: int) -> bool:
+        """Whether a ping of that time cannot be registered yet."""
+        return not (self._sonar_heads or self.fusion.has_attitude(t_ns))
+
+    def register(self, ping: Ping, t_ns: int) -> None:
+        """Measure the motion up to a ping, and fuse it as a record of the source `sonar`.
+
+        Args:
+            ping: later than all before.
+            t_ns: its time, host clock.
+        """
+        if self.sonar is None:
+            return
+        try:
+            image = ping_image_of(ping, self._sonar_config)
+        except MapError as error:
+            self.sonar.skip(Reject(error.reason, str(error)))
+            return
+        attitude = None if self._sonar_heads else self.fusion.attitude_at(t_ns)
+        if isinstance(attitude, Reject):
+            self.sonar.skip(attitude)
+            return
+        for record in self.sonar.records(image, t_ns, attitude):
+            self._sonar_records += 1
+            # Its stamps are of the host's clock already.
+            if self.fusion.take(SONAR, record, record.stamp_ns) is None:
+                self.accepted += 1
+
     def state(self) -> BridgeState:
         """Return the state for `restore`."""
         decoders = {
             link: (self._encodings[link], decoder.state())
             for link, decoder in self._decoders.items()
         }
-        return BridgeState(decoders, dict(self._unreadable), self.accepted, self.fusion.state())
+        return BridgeState(
+            decoders,
+            dict(self._unreadable),
+            self.accepted,
+            self.fusion.state(),
+            None if self.sonar is None else self.sonar.state(),
+            self._sonar_records,
+        )
 
     def restore(self, state: BridgeState) -> None:
         """Restore the state of a bridge with the same settings.
 
         Raises:
-            ValueError: a format cannot be decoded here, or the state is of another format.
+            ValueError: a format cannot be decoded here, or the state is of another format or of
+                other settings of the sonar odometry.
         """
+        if (self.sonar is None) != (state.sonar is None):
+            raise ValueError("the state is of other settings of odometry.sonar")
         for link, (encoding, inner) in state.decoders.items():
             decoder = self._decoder(link, encoding)
             if decoder is None:
@@ -121,6 +181,9 @@ class OdometryBridge:
         self._unreadable = Counter(state.unreadable)
         self.accepted = state.accepted
         self.fusion.restore(state.fusion)
+        if self.sonar is not None and state.sonar is not None:
+            self.sonar.restore(state.sonar)
+        self._sonar_records = state.sonar_records
 
     @staticmethod
     def _decoded(
@@ -136,7 +199,7 @@ class OdometryBridge:
     @property
     def received(self) -> int:
         """Number of received records, valid or not."""
-        return sum(
+        return self._sonar_records + sum(
             decoder.counters.records + decoder.counters.rejects.total()
             for decoder in self._decoders.values()
         )
@@ -169,7 +232,10 @@ class OdometryBridge:
             }
             for name, decoder in self._decoders.items()
         }
-        return {"links": links, "unreadable": dict(self._unreadable), **self.fusion.status()}
+        status = {"links": links, "unreadable": dict(self._unreadable), **self.fusion.status()}
+        if self.sonar is not None:
+            status["sonar"] = self.sonar.status()
+        return status
 
     def _decoder(self, link: str, encoding: str | None) -> Decoder | None:
         source = self._sources.get(link)

@@ -46,8 +46,8 @@ __all__ = ["FusedPose", "Fusion", "FusionState", "PathReader"]
 Floats = NDArray[np.float64]
 
 NO_POSITION = (
-    "the odometry has neither position nor velocity so far: add a DVL, or map from one spot with "
-    "odometry.owners.position: fixed"
+    "the odometry has neither position nor velocity so far: add a DVL, set odometry.sonar.enabled, "
+    "or map from one spot with odometry.owners.position: fixed"
 )
 
 
@@ -211,6 +211,15 @@ class Fusion:
         if position is not None and t_ns - position.t_ns <= self._reach.max_gap_ns:
             return is_settled(self._in.position.series, t_ns, self._reach)
         return way is not None and way.t_ns >= t_ns
+
+    def has_attitude(self, t_ns: int) -> bool:
+        """Whether later records cannot improve the attitude at a time."""
+        return is_settled(self._in.attitude.series, t_ns, self._reach)
+
+    def attitude_at(self, t_ns: int) -> Floats | Reject:
+        """Return map_q_base (4,) at a time, before levelling, or why it is unknown."""
+        attitude = value_at(self._in.attitude.series, t_ns, self._reach, ATTITUDE)
+        return attitude if isinstance(attitude, Reject) else attitude.value.map_q_base
 
     def at(self, t_ns: int) -> FusedPose | Reject:
         """Return the vehicle's state at a time, or why it is unknown."""

@@ -13,7 +13,14 @@ from typing import Any, Protocol
 
 import msgspec
 
-from mapperd.config.odometry import FIXED, NOBODY, OwnersConfig, WorldInitConfig
+from mapperd.config.odometry import (
+    FIXED,
+    NOBODY,
+    SONAR,
+    OwnersConfig,
+    SonarOdometryConfig,
+    WorldInitConfig,
+)
 from mapperd.config.tree import Config
 from mapperd.odometry.bridge import ENCODING_PREFIX
 from mapperd.odometry.ros_bag import RosPoses, is_ros_bag
@@ -247,17 +254,24 @@ class OdometryFiles:
         """Return the settings for the poses.
 
         Owners are links of the files. Finished poses are used unchanged: without levelling,
-        continuation at jumps, or a confidence gate.
+        continuation at jumps, sonar odometry, or a confidence gate.
         """
         replace = msgspec.structs.replace
         if all(file.is_finished for file in self.files):
             return replace(
                 config,
-                odometry=replace(config.odometry, owners=OwnersConfig(), at_jump="follow"),
+                odometry=replace(
+                    config.odometry,
+                    owners=OwnersConfig(),
+                    at_jump="follow",
+                    sonar=SonarOdometryConfig(),
+                ),
                 slam_quality=replace(config.slam_quality, fail_mode="open"),
                 world_init=WorldInitConfig(),
             )
         owners, kept = config.odometry.owners, {"", NOBODY, FIXED, *self.links}
+        if config.odometry.sonar.enabled:
+            kept.add(SONAR)
         others = {key: "" for key in owners.__struct_fields__ if getattr(owners, key) not in kept}
         return replace(config, odometry=replace(config.odometry, owners=replace(owners, **others)))
 

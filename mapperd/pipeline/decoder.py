@@ -421,7 +421,7 @@ class SessionDecoder:
             return
         placed_ns = ping_time_ns(ping) if t_ns is None else t_ns
         self._tickets.append(_Ticket(number, complete_ns, placed_ns, damaged))
-        self.poses.add_ping(ping, placed_ns)
+        self.poses.add_ping(ping, placed_ns, damaged=damaged)
 
     def reconfigure(self, config: Config) -> None:
         """Decode the following chunks with other settings."""

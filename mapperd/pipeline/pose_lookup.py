@@ -52,12 +52,14 @@ class PoseLookupState(NamedTuple):
         odometry: of the bridge; None where the vehicle stands still.
         fixed: position (3,) and orientation (4,) of a vehicle that stands still.
         ignored: pieces of odometry that it ignored.
+        unregistered: newest pings that sonar odometry has not used yet, and whether it may.
     """
 
     pings: list[tuple[list[Any], int | None]]
     odometry: BridgeState | None = None
     fixed: tuple[Floats, Floats] | None = None
     ignored: int = 0
+    unregistered: list[bool] | None = None
 
 
 class PoseLookup(Protocol):
@@ -75,15 +77,17 @@ class PoseLookup(Protocol):
         """Use other settings from now on, for waiting pings too.
 
         Args:
-            config: differs from the present one in settings of `ODOMETRY_FOLLOWS` only.
+            config: differs from the present one in settings of `ODOMETRY_FOLLOWS`; sonar odometry
+                also follows the mounting.
         """
 
-    def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:
+    def add_ping(self, ping: Ping, t_ns: int | None = None, *, damaged: bool = False) -> None:
         """Add a ping.
 
         Args:
             ping: of the sonar.
             t_ns: when the sound reached the middle of the image; None derives it from the arrival.
+            damaged: its image may be wrong.
         """
 
     def add_odometry(
@@ -168,7 +172,13 @@ class FixedPose:
     def reconfigure(self, config: Config) -> None:
         """Do nothing: no setting changes a fixed pose."""
 
-    def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:  # noqa: ARG002 any time
+    def add_ping(
+        self,
+        ping: Ping,
+        t_ns: int | None = None,  # noqa: ARG002 any time
+        *,
+        damaged: bool = False,  # noqa: ARG002 the image is not read
+    ) -> None:
         """Add a ping."""
         self._pings.append(ping)
 
@@ -231,6 +241,7 @@ class OdometryPoses:
         self._timeout_ns = _timeout_ns(config.time_sync)
         self._pings: deque[tuple[Ping, int | None]] = deque()
         self._waiting_bytes = 0
+        self._unregistered: deque[bool] = deque()
 
     @property
     def waiting_bytes(self) -> int:
@@ -245,12 +256,14 @@ class OdometryPoses:
     def reconfigure(self, config: Config) -> None:
         """Use other settings from now on, for waiting pings too."""
         self._timeout_ns = _timeout_ns(config.time_sync)
-        self.odometry.fusion.reconfigure(config.odometry, config.time_sync, config.slam_quality)
+        self.odometry.reconfigure(config)
 
-    def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:
+    def add_ping(self, ping: Ping, t_ns: int | None = None, *, damaged: bool = False) -> None:
         """Add a ping."""
         self._pings.append((ping, ping_time_ns(ping) if t_ns is None else t_ns))
         self._waiting_bytes += ping.image.nbytes
+        if self.odometry.sonar is not None:
+            self._unregistered.append(not damaged)
 
     def add_odometry(
         self,
@@ -277,6 +290,7 @@ class OdometryPoses:
         self, now_ns: int | None, *, final: bool = False
     ) -> Iterator[tuple[Ping, FusedPose | Reject]]:
         """Yield the pings that odometry encloses, and those that have waited long enough."""
+        self._register(now_ns, final=final)
         while self._pings and (final or self._is_ripe(self._pings[0][1], now_ns)):
             ping, t_ns = self._pings.popleft()
             self._waiting_bytes -= ping.image.nbytes
@@ -285,7 +299,11 @@ class OdometryPoses:
     def state(self) -> PoseLookupState:
         """As `PoseLookup.state`."""
         pings = [(_fields_of(ping), t_ns) for ping, t_ns in self._pings]
-        return PoseLookupState(pings, odometry=self.odometry.state())
+        return PoseLookupState(
+            pings,
+            odometry=self.odometry.state(),
+            unregistered=list(self._unregistered) or None,
+        )
 
     def restore(self, state: PoseLookupState) -> None:
         """As `PoseLookup.restore`."""
@@ -294,11 +312,29 @@ class OdometryPoses:
         self.odometry.restore(state.odometry)
         self._pings = deque((_ping_of(values), t_ns) for values, t_ns in state.pings)
         self._waiting_bytes = sum(ping.image.nbytes for ping, _ in self._pings)
+        self._unregistered = deque(state.unregistered or ())
+
+    def _register(self, now_ns: int | None, *, final: bool) -> None:
+        """Feed sonar odometry with the pings whose attitude is known, in their order.
+
+        Its velocities up to a ping lie before the ping: the ping then waits for the next one.
+        """
+        while self._unregistered:
+            ping, t_ns = self._pings[len(self._pings) - len(self._unregistered)]
+            waits = not (final or self._overdue(t_ns, now_ns))
+            if waits and t_ns is not None and self.odometry.awaits_attitude(t_ns):
+                return
+            if self._unregistered.popleft() and t_ns is not None:
+                self.odometry.register(ping, t_ns)
 
     def _is_ripe(self, t_ns: int | None, now_ns: int | None) -> bool:
-        if t_ns is None or self._waiting_bytes > MAX_WAITING_BYTES:
+        if t_ns is None or self._overdue(t_ns, now_ns):
             return True
-        if self.odometry.fusion.ready(t_ns):
+        return self.odometry.fusion.ready(t_ns)
+
+    def _overdue(self, t_ns: int | None, now_ns: int | None) -> bool:
+        """Whether a ping must not wait any longer."""
+        if t_ns is None or self._waiting_bytes > MAX_WAITING_BYTES:
             return True
         # A stamp far ahead of the clock is wrong: later pings must not wait for it.
         return now_ns is not None and abs(now_ns - t_ns) > self._timeout_ns

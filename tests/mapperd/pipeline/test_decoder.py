@@ -147,7 +147,7 @@ def test_a_ping_that_comes_late_is_of_the_time_when_it_was(ping: Callable[..., P
     times_ns: list[int | None] = []
 
     class Poses(FixedPose):
-        def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:
+        def add_ping(self, ping: Ping, t_ns: int | None = None, *, damaged: bool = False) -> None:
             times_ns.append(t_ns)
             super().add_ping(ping)
 
