@@ -140,7 +140,7 @@ ANY = '""'
 FIXED = "fixed # the vehicle stays at one spot: x and y are 0, attitude and depth are measured"
 MAYBE_FIXED = """\
   # Without a position, pings are recorded and shown, not mapped. A vehicle that stays at one spot
-  # maps with owners.position: fixed
+  # maps with owners.position: fixed; one near walls, piles or wrecks with sonar: {enabled: true}
 """
 
 
@@ -478,7 +478,7 @@ def _next_steps(
         if setup.dvl == "none" and not setup.fixed:
             lines.append(
                 "without a DVL or another position, pings are recorded and shown, not mapped; "
-                "--fixed maps from one spot"
+                "--fixed maps from one spot, odometry.sonar.enabled near walls, piles or wrecks"
             )
     lines += ["next:", f"  mapperd doctor{command}"]
     lines += [

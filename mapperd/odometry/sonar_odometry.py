@@ -56,7 +56,7 @@ MIN_BLOCKS = 4.0
 MIN_PEAK, MIN_FIRST_PEAK = 7.0, 12.0
 """Minimum height of the peak over the surface's standard deviation; noise reaches 5.
 
-The second one holds where no velocity narrows the search.
+The second one holds after silence, where the search is wide.
 """
 
 MAX_SIDE_PEAK = 0.75
@@ -73,6 +73,9 @@ KEY_SHIFT, KEY_TURN_RAD = 0.06, math.radians(12.0)
 
 KEY_AGE_NS = 1_000_000_000
 """After so long without a registration the next ping becomes the keyframe."""
+
+MAX_DEPRESSION_RAD = math.radians(45.0)
+"""A sonar that looks down farther sees no horizontal plane."""
 
 ACCELERATION_MPS2, SPEED_CHANGE_MPS = 0.3, 0.2
 """Maximum change of a known velocity: at once, and with time."""
@@ -269,18 +272,33 @@ class _Plane:
         amplitude = np.abs(waves) ** WHITENING
         return waves * self._low_pass / (amplitude + 0.03 * float(amplitude.mean()) + 1e-12)
 
+    def centre_m(self, image: Floats) -> Floats:
+        """Return the middle (2,) of the squares of an image."""
+        squares = image * image
+        total = float(squares.sum()) + 1e-12
+        ahead = float(squares.sum(axis=1) @ self._forward)
+        return np.array([ahead, float(squares.sum(axis=0) @ self._port)]) / total
+
     def picture(self, waves: NDArray[np.complex128]) -> Floats:
         """Return the inverse transform."""
         return np.asarray(np.fft.irfft2(waves, s=self.shape))
 
 
 class _View(NamedTuple):
-    """A keyframe on its plane: image, weight of each cell, whitened transform."""
+    """A keyframe on its plane.
+
+    Attributes:
+        plane: the plane.
+        image, weight: of each cell.
+        waves: whitened transform.
+        centre_m: (2,) middle of the texture.
+    """
 
     plane: _Plane
     image: Floats
     weight: Floats
     waves: NDArray[np.complex128]
+    centre_m: Floats
 
 
 class _Fit(NamedTuple):
@@ -426,6 +444,8 @@ class SonarOdometry:
             self._newest_ns = t_ns
             return Reject("back_in_time", "the ping is not newer than the one before")
         self._newest_ns = t_ns
+        if self._depression_rad > MAX_DEPRESSION_RAD:
+            return Reject("looks_down", "the sonar sees no horizontal plane: mounting.orientation")
         known = self._key is not None and self._last is not None
         yaw = 0.0
         if q is None and known:
@@ -491,7 +511,8 @@ class SonarOdometry:
             range_m = len(key.image) * key.row_m
             plane = _Plane(key.bearings_rad, range_m, self._depression_rad)
             image, weight = plane.seen(key, key.lean)
-            self._seen = _View(plane, image, weight, plane.whitened(image, weight))
+            waves, centre_m = plane.whitened(image, weight), plane.centre_m(image * weight)
+            self._seen = _View(plane, image, weight, waves, centre_m)
         return self._seen
 
     def _registered(self, frame: KeyState, t_ns: int, *, searching: bool) -> "_Fit | Reject":
@@ -501,7 +522,8 @@ class SonarOdometry:
         assert last is not None  # noqa: S101
         view = self._view()
         plane = view.plane
-        least = MIN_PEAK if self._velocity is not None else MIN_FIRST_PEAK
+        follows = self._velocity is not None and self._missed == 1
+        least = MIN_PEAK if follows else MIN_FIRST_PEAK
         lean = _turn(frame.sonar_yaw_rad - key.sonar_yaw_rad) @ frame.lean
         window = self._window(frame, (t_ns - last.t_ns) / 1e9, plane.cell_m)
         steps = range(-YAW_STEPS, YAW_STEPS + 1) if searching else (0,)
@@ -512,24 +534,28 @@ class SonarOdometry:
         if peak.side > MAX_SIDE_PEAK:
             return Reject("ambiguous", "two shifts explain the images about as well")
         shift_m = peak.cells * plane.cell_m
-        turned = (turn_rad, 0.0)
+        turn_variance, arm_m = 0.0, np.zeros(2)
         if searching:
             found = _turned(view, frame, lean, turn_rad, shift_m)
             if found is None:
                 return Reject("ambiguous", "no turn explains the images best")
-            turned = found
+            turn_rad, turn_variance, shift_m = found
+            arm_m = view.centre_m - shift_m
         # Aligned, both images show the same part of the scene under the same weight: the edges of
         # the fan, which move with the sonar, no longer pull the shift to zero.
-        blocks, height = _agreement(view, *plane.seen(frame, _turn(turned[0]) @ lean, shift_m))
+        blocks, height = _agreement(view, *plane.seen(frame, _turn(turn_rad) @ lean, shift_m))
         fitted = _fitted(blocks)
         if fitted is None or height < least:
             return Reject("no_texture", "the aligned images do not agree")
         shift_m = shift_m + fitted[0] * plane.cell_m
-        covariance_m2 = fitted[1] * plane.cell_m**2
+        # A turn that is too large swings the sonar about the middle of the texture.
+        swing_m = np.array([-arm_m[1], arm_m[0]])
+        swung_m2 = turn_variance * np.outer(swing_m, swing_m)
+        covariance_m2 = fitted[1] * plane.cell_m**2 + swung_m2
         limit_m = MAX_STD * CELLS * plane.cell_m
         if float(np.linalg.eigvalsh(covariance_m2)[-1]) > limit_m**2:
             return Reject("uncertain", "parts of the images disagree, or lack texture one way")
-        return _Fit(shift_m, covariance_m2, *turned, height)
+        return _Fit(shift_m, covariance_m2, turn_rad, turn_variance, height)
 
     def _window(self, frame: KeyState, seconds: float, cell_m: float) -> tuple[Floats, int]:
         """Return where the sonar should be since the keyframe (2,), and how far off; cells."""
@@ -703,12 +729,23 @@ def _best(
 
 def _turned(
     view: _View, frame: KeyState, lean: Floats, turn_rad: float, shift_m: Floats
-) -> tuple[float, float] | None:
-    """Fit a parabola to the agreement over the turn; return its maximum and variance, or None."""
+) -> tuple[float, float, Floats] | None:
+    """Fit a parabola to the agreement over the turn, about the middle of the texture.
+
+    Returns:
+        The turn with the highest agreement, its variance, and the shift (2,) that goes with it;
+        None if there is no maximum.
+    """
+
+    def shifted(step: float) -> Floats:
+        turn = _turn(step * YAW_STEP_RAD)[:2, :2]
+        return np.asarray(view.centre_m - turn @ (view.centre_m - shift_m))
+
     sums = []
-    for step in (-1, 0, 1):
+    for step in (-1.0, 0.0, 1.0):
         turned = _turn(turn_rad + step * YAW_STEP_RAD) @ lean
-        sums.append(_agreement(view, *view.plane.seen(frame, turned, shift_m))[0][:, 4])
+        aligned = view.plane.seen(frame, turned, shifted(step))
+        sums.append(_agreement(view, *aligned)[0][:, 4])
     less, same, more = sums
     bend = float((less - 2 * same + more).sum())
     if bend >= 0:
@@ -718,7 +755,7 @@ def _turned(
         return None
     slopes = 0.5 * (more - less) + place * (less - 2 * same + more)
     variance = float((slopes**2).sum()) / bend**2 * YAW_STEP_RAD**2
-    return turn_rad + place * YAW_STEP_RAD, variance
+    return turn_rad + place * YAW_STEP_RAD, variance, shifted(place)
 
 
 def _agreement(view: _View, image: Floats, image_weight: Floats) -> tuple[Floats, float]:

@@ -149,7 +149,7 @@ def test_a_ping_that_comes_late_is_of_the_time_when_it_was(ping: Callable[..., P
     class Poses(FixedPose):
         def add_ping(self, ping: Ping, t_ns: int | None = None, *, damaged: bool = False) -> None:
             times_ns.append(t_ns)
-            super().add_ping(ping)
+            super().add_ping(ping, damaged=damaged)
 
     config = config_from_text("device: {latency_sec: 0.005}")
     poses = Poses(pose_from_rpy((0, 0, 0), (0, 0, 0)))
