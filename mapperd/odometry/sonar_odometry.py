@@ -7,9 +7,10 @@ registration for robust forward-looking sonar mosaicing in low-visibility underw
 Journal of Field Robotics 32(1), 2015). The rotation comes from the attitude; without one it is
 searched.
 
-The sonar does not measure the elevation of an echo. Echoes count as from the upper edge of the
-beam, where walls, piles and the far floor are; those from elsewhere have another scale, by the
-ratio of the cosines.
+The sonar does not measure the elevation e of an echo. Bearings count as from the upper edge of the
+beam, where walls, piles and the far floor are. Slant ranges count as horizontal: those to a wall,
+which is seen by the edge of the beam, change by 1 / cos(e) of the way, those to a point of the
+floor by cos(e).
 """
 
 import math
@@ -50,7 +51,7 @@ SMOOTHING = 0.12
 BLOCKS = (12, 22)
 """Sub-images along and across, whose agreement gives the covariance."""
 
-MIN_BLOCKS = 4.0
+MIN_BLOCKS = 2.5
 """Minimum effective number of sub-images that contribute: one target alone may be another one."""
 
 MIN_PEAK, MIN_FIRST_PEAK = 7.0, 12.0
@@ -243,12 +244,11 @@ class _Plane:
             ahead, port = ahead - shift_m[0], port - shift_m[1]
         flat = np.hypot(ahead, port)
         down = -self._slope * flat
-        distance = np.sqrt(flat * flat + down * down)
         # Rows of the inverse rotation, written out: a third of the time of a product.
         x = lean[0, 0] * ahead + lean[1, 0] * port + lean[2, 0] * down
         y = lean[0, 1] * ahead + lean[1, 1] * port + lean[2, 1] * down
         bearing = -np.arctan2(y, x)
-        row = distance / key.row_m - 0.5
+        row = flat / key.row_m - 0.5
         beams = key.image.shape[1]
         beam = np.interp(bearing, key.bearings_rad, np.arange(beams), left=-1.0, right=-1.0)
         inside = (row >= 0) & (row < len(key.image) - 1) & (beam >= 0) & (beam < beams - 1)
@@ -260,8 +260,8 @@ class _Plane:
         far = (1 - g) * samples[k + beams] + g * samples[k + beams + 1]
         first, last = float(key.bearings_rad[0]), float(key.bearings_rad[-1])
         side = np.minimum(bearing - first, last - bearing) / math.radians(6.0)
-        weight = inside * _ramp(side) * _ramp((self._range_m - distance) / (0.08 * self._range_m))
-        weight *= _ramp(distance / (0.03 * self._range_m) - 1.0)
+        weight = inside * _ramp(side) * _ramp((self._range_m - flat) / (0.08 * self._range_m))
+        weight *= _ramp(flat / (0.03 * self._range_m) - 1.0)
         return (1 - f) * near + f * far, weight
 
     def whitened(self, image: Floats, weight: Floats) -> NDArray[np.complex128]:

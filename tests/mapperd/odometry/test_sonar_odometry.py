@@ -182,22 +182,31 @@ def test_roll_and_pitch_are_taken_out(tilt_deg: tuple[float, float]) -> None:
     np.testing.assert_allclose(motion.velocity_mps * 0.2, (0.1, 0.05), atol=0.012)
 
 
-def test_a_sonar_that_looks_down_sees_the_same_way() -> None:
-    """Echoes from the upper edge of the beam: 20 degrees down, half of 14 degrees up from there."""
-    scene, odometry = Scene(below=math.tan(math.radians(13))), made(pitch_deg=20)
-    scene.pitch_deg = 20
+def looking_down(pitch_deg: float, way_m: tuple[float, float]) -> Floats:
+    """Return the measured way among echoes of the upper edge, half of 14 degrees above the axis."""
+    scene = Scene(below=math.tan(math.radians(pitch_deg - 7)))
+    odometry, scene.pitch_deg = made(pitch_deg=pitch_deg), pitch_deg
     odometry.take(scene.ping(0.0, 0.0), START_NS, level())
-    motion = motion_of(odometry.take(scene.ping(0.15, 0.0), START_NS + STEP_NS, level()))
-    np.testing.assert_allclose(motion.velocity_mps * 0.2, (0.15, 0), atol=0.01)
+    motion = motion_of(odometry.take(scene.ping(*way_m), START_NS + STEP_NS, level()))
+    return motion.velocity_mps * 0.2
+
+
+def test_a_sonar_that_looks_down_sees_the_same_way() -> None:
+    np.testing.assert_allclose(looking_down(20, (0.15, 0.0)), (0.15, 0.0), atol=0.01)
+    # Points of a floor seem farther than they are, by 1 / cos of 28 degrees.
+    surge_m, sway_m = looking_down(35, (0.0, 0.24)).tolist()
+    assert abs(surge_m) < 0.01
+    assert 0.24 < sway_m < 0.24 / math.cos(math.radians(28))
 
 
 def test_what_moves_with_the_vehicle_does_not_hold_it() -> None:
-    """Rings, a step of the gain, a wide glow, a spoke."""
+    """Rings, a step of the gain, a wide glow."""
     scene, odometry = Scene(), made()
 
     def spoilt(x: float) -> PingImage:
         image = scene.image(x, 0.0).astype(np.float64)
-        image[90:93] += 120
+        for row in range(40, ROWS, 13):
+            image[row : row + 3] += 150
         image[200:] *= 1.5
         image += 60 * np.exp(-((np.arange(ROWS)[:, None] - 170) ** 2) / 5000)
         return seen(np.clip(image, 0, 255).astype(np.uint8))
@@ -293,7 +302,7 @@ def test_covariance_says_how_wrong_it_is() -> None:
             off = motion.velocity_mps - (places[k] - places[k - steps]) / (0.2 * steps)
             errors.append(float(off @ np.linalg.solve(motion.covariance[:2, :2], off)))
     assert len(errors) > 40
-    assert 0.1 < float(np.mean(errors)) < 2.5
+    assert 0.1 < float(np.mean(errors)) < 1.0
 
 
 def test_state_continues_anywhere() -> None:
