@@ -28,7 +28,7 @@ from mapperd.geometry.frames import pose_from_rpy, quaternion_to_matrix, rotatio
 from mapperd.imaging.ping_image import PingImage
 from mapperd.odometry.records import Odometry, linear_covariance
 
-__all__ = ["SonarMotion", "SonarOdometry", "SonarOdometryState", "sonar_odometry"]
+__all__ = ["GroundMotion", "SonarOdometry", "SonarOdometryState", "sonar_odometry"]
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -89,7 +89,7 @@ YAW_STEP_RAD, YAW_STEPS = math.radians(1.0), 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SonarMotion:
+class GroundMotion:
     """Mean motion of the base between two pings.
 
     Attributes:
@@ -208,7 +208,7 @@ class SonarOdometryState(NamedTuple):
     silent: dict[str, int]
 
 
-class _Plane:
+class _LevelPlane:
     """The horizontal plane before a sonar, in cells.
 
     Args:
@@ -294,7 +294,7 @@ class _View(NamedTuple):
         centre_m: (2,) middle of the texture.
     """
 
-    plane: _Plane
+    plane: _LevelPlane
     image: Floats
     weight: Floats
     waves: NDArray[np.complex128]
@@ -391,7 +391,7 @@ class SonarOdometry:
 
     def take(
         self, ping: PingImage, t_ns: int, map_q_base: Floats | None = None
-    ) -> tuple[SonarMotion, int] | Reject:
+    ) -> tuple[GroundMotion, int] | Reject:
         """Register a ping.
 
         Args:
@@ -438,7 +438,7 @@ class SonarOdometry:
         self.silent[problem.reason] += 1
         self._missed += 1
 
-    def _taken(self, ping: PingImage, t_ns: int, q: Floats | None) -> SonarMotion | Reject:
+    def _taken(self, ping: PingImage, t_ns: int, q: Floats | None) -> GroundMotion | Reject:
         if self._newest_ns is not None and t_ns <= self._newest_ns:
             self._forget()
             self._newest_ns = t_ns
@@ -509,7 +509,7 @@ class SonarOdometry:
         assert key is not None  # noqa: S101 only called with one
         if self._seen is None:
             range_m = len(key.image) * key.row_m
-            plane = _Plane(key.bearings_rad, range_m, self._depression_rad)
+            plane = _LevelPlane(key.bearings_rad, range_m, self._depression_rad)
             image, weight = plane.seen(key, key.lean)
             waves, centre_m = plane.whitened(image, weight), plane.centre_m(image * weight)
             self._seen = _View(plane, image, weight, waves, centre_m)
@@ -570,7 +570,7 @@ class SonarOdometry:
             reach_m = min(reach_m, (SPEED_CHANGE_MPS + ACCELERATION_MPS2 * seconds) * seconds)
         return expected_m / cell_m, math.ceil(reach_m / cell_m) + 1
 
-    def _moved(self, frame: KeyState, t_ns: int, fit: "_Fit", *, searched: bool) -> SonarMotion:
+    def _moved(self, frame: KeyState, t_ns: int, fit: "_Fit", *, searched: bool) -> GroundMotion:
         """Return the motion since the last ping, and make this one the last, or the keyframe."""
         key, last = self._key, self._last
         assert key is not None  # noqa: S101 only called with one
@@ -594,7 +594,7 @@ class SonarOdometry:
         covariance = np.zeros((3, 3))
         covariance[:2, :2] = noise + SCALE_STD**2 * float(velocity @ velocity) * np.eye(2)
         covariance[2, 2] = (fit.turn_variance + last.yaw_variance) / seconds**2
-        motion = SonarMotion(last.t_ns, t_ns, velocity, turn / seconds, covariance, yaw, fit.peak)
+        motion = GroundMotion(last.t_ns, t_ns, velocity, turn / seconds, covariance, yaw, fit.peak)
         self._velocity = way / seconds, turn / seconds
         self._last = LastState(
             t_ns, base_m, fit.covariance_m2, frame.yaw_rad, fit.turn_variance, arm

@@ -9,6 +9,7 @@ import pytest
 
 from mapperd.config.loader import config_from_text
 from mapperd.config.odometry import FormatName, FormatSettings
+from mapperd.odometry import sonar_odometry
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.links import LinkPhase
 
@@ -47,8 +48,9 @@ def test_every_format_and_setting_is_explained() -> None:
 
 
 def test_settings_load_as_they_stand_there() -> None:
-    rov, dvl = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    rov, dvl, sonar = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
     assert config_from_text(rov).odometry.sources[0].format == "mavlink"
+    assert config_from_text(sonar).odometry.sonar.enabled
     bridge = OdometryBridge(config_from_text(dvl))
     owners = config_from_text(dvl).odometry.owners
     assert (owners.position, owners.depth) == ("none", "autopilot")
@@ -81,4 +83,11 @@ def test_every_reason_is_explained_and_none_is_made_up() -> None:
     made = set().union(*(reasons(path) for path in CODECS))
     table = PAGE[PAGE.index("| reason |") :]
     explained = "".join(re.findall(r"^\| (`.*?) \|", table, re.MULTILINE))
+    assert made == set(re.findall(r"`(\w+)`", explained))
+
+
+def test_every_silence_of_sonar_odometry_is_explained() -> None:
+    made = reasons(Path(sonar_odometry.__file__))
+    part = PAGE[PAGE.index("## Sonar odometry") : PAGE.index("## Why a record is rejected")]
+    explained = "".join(re.findall(r"^\| (`.*?) \|", part, re.MULTILINE))
     assert made == set(re.findall(r"`(\w+)`", explained))

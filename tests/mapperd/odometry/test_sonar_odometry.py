@@ -20,7 +20,7 @@ from mapperd.geometry.frames import pose_from_rpy, rotation_from_rpy
 from mapperd.imaging.ping_image import PingImage
 from mapperd.odometry.fusion import FusedPose
 from mapperd.odometry.sonar_odometry import (
-    SonarMotion,
+    GroundMotion,
     SonarOdometry,
     SonarOdometryState,
     sonar_odometry,
@@ -115,7 +115,7 @@ def seen(image: NDArray[np.uint8]) -> PingImage:
     return PingImage(image.astype(np.float32), BEARINGS_RAD, ROW_M)
 
 
-def motion_of(result: tuple[SonarMotion, int] | Reject) -> SonarMotion:
+def motion_of(result: tuple[GroundMotion, int] | Reject) -> GroundMotion:
     assert not isinstance(result, Reject), result
     return result[0]
 
