@@ -99,8 +99,8 @@ def test_a_wall_leaves_its_own_direction_open() -> None:
     a, b = np.zeros(3), np.array([0.5, 0.3, 0.0])
     wall = scene("wall")
     seen = [submap(wall[np.abs(wall[:, 0] - frame[0]) < 5], frame) for frame in (a, b)]
-    found = _core.register_submaps(*seen, relative(a, b))
-    information = usable_information(*seen, found)
+    found = _core.register_submaps(seen[0], seen[1], relative(a, b))
+    information = usable_information(seen[0], seen[1], found)
     across, along = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
     assert along @ information @ along < 0.1 * (across @ information @ across)
     assert across @ information @ across > 50
