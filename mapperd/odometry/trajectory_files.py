@@ -15,10 +15,13 @@ from mapperd.odometry.records import MAX_DISTANCE_M, bad_numbers, bad_quaternion
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording import ODOMETRY_NATIVE, Chunk
 
-__all__ = ["POSES_LINK", "CsvFile", "TumFile", "pose_chunk"]
+__all__ = ["FINISHED", "POSES_LINK", "CsvFile", "TumFile", "pose_chunk"]
 
 POSES_LINK = "file:poses"
 """Link of finished poses; no configured source can have this name."""
+
+FINISHED = {"poses": "finished"}
+"""Metadata of a recording whose native records are finished poses, used as they are."""
 
 NS = 10**9
 MAX_TIME_S = 10**11

@@ -20,7 +20,7 @@ from mapperd.geometry.frames import compass_quaternion
 from mapperd.geometry.geodesy import Origin
 from mapperd.odometry.bridge import ENCODING_PREFIX, encoding_of
 from mapperd.odometry.formats import make_decoder
-from mapperd.odometry.trajectory_files import pose_chunk
+from mapperd.odometry.trajectory_files import FINISHED, pose_chunk
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording import Chunk, open_recording, read_datagrams
 
@@ -259,15 +259,17 @@ class RecordedOdometry:
     Attributes:
         path: as given.
         expected: what is read, for people.
+        is_finished: whether it says that its poses are finished, as an alignment writes them.
     """
 
     kind = "recording"
-    is_finished = False
     expected = "odometry"
 
     def __init__(self, path: Path, offset_ns: int) -> None:
         self.path = path
         self._offset_ns = offset_ns
+        with open_recording(path) as recording:
+            self.is_finished = FINISHED.items() <= recording.metadata.items()
 
     def chunks(self) -> Iterator[Chunk]:
         """Yield the odometry that has a time."""
