@@ -600,19 +600,21 @@ def _legend(axes: Any, columns: int = 1) -> None:  # noqa: ANN401
 
 
 def _trajectory_figure(alignment: Alignment) -> Any:  # noqa: ANN401
-    figure = _figure(10.0, 7.5)
+    tracks = [
+        (compose(dive.frame, dive.track.planar), dive.poses_at(dive.track.t_ns))
+        for dive in alignment.dives
+    ]
+    points_m = np.concatenate([some[:, :2] for both in tracks for some in both])
+    width_m, height_m = np.maximum(np.ptp(points_m, axis=0), 1.0).tolist()
+    figure = _figure(10.0, float(np.clip(1.5 + 7.5 * height_m / width_m, 4.0, 9.0)))
     axes = figure.add_subplot()
     several = len(alignment.dives) > 1
-    paths = []
-    for k, dive in enumerate(alignment.dives):
+    for k, (dive, (before, after)) in enumerate(zip(alignment.dives, tracks, strict=True)):
         colour = DIVE_COLOURS[k % len(DIVE_COLOURS)]
         name = f", {dive.name}" if several else ""
-        before = compose(dive.frame, dive.track.planar)
-        after = dive.poses_at(dive.track.t_ns)
         style = {"color": GREY if not several else colour, "linewidth": 1.2, "linestyle": "--"}
         axes.plot(before[:, 0], before[:, 1], label=f"odometry{name}", **style)
         axes.plot(after[:, 0], after[:, 1], color=colour, linewidth=1.8, label=f"aligned{name}")
-        paths += [before, after]
         marks = (("o", 0, "start"), ("s", -1, "end"))
         for mark, place, text in marks:
             label = text if k == 0 else None
@@ -738,6 +740,7 @@ def _residuals_figure(record: AlignmentRecord) -> Any:  # noqa: ANN401
         bins = np.linspace(0.0, max(most, 1e-6), 21)
         labels = [f"{name} ({len(v)})" for (_, _, name), v in zip(kinds, values, strict=True)]
         axes.hist(values, bins=bins, stacked=True, color=[c for _, c, _ in kinds], label=labels)
+        axes.yaxis.get_major_locator().set_params(integer=True)
     _styled(left, "Residuals, position", "distance [m]", "accepted registrations")
     _styled(right, "Residuals, heading", "angle [deg]", "accepted registrations")
     right.legend(fontsize=10, loc="upper right")
@@ -751,7 +754,7 @@ def _map_figure(maps: MapPair) -> Any:  # noqa: ANN401
     right, top = boxes[:, [1, 3]].max(axis=0)
     beside = (top - bottom) > (right - left) / MAX_COLUMN_RATIO
     share = float(np.clip((top - bottom) / (right - left), 0.25, 3.0))
-    size_in = (13.0, min(1.5 + 5.2 * share, 12.0)) if beside else (10.0, 2.0 + 18 * share)
+    size_in = (13.0, min(1.5 + 5.2 * share, 12.0)) if beside else (10.0, 1.8 + 15 * share)
     figure = _figure(*size_in)
     rows, columns = (1, 2) if beside else (2, 1)
     every = figure.subplots(rows, columns, sharex=True, sharey=True)
@@ -759,7 +762,8 @@ def _map_figure(maps: MapPair) -> Any:  # noqa: ANN401
     limits = np.quantile(heights, [0.01, 0.99]).tolist()
     for axes, view, title in zip(every, views, ("Before: odometry", "After: aligned"), strict=True):
         image = _show(axes, view, limits)
-        _styled(axes, title, "x east [m]", "y north [m]")
+        bottom_row = beside or axes is every[-1]
+        _styled(axes, title, "x east [m]" if bottom_row else "", "y north [m]")
         axes.set_xlim(left, right)
         axes.set_ylim(bottom, top)
     bar = figure.colorbar(image, ax=list(every), shrink=0.8)

@@ -53,6 +53,7 @@ class Arguments:
         odometry: files that replace the recorded odometry; None uses that.
         view_port: port of the page that shows the replay; None shows none.
         refine: integrate all echoes once more at the end.
+        align: estimate the trajectory again before mapping.
     """
 
     replay: tuple[Path, ...]
@@ -68,6 +69,7 @@ class Arguments:
     view_port: int | None = None
     odometry: OdometryOptions | None = None
     refine: bool = False
+    align: bool = False
 
 
 VIEW_PORT = 8080
@@ -102,11 +104,9 @@ def parse_arguments(
         parser.error("--view cannot be combined with --store; mapperctl view MAP follows the file")
     if args.store is not None and (not args.replay or args.start or args.duration):
         parser.error("--store needs --replay, without --start and --duration")
-    if args.refine and (not args.replay or args.store is not None):
-        parser.error("--refine needs --replay, without --store")
     if args.allow_damaged and not args.replay:
         parser.error("--allow-damaged needs --replay")
-    if problem := _bad_odometry(args):
+    if problem := _bad_pass(args) or _bad_odometry(args):
         parser.error(problem)
     if args.as_recorded and (problem := _contradiction(args)) is not None:
         parser.error(problem)
@@ -124,6 +124,7 @@ def parse_arguments(
         view_port=args.view,
         odometry=_odometry(args),
         refine=args.refine,
+        align=args.align,
     )
 
 
@@ -149,6 +150,15 @@ def _odometry(args: argparse.Namespace) -> OdometryOptions | None:
     return OdometryOptions(tuple(args.odometry), args.odometry_offset, args.odometry_topic, frames)
 
 
+def _bad_pass(args: argparse.Namespace) -> str | None:
+    """Return what contradicts that a recording is read more than once."""
+    if args.refine and (not args.replay or args.store is not None):
+        return "--refine needs --replay, without --store"
+    if args.align and (not args.replay or args.store is not None or args.pose is not None):
+        return "--align needs --replay, without --store and --pose"
+    return None
+
+
 def _bad_odometry(args: argparse.Namespace) -> str | None:
     """Return what the options of the odometry's files contradict."""
     if args.odometry and not args.replay:
@@ -165,7 +175,7 @@ def _contradiction(args: argparse.Namespace) -> str | None:
     """Return which option contradicts --as-recorded, which takes all from the recording."""
     if not args.replay:
         return "--as-recorded needs --replay"
-    others = ("config", "store", "pose", "odometry", "integrator", "start", "duration")
+    others = ("config", "store", "pose", "odometry", "integrator", "start", "duration", "align")
     found = [f"--{name}" for name in others if getattr(args, name)]
     return f"--as-recorded cannot be combined with {', '.join(found)}" if found else None
 
@@ -258,6 +268,12 @@ def _parser(commands: Sequence[Callable[[], CommandParser]] = ()) -> CommandPars
         action="store_true",
         help="then map all echoes again, the last ping first, by what the other pings have found "
         "(needs mapping.rule: arc); keeps the map in memory",
+    )
+    replay(
+        "--align",
+        action="store_true",
+        help="first estimate the drifting trajectory again from what the sonar saw, and map with "
+        "it if that is better (docs/guides/align.md); writes DIR/alignment/",
     )
     replay(
         "--view",

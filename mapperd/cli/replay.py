@@ -5,6 +5,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,11 +15,12 @@ from mapperd.cli.arguments import Arguments
 from mapperd.cli.progress import ProgressBar
 from mapperd.config.tree import Config
 from mapperd.daemon.map_folder import localization_summary, recording_facts, summary_of
-from mapperd.errors import ReplayError, os_reason
+from mapperd.errors import ExportExtraError, ReplayError, missing_extra, os_reason
 from mapperd.export.trajectory import TrajectoryWriter
 from mapperd.geometry.frames import Pose
 from mapperd.mapping.queries import MapContent
 from mapperd.mapping.sonar_map import SonarMap
+from mapperd.odometry.odometry_files import OdometryFiles, OdometryOptions, read_odometry
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.persistence import MapPersistence, TilePersistence
 from mapperd.session.recordings import (
@@ -47,6 +49,9 @@ if TYPE_CHECKING:
     from mapperd.cli.mapperctl.view import ReplayView
 
 __all__ = ["map_recordings", "unreadable", "unreadable_odometry"]
+
+ALIGNMENT_FOLDER = "alignment"
+"""In the folder of the results."""
 
 
 def unreadable(paths: Sequence[Path]) -> str | None:
@@ -112,27 +117,85 @@ def map_recordings(
         sonar_map = SonarMap(runs[0].config)
     else:
         sonar_map = SonarMap(settings())
-        if arguments.pose is None:
-            odometry = odometry_of(sessions, arguments.odometry, sonar_map.config)
-            if odometry is not None:
-                require_overlap(sessions, odometry)
-                sessions = sessions_of(paths, damaged, odometry)
-        runs = [as_asked(session, arguments.pose, sonar_map.config) for session in sessions]
-        if len(runs) > 1 and (arguments.start_s or arguments.duration_s is not None):
-            raise ReplayError("--start and --duration choose a part of one session, not of several")
-        _require_data(sessions, arguments)
-        if arguments.pose is not None:
-            _require_reach(sessions, arguments.pose, sonar_map)
+        sessions, runs = _runs_as_asked(sessions, arguments, sonar_map, damaged)
     ready()
     if arguments.store is not None:
         return _stored(sessions, sonar_map.config, arguments.pose, arguments.store, trajectory)
+    facts: dict[str, Any] = {}
+    if arguments.align:
+        odometry, facts["alignment"] = _aligned(sessions[0], sonar_map.config, arguments.out)
+        aligned = sessions_of(paths, damaged, odometry)
+        runs = [as_asked(session, None, sonar_map.config) for session in aligned]
     window = Window(arguments.start_s, arguments.duration_s)
     _keep_pings(arguments, sonar_map)
     in_memory = arguments.view_port is not None or arguments.refine
     if sonar_map.config.outofcore.use and not in_memory:
-        return _mapped_on_disk(runs, sonar_map, window, arguments.out, trajectory)
+        whole, summary = _mapped_on_disk(runs, sonar_map, window, arguments.out, trajectory)
+        return whole, summary | facts
     page = show(sonar_map)
-    return sonar_map, _mapped(runs, sonar_map, window, trajectory, folder=arguments.out, page=page)
+    summary = _mapped(runs, sonar_map, window, trajectory, folder=arguments.out, page=page)
+    return sonar_map, summary | facts
+
+
+def _runs_as_asked(
+    sessions: list[RecordedSession], arguments: Arguments, sonar_map: SonarMap, damaged: DamagedData
+) -> tuple[list[RecordedSession], list[Run]]:
+    """Return the sessions with their odometry, and their runs.
+
+    Raises:
+        ReplayError: they cannot become a map with the options given.
+        RecordingError: a file is not a recording or odometry, or is empty.
+    """
+    if arguments.pose is None:
+        odometry = odometry_of(sessions, arguments.odometry, sonar_map.config)
+        if odometry is not None:
+            require_overlap(sessions, odometry)
+            paths = [path for session in sessions for path in session.paths]
+            sessions = sessions_of(paths, damaged, odometry)
+    runs = [as_asked(session, arguments.pose, sonar_map.config) for session in sessions]
+    if len(runs) > 1 and (arguments.start_s or arguments.duration_s is not None):
+        raise ReplayError("--start and --duration choose a part of one session, not of several")
+    _require_data(sessions, arguments)
+    if arguments.pose is not None:
+        _require_reach(sessions, arguments.pose, sonar_map)
+    if arguments.align:
+        _require_alignable(runs)
+    return sessions, runs
+
+
+def _require_alignable(runs: Sequence[Run]) -> None:
+    """Refuse early what cannot be aligned."""
+    if len(runs) > 1:
+        raise ReplayError(f"--align takes one session, and these are {len(runs)}")
+    missing = next((name for name in ("scipy", "matplotlib") if find_spec(name) is None), None)
+    if missing is not None:
+        raise ExportExtraError(missing_extra(missing, "align"))
+
+
+def _aligned(
+    session: RecordedSession, config: Config, out: Path
+) -> tuple[OdometryFiles | None, dict[str, Any]]:
+    """Align a session and write the results; return the odometry to map with, and the verdict."""
+    from mapperd.alignment.align import DiveInput, align  # noqa: PLC0415 needs an extra
+    from mapperd.alignment.report import DiveReader, maps_of, write_alignment  # noqa: PLC0415
+
+    bar = ProgressBar(sys.stderr, time.perf_counter, "mapperd: aligning", unit="submaps")
+    reader = DiveReader(session, config)
+
+    def progress(share: float, _: str) -> None:
+        bar.show(share, len(reader.submaps))
+
+    name = session.paths[0].stem
+    alignment = align([DiveInput(name, reader)], progress=progress)
+    bar.close(len(reader.submaps))
+    folder = out / ALIGNMENT_FOLDER
+    record = write_alignment(alignment, folder, maps_of(alignment, [reader.submaps]))
+    sys.stderr.write(f"mapperd: alignment: {record.verdict}; {folder / 'report.md'}\n")
+    odometry = session.odometry
+    if record.corrected:
+        path = folder / record.dives[0].trajectory[-1]
+        odometry = read_odometry(OdometryOptions((path,)), config)
+    return odometry, record.summary()
 
 
 def _keep_pings(arguments: Arguments, sonar_map: SonarMap) -> None:
