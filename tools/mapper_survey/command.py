@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import os
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -10,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from mapper_survey.aligning import align_survey, dives_of
 from mapper_survey.arguments import add_survey_arguments, progress_lines, resolve_arguments
 from mapper_survey.cluster_simulation import ComputeCluster
 from mapper_survey.engine import Engine, InProcess
@@ -43,8 +45,8 @@ examples:
   mapper-survey run survey.yaml --out survey --workers 8 --dives
   mapper-survey report survey --tolerance 0.2
 
-exit codes: 0 success; 2 usage error; 3 a dive contributed no ping; 65 not a recording or map; 66 no
-such file; 73 cannot write; 78 invalid survey or settings, or a missing extra; 130 interrupted"""
+exit codes: 0 success; 2 usage error; 3 a dive contributed no ping, or dives were not aligned; 65
+not a recording or map; 66 no such file; 73 cannot write; 78 invalid survey or settings, or a missing extra; 130 interrupted"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -180,6 +182,63 @@ def _report_losses(record: dict[str, Any], request: Request) -> int:
             code = ExitCode.NOT_ALL
             sys.stderr.write(f"mapper-survey: dive {dive.name}: not a ping of it is in the map\n")
     return code
+
+
+def _add_align_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the sub-command."""
+    add = parser.add_argument
+    add(
+        "dives",
+        nargs="+",
+        type=Path,
+        metavar="RECORDING",
+        help="recordings, a dive each: files or folders; or one survey.yaml with its dives",
+    )
+    add(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder for trajectories, report.md, alignment.json, graph.g2o and survey.yaml",
+    )
+    add("--config", type=Path, metavar="FILE", help="settings of the recordings")
+    add(
+        "--odometry",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="FILE",
+        help="odometry of another file for each recording, in the same order",
+    )
+    add(
+        "--threads",
+        type=_count,
+        default=len(os.sched_getaffinity(0)),
+        metavar="N",
+        help="threads; the result does not depend on them (default: all cores)",
+    )
+
+
+def _align(args: argparse.Namespace) -> int:
+    """Align and write; return the exit code.
+
+    Raises:
+        SurveyError, MapperdError: what a person can mend.
+        OSError: the folder cannot be reached.
+    """
+    request = dives_of(args.dives, args.config, args.odometry)
+
+    def progress(share: float, what: str) -> None:
+        sys.stderr.write(f"align: {share:.0%}, {what}\n")
+
+    record = align_survey(request, args.out, args.threads, progress)
+    for dive in record.dives:
+        print(
+            f"{dive.name}: correction {dive.correction_rms_m:.2f} m RMS, at most "
+            f"{dive.correction_max_m:.2f} m; standard deviation {dive.deviation_mean_m:.2f} m"
+        )
+    print(f"{record.verdict}: {args.out / 'report.md'}")
+    return ExitCode.OK if record.corrected else ExitCode.NOT_ALL
 
 
 EXPORT_FOLDER = "exports"
@@ -416,6 +475,12 @@ def _count(text: str) -> int:
 
 FURTHER = (
     (
+        "align",
+        "estimate drifting trajectories again, in one frame, from what the sonar saw",
+        _add_align_arguments,
+        _align,
+    ),
+    (
         "export",
         "write grids of depths, a cloud and soundings of the map",
         _add_export_arguments,
@@ -434,4 +499,4 @@ FURTHER = (
         _scaling,
     ),
 )
-"""Sub-commands that use the results of `run`."""
+"""Sub-commands that need no engine."""
