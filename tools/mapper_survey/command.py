@@ -46,7 +46,8 @@ examples:
   mapper-survey report survey --tolerance 0.2
 
 exit codes: 0 success; 2 usage error; 3 a dive contributed no ping, or dives were not aligned; 65
-not a recording or map; 66 no such file; 73 cannot write; 78 invalid survey or settings, or a missing extra; 130 interrupted"""
+not a recording or map; 66 no such file; 73 cannot write; 78 invalid survey or settings, or a missing
+extra; 130 interrupted"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
