@@ -1,9 +1,10 @@
 """Grids as GeoTIFF: the top of the map, with how often it was seen, or tiles of any numbers."""
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO
+from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,6 +125,7 @@ def write_tiles(
     origin: Origin | None,
     *,
     edge: int,
+    notes: Mapping[str, str] | None = None,
 ) -> None:
     """Write a grid of any size, a tile in memory at a time.
 
@@ -136,6 +138,7 @@ def write_tiles(
         bands: what the numbers are.
         origin: with it the file has a projection whose zero it is; without, none.
         edge: of a tile in cells, a multiple of 16.
+        notes: metadata of the whole file, by name.
 
     Raises:
         ExportError: the library is not there.
@@ -151,7 +154,7 @@ def write_tiles(
         planarconfig="contig",
         maxworkers=1,  # else it asks for tiles that wait for others to be packed
         **HOW,
-        extratags=_tags(place, bands, origin),
+        extratags=_tags(place, bands, origin, notes or {}),
     )
 
 
@@ -171,8 +174,11 @@ def _library() -> Callable[..., object]:
     return write
 
 
-def _tags(place: GridPlace, bands: Sequence[RasterBand], origin: Origin | None) -> list[Any]:
-    items = "".join(
+def _tags(
+    place: GridPlace, bands: Sequence[RasterBand], origin: Origin | None, notes: Mapping[str, str]
+) -> list[Any]:
+    items = "".join(f'<Item name="{escape(k)}">{escape(v)}</Item>' for k, v in notes.items())
+    items += "".join(
         f'<Item name="{key}" sample="{number}" role="{role}">{text}</Item>'
         for number, band in enumerate(bands)
         for key, role, text in (

@@ -29,6 +29,27 @@ __all__ = [
 ]
 
 
+class DiveAccuracy(msgspec.Struct, frozen=True):
+    """The part of a dive's record about its poses.
+
+    Attributes:
+        name: of the dive.
+        deviation_mean_m, deviation_max_m: as in `DivePlan`.
+    """
+
+    name: str = ""
+    deviation_mean_m: float | None = None
+    deviation_max_m: float | None = None
+
+    def __str__(self) -> str:
+        """For people."""
+        if self.deviation_mean_m is None or self.deviation_max_m is None:
+            return f"{self.name}: not stated"
+        return (
+            f"{self.name}: mean {self.deviation_mean_m:.3f} m, at most {self.deviation_max_m:.3f} m"
+        )
+
+
 class SurveyRecord(msgspec.Struct, frozen=True):
     """The part of `survey.json` for exports and reports.
 
@@ -36,11 +57,13 @@ class SurveyRecord(msgspec.Struct, frozen=True):
         origin: geographic position of the survey's origin; None if unknown.
         settings: settings that the map was made with; None without a record.
         outputs: products that the survey requests; empty means all that are possible.
+        dives: accuracy of their poses.
     """
 
     origin: SurveyOrigin | None = None
     settings: Config | None = None
     outputs: list[str] = []
+    dives: list[DiveAccuracy] = []
 
 
 def read_record(folder: Folder) -> SurveyRecord:
@@ -79,6 +102,7 @@ class SurveyArguments:
         altitude_m: altitude of that origin, from the survey; 0 by default.
         config: its thresholds decide what is occupied.
         outputs: products that the survey requests; empty means all that are possible.
+        accuracy: horizontal standard deviation of each dive's poses, for people.
     """
 
     folder: Folder
@@ -87,6 +111,7 @@ class SurveyArguments:
     altitude_m: float
     config: Config | None
     outputs: list[str]
+    accuracy: list[str]
 
 
 def add_survey_arguments(parser: argparse.ArgumentParser, part: str) -> None:
@@ -136,6 +161,7 @@ def resolve_arguments(args: argparse.Namespace, part: str) -> SurveyArguments:
         altitude_m=0.0 if zero is None else zero.altitude,
         config=record.settings if args.config is None else load_config(args.config),
         outputs=record.outputs,
+        accuracy=[str(dive) for dive in record.dives],
     )
 
 

@@ -46,8 +46,8 @@ examples:
   mapper-survey report survey --tolerance 0.2
 
 exit codes: 0 success; 2 usage error; 3 a dive contributed no ping, or dives were not aligned; 65
-not a recording or map; 66 no such file; 73 cannot write; 78 invalid survey or settings, or a missing
-extra; 130 interrupted"""
+not a recording or map; 66 no such file; 73 cannot write; 78 invalid survey or settings, or a
+missing extra; 130 interrupted"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -296,6 +296,7 @@ def _export(args: argparse.Namespace) -> int:
         vertical_uncertainty_m=args.vertical_uncertainty,
         altitude_m=asked.altitude_m if args.altitude is None else args.altitude,
         heights=Heights(args.min_z, args.max_z),
+        accuracy=asked.accuracy,
     )
     with asked.folder.fetched(MAP) as path:
         done = export_survey(
@@ -308,6 +309,8 @@ def _export(args: argparse.Namespace) -> int:
         )
     for product, path in done.files.items():
         print(f"{path}: {path.stat().st_size} bytes; coordinates: {done.crs[product]}")
+    for line in asked.accuracy:
+        print(f"horizontal standard deviation of poses: {line}")
     return 0
 
 

@@ -56,6 +56,8 @@ class ExportOptions:
         altitude_m: height of the map's origin above the datum of depths.
         heights: range of z of the voxels that count, map frame.
         window_bricks: bricks along the edge of the window in memory.
+        accuracy: horizontal standard deviation of the poses of each dive, for people: metadata of
+            the grid.
 
     Raises:
         SurveyError: a number is not allowed.
@@ -68,6 +70,7 @@ class ExportOptions:
     altitude_m: float = 0.0
     heights: Heights = field(default_factory=Heights)
     window_bricks: int = WINDOW_BRICKS
+    accuracy: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         allowed = ", ".join(map(str, CELL_VOXELS))
@@ -110,6 +113,9 @@ def crs_of(product: str, origin: Origin | None) -> str:
     zone = utm_zone(origin)
     return f"{zone.name}, EPSG:{zone.epsg}"
 
+
+HORIZONTAL = "HORIZONTAL_STANDARD_DEVIATION"
+"""Metadata of the grid: root of the sum of the variances of x and y, of the poses of each dive."""
 
 DEPTH_DIGITS, METRE_DIGITS, DEGREE_DIGITS = 3, 3, 9
 """Digits after the point; a billionth of a degree is 0.1 mm."""
@@ -217,7 +223,10 @@ class _Export:
                     self._tiling, self._stored.resolution_m, self._options.cell_voxels
                 )
                 edge = self._tiling.edge // self._options.cell_voxels
-                write_tiles(grid, tiles, place, self._bands(), self._origin, edge=edge)
+                accuracy = "; ".join(self._options.accuracy)
+                notes = {HORIZONTAL: accuracy} if accuracy else None
+                bands = self._bands()
+                write_tiles(grid, tiles, place, bands, self._origin, edge=edge, notes=notes)
             for _ in tiles:
                 pass
 

@@ -4,6 +4,7 @@ Each dive is planned once; unchanged plans are kept.
 """
 
 import io
+import math
 import time
 import zlib
 from collections.abc import Callable
@@ -20,8 +21,9 @@ from mapper_survey.folder import Folder, mark, marked
 from mapper_survey.request import DiveTransform, Request, SurveyDive
 from mapper_survey.spool import Frame, RowFile, Rows, SpoolMap
 from mapperd.config.tree import Config
-from mapperd.errors import ReplayError
+from mapperd.errors import Reject, ReplayError
 from mapperd.odometry.odometry_files import OdometryOptions
+from mapperd.odometry.records import UNKNOWN_VARIANCE
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import PosedPing
 from mapperd.session.recordings import RecordedSession, files_in, sessions_of
@@ -100,6 +102,9 @@ class DivePlan(Struct, frozen=True):
         lost: unusable parts.
         spool_bytes, index_crc: size and checksum of its files, to detect damage.
         cpu_s, read_bytes, written_bytes: cost of the task.
+        deviation_mean_m, deviation_max_m: horizontal standard deviation of the poses at the pings,
+            as the odometry or `odometry.position_std` states it: root of the sum of the variances
+            of x and y; None if it is unknown.
     """
 
     name: str
@@ -118,6 +123,34 @@ class DivePlan(Struct, frozen=True):
     cpu_s: float
     read_bytes: int
     written_bytes: int
+    deviation_mean_m: float | None = None
+    deviation_max_m: float | None = None
+
+
+class _Deviations:
+    """Horizontal standard deviations of poses, as far as they are stated."""
+
+    def __init__(self) -> None:
+        self._stated_m: list[float] = []
+
+    def add(self, posed: PosedPing) -> None:
+        """Add a ping's."""
+        if isinstance(posed.pose, Reject) or posed.pose.covariance is None:
+            return
+        variance_m2 = float(posed.pose.covariance[0, 0] + posed.pose.covariance[1, 1])
+        if 0.0 < variance_m2 < UNKNOWN_VARIANCE:
+            self._stated_m.append(math.sqrt(variance_m2))
+
+    @property
+    def mean_m(self) -> float | None:
+        """Their mean; None without any."""
+        stated_m = self._stated_m
+        return math.fsum(stated_m) / len(stated_m) if stated_m else None
+
+    @property
+    def max_m(self) -> float | None:
+        """The largest; None without any."""
+        return max(self._stated_m, default=None)
 
 
 def spool_name(plan: DivePlan | PlanTask) -> str:
@@ -149,10 +182,10 @@ def plan_dive(task: PlanTask) -> DivePlan:
         with (work / "spool").open("wb") as out, (work / "rows.npy").open("wb") as index:
             rows = RowFile(index)
             spool = SpoolMap(task.config, out, rows, Frame(task.transform))
-            counters = PipelineCounters()
+            counters, deviations = PipelineCounters(), _Deviations()
             sessions, lost = _sessions(task)
             for session in sessions:
-                lost += _spool(session, task.config, spool, counters)
+                lost += _spool(session, task.config, spool, counters, deviations)
             rows.close()
         index_crc, index_bytes = _crc_of(work / "rows.npy")
         folder.put(work / "spool", spool_name(task))
@@ -174,6 +207,8 @@ def plan_dive(task: PlanTask) -> DivePlan:
         cpu_s=time.process_time() - began_s,
         read_bytes=sum(session.bytes_read for session in sessions),
         written_bytes=spool.size_bytes + index_bytes,
+        deviation_mean_m=deviations.mean_m,
+        deviation_max_m=deviations.max_m,
     )
 
 
@@ -228,7 +263,11 @@ def _raise_if_of_disk(error: Exception) -> None:
 
 
 def _spool(
-    session: RecordedSession, config: Config, spool: SpoolMap, counters: PipelineCounters
+    session: RecordedSession,
+    config: Config,
+    spool: SpoolMap,
+    counters: PipelineCounters,
+    deviations: _Deviations,
 ) -> list[Lost]:
     """Process one session; return its damage."""
     before = counters.bytes_rejected
@@ -236,6 +275,7 @@ def _spool(
 
     def note(posed: PosedPing) -> None:
         spool.t_ns = posed.t_ns
+        deviations.add(posed)
 
     replay.on_posed = note
     stopped: str | None = None
