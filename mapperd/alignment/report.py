@@ -527,10 +527,14 @@ def _residual(loop: Loop, a: Floats, b: Floats) -> Floats:
 
 INK, PAPER, WATER = "#1b2733", "#ffffff", "#eef2f5"
 GREY, BLUE, ORANGE, GREEN, VERMILION = "#7d8790", "#0072b2", "#e69f00", "#009e73", "#d55e00"
-DIVE_COLOURS = (BLUE, ORANGE, GREEN, "#cc79a7", "#56b4e9", VERMILION)
+PURPLE = "#cc79a7"
+DIVE_COLOURS = (BLUE, ORANGE, GREEN, "#56b4e9", VERMILION)
 """Of Okabe and Ito, which the colour-blind tell apart."""
 
 DPI = 110
+MANY_LOOPS = 60
+"""Revisits that are drawn opaque; more are fainter."""
+
 MAX_COLUMN_RATIO = 1.6
 """A plan higher than this share of its width is drawn beside the other, else below it."""
 
@@ -571,7 +575,8 @@ RESIDUALS_TEXT = (
     "that disagree."
 )
 MAP_TEXT = (
-    "Occupied voxels of all submaps from above, placed by the odometry and by the aligned poses. "
+    "Occupied voxels of all submaps from above, placed by the odometry and by the aligned poses; "
+    "the odometry of each dive begins where its aligned poses do. "
     "What is drawn twice before should be drawn once after."
 )
 
@@ -629,12 +634,12 @@ def _trajectory_figure(alignment: Alignment) -> Any:  # noqa: ANN401
                 zorder=5,
             )
     revisit: str | None = "accepted revisit"
-    for loop in alignment.loops:
-        if loop.neighbours or not loop.accepted:
-            continue
+    used = [loop for loop in alignment.loops if loop.accepted and not loop.neighbours]
+    opaque = float(np.clip(MANY_LOOPS / max(len(used), 1), 0.3, 1.0))
+    for loop in used:
         ends = [one.poses[k, :2] for one, k in (_node(alignment, n) for n in (loop.i, loop.j))]
         x, y = np.transpose(ends)
-        axes.plot(x, y, color=VERMILION, linewidth=0.7, alpha=0.8, label=revisit, zorder=1)
+        axes.plot(x, y, color=PURPLE, linewidth=0.7, alpha=opaque, label=revisit, zorder=1)
         revisit = None
     axes.set_aspect("equal", adjustable="datalim")
     _styled(axes, "Trajectory from above", "x east [m]", "y north [m]")
