@@ -187,7 +187,8 @@ class DiveReader:
         progress: receives the share that is read.
 
     Attributes:
-        submaps: those of the last reading; empty before.
+        drifted: submaps that follow the odometry, without their free voxels; empty before reading.
+        submaps: those of the last reading, likewise.
     """
 
     def __init__(
@@ -201,6 +202,7 @@ class DiveReader:
         self._config = config
         self._lift_m = lift_m
         self._progress = progress
+        self.drifted: list[SonarSubmap] = []
         self.submaps: list[SonarSubmap] = []
 
     def __call__(self, correction: Correction | None) -> DiveSubmaps:
@@ -213,7 +215,10 @@ class DiveReader:
         dive = read_submaps(self._session, self._config, correction, self._progress)
         if self._lift_m:
             dive = _lifted(dive, self._lift_m)
-        self.submaps = dive.submaps
+        none = np.zeros((0, 3), dtype=np.int32)
+        self.submaps = [replace(submap, free=none) for submap in dive.submaps]
+        if correction is None:
+            self.drifted = self.submaps
         return dive
 
 
@@ -227,26 +232,30 @@ def _lifted(dive: DiveSubmaps, lift_m: float) -> DiveSubmaps:
     return replace(dive, track=track, submaps=submaps)
 
 
-def maps_of(alignment: Alignment, submaps: Sequence[Sequence[SonarSubmap]]) -> MapPair | None:
+def maps_of(alignment: Alignment, readers: Sequence[DiveReader]) -> MapPair | None:
     """Place the submaps of all dives by the odometry and by the aligned poses.
 
     Args:
         alignment: the result.
-        submaps: of each dive.
+        readers: of its dives, in their order.
 
     Returns:
         the voxels that are occupied in any submap; None without any.
     """
-    resolution_m = next((one.resolution_m for dive in submaps for one in dive), None)
+    resolution_m = next((one.resolution_m for reader in readers for one in reader.submaps), None)
     if resolution_m is None:
         return None
     before, after = [], []
-    for dive, own in zip(alignment.dives, submaps, strict=True):
-        t_ns = np.array([submap.anchor_ns for submap in own], dtype=np.int64)
-        if len(t_ns):
-            before += _placed(own, compose(dive.frame, dive.track.at(t_ns)))
-            after += _placed(own, dive.poses_at(t_ns))
+    for dive, reader in zip(alignment.dives, readers, strict=True):
+        if reader.submaps:
+            odometry = dive.track.at(_anchors(reader.drifted))
+            before += _placed(reader.drifted, compose(dive.frame, odometry))
+            after += _placed(reader.submaps, dive.poses_at(_anchors(reader.submaps)))
     return MapPair(_united(before, resolution_m), _united(after, resolution_m), resolution_m)
+
+
+def _anchors(submaps: Sequence[SonarSubmap]) -> Times:
+    return np.array([submap.anchor_ns for submap in submaps], dtype=np.int64)
 
 
 def _placed(submaps: Sequence[SonarSubmap], poses: Floats) -> list[NDArray[np.int64]]:

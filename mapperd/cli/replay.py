@@ -189,7 +189,7 @@ def _aligned(
     alignment = align([DiveInput(name, reader)], progress=progress)
     bar.close(len(reader.submaps))
     folder = out / ALIGNMENT_FOLDER
-    record = write_alignment(alignment, folder, maps_of(alignment, [reader.submaps]))
+    record = write_alignment(alignment, folder, maps_of(alignment, [reader]))
     sys.stderr.write(f"mapperd: alignment: {record.verdict}; {folder / 'report.md'}\n")
     odometry = session.odometry
     if record.corrected:

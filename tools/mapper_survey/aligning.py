@@ -132,7 +132,7 @@ def align_survey(
         alignment = align(inputs, AlignOptions(threads=threads), progress)
     except RecordingError as error:
         raise ReplayError(str(error)) from error
-    maps = maps_of(alignment, [reader.submaps for reader in readers])
+    maps = maps_of(alignment, readers)
     record = write_alignment(alignment, out, maps)
     if record.corrected:
         with atomic_file(out / SURVEY) as file:

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from mapperd.alignment.align import AlignedDive, Alignment
 from mapperd.alignment.pose_graph import Loop
-from mapperd.alignment.report import maps_of, record_of, write_alignment
+from mapperd.alignment.report import DiveReader, maps_of, record_of, write_alignment
 from mapperd.alignment.submaps import DiveTrack, SonarSubmap
 from mapperd.config.tree import Config
 from mapperd.odometry.native import decode_native
 from mapperd.odometry.odometry_files import OdometryOptions, read_odometry
 from mapperd.odometry.records import Odometry
+from mapperd.session.recordings import RecordedSession
 
 Floats = NDArray[np.float64]
 
@@ -207,7 +208,11 @@ def test_maps_lie_where_the_poses_put_the_submaps() -> None:
     seen = np.array([[10, 0, -15]], dtype=np.int32)  # 2 m ahead of the last node
     end = int(dive.t_ns[2])
     submap = SonarSubmap(end, end, end, dive.odometry[2], 0, 5, seen, seen, 0.2)
-    maps = maps_of(alignment_of(dive), [[submap]])
+    session = RecordedSession([], None)
+    reader = DiveReader(session, Config())
+    assert maps_of(alignment_of(dive), [reader]) is None
+    reader.drifted = reader.submaps = [submap]
+    maps = maps_of(alignment_of(dive), [reader])
     assert maps is not None
     for voxels, x, yaw in ((maps.before, 10.0, 0.2), (maps.after, 9.0, 0.3)):
         ahead, port = 2.1, 0.1
@@ -217,7 +222,6 @@ def test_maps_lie_where_the_poses_put_the_submaps() -> None:
             -2.9,
         ]
         assert voxels.centres_m[0] == pytest.approx(expected, abs=0.1)
-    assert maps_of(alignment_of(dive), [[]]) is None
 
 
 @pytest.mark.slow
