@@ -1103,8 +1103,8 @@ def mcl_kld_size(buckets: int, error: float, quantile: float) -> int:
 class Submap:
     """Observed voxels of a part of a dive, for registration in x, y and yaw.
 
-    Its frame is levelled: z is vertical. Raises ValueError without occupied voxels, for centres that
-    are not finite, or where their box has over 2**27 voxels.
+    Its frame is levelled: z is vertical. Raises ValueError without occupied voxels, for centres
+    that are not finite, or where their box has over 2**27 voxels.
     """
 
     def __init__(
