@@ -39,9 +39,9 @@ from oculus_driver.recording import ODOMETRY_NATIVE, RecordingWriter
 
 __all__ = [
     "ALIGNMENT",
+    "AlignedDiveRecord",
     "AlignmentRecord",
     "DiveReader",
-    "DiveRecord",
     "LoopRecord",
     "MapPair",
     "maps_of",
@@ -85,7 +85,7 @@ class LoopRecord(Struct, frozen=True):
     residual_deg: float
 
 
-class DiveRecord(Struct, frozen=True):
+class AlignedDiveRecord(Struct, frozen=True):
     """Figures of one dive.
 
     Attributes:
@@ -145,7 +145,7 @@ class AlignmentRecord(Struct, frozen=True):
     revisits_accepted: int
     revisits_refused: int
     figures: dict[str, float]
-    dives: list[DiveRecord]
+    dives: list[AlignedDiveRecord]
     loops: list[LoopRecord]
     version: str = __version__
 
@@ -467,13 +467,13 @@ def record_of(alignment: Alignment) -> AlignmentRecord:
     )
 
 
-def _dive_record(alignment: Alignment, dive: AlignedDive) -> DiveRecord:
+def _dive_record(alignment: Alignment, dive: AlignedDive) -> AlignedDiveRecord:
     shift_m, turn_rad = _correction_of(dive, dive.odometry, dive.poses)
     deviation_m = _deviation_m(_covariance_at(dive, dive.track.t_ns))
     scale, crab, turn = np.median(dive.drift, axis=0).tolist()
     name = trajectory_name(alignment, dive)
     x, y, yaw = dive.frame.tolist()
-    return DiveRecord(
+    return AlignedDiveRecord(
         name=dive.name,
         trajectory=[f"{name}.tum", f"{name}.mcap"],
         begin_s=int(dive.track.t_ns[0]) / NS,
@@ -837,7 +837,7 @@ def _page(record: AlignmentRecord, pictures: Sequence[tuple[str, str]]) -> str:
     return "\n".join(lines)
 
 
-def _row(dive: DiveRecord) -> str:
+def _row(dive: AlignedDiveRecord) -> str:
     cells = (
         dive.name,
         f"{(dive.end_s - dive.begin_s) / 60:.1f}",
