@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 
 from mapperd._core import Submap, register_submaps, search_poses
 from mapperd.alignment.pose_graph import (
-    Anchor,
     DriftModel,
     Loop,
+    OdometryStep,
+    PoseAnchor,
     PoseGraph,
     PositionFix,
     Solution,
-    Step,
 )
 from mapperd.alignment.registration import LoopFinder, Pair, Trial
 from mapperd.alignment.submaps import (
     Correction,
     DiveSubmaps,
-    DiveTrack,
+    OdometryTrack,
     SonarSubmap,
     compose,
     inverse,
@@ -133,7 +133,7 @@ class AlignedDive:
     covariance: Floats
     drift: Floats
     frame: Floats
-    track: DiveTrack
+    track: OdometryTrack
 
     def correction_at(self, t_ns: NDArray[np.int64]) -> Floats:
         """(M, 3) transforms that take the odometry to aligned poses, mixed between nodes."""
@@ -183,19 +183,19 @@ class Alignment:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Dive:
+class _DiveNodes:
     """A dive and its nodes: times, planar odometry, of each submap, and steps from node to node."""
 
     given: DiveInput
     submaps: list[SonarSubmap]
-    track: DiveTrack
+    track: OdometryTrack
     t_ns: NDArray[np.int64]
     odometry: Floats
     of_submap: list[int]
-    steps: list[Step | None]
+    steps: list[OdometryStep | None]
 
     @classmethod
-    def of(cls, given: DiveInput, dive: DiveSubmaps) -> "_Dive":
+    def of(cls, given: DiveInput, dive: DiveSubmaps) -> "_DiveNodes":
         """Place nodes at the submaps, between them where they are far apart, and at fixes."""
         track = dive.track
         anchors = [submap.anchor_ns for submap in dive.submaps]
@@ -206,7 +206,7 @@ class _Dive:
             parts = math.ceil((after - before) / 1e9 / NODE_S)
             times |= {before + (after - before) * k // parts for k in range(1, parts)}
         t_ns = np.array(sorted(times), dtype=np.int64)
-        steps: list[Step | None] = [None]
+        steps: list[OdometryStep | None] = [None]
         steps += [_step(track, int(t_ns[k - 1]), int(t_ns[k])) for k in range(1, len(t_ns))]
         of_submap = [int(np.searchsorted(t_ns, t)) for t in anchors]
         return cls(given, dive.submaps, track, t_ns, track.at(t_ns), of_submap, steps)
@@ -220,7 +220,7 @@ class _Dive:
         ]
 
 
-def _step(track: DiveTrack, begin_ns: int, end_ns: int) -> Step:
+def _step(track: OdometryTrack, begin_ns: int, end_ns: int) -> OdometryStep:
     inside = (track.t_ns > begin_ns) & (track.t_ns < end_ns)
     both = track.at(np.array([begin_ns, end_ns], dtype=np.int64))
     way_m = np.vstack([both[:1, :2], track.position_m[inside, :2], both[1:, :2]])
@@ -229,7 +229,7 @@ def _step(track: DiveTrack, begin_ns: int, end_ns: int) -> Step:
     before, after = track.deviation_m[ends]
     loose_m = max(0.0, float(after - before) - STATED_SHARE * path_m)
     jumped = track.segment[ends[1]] != track.segment[ends[0]]
-    return Step(
+    return OdometryStep(
         compose(inverse(both[0]), both[1]),
         (end_ns - begin_ns) / 1e9,
         path_m,
@@ -277,7 +277,7 @@ def align(
 class _AloneDive:
     """A dive that was aligned by itself."""
 
-    dive: _Dive
+    dive: _DiveNodes
     graph: PoseGraph
     finder: LoopFinder
     solution: Solution
@@ -291,13 +291,13 @@ class _AloneDive:
         The odometry also drifts within a submap, which shears it.
         """
         progress(0.0, "mapping")
-        dive = _Dive.of(given, given.read(None))
+        dive = _DiveNodes.of(given, given.read(None))
         start = dive.odometry
         frame = given.frame if given.frame is not None else np.zeros(3)
         graph = PoseGraph(compose(frame[None], start), dive.steps, options.drift)
         graph.fixes = dive.fixes(0)
         if graph.fixes and given.frame is None:
-            graph.anchors = [Anchor(0, graph.start[0], FREE_FRAME)]
+            graph.anchors = [PoseAnchor(0, graph.start[0], FREE_FRAME)]
         graph.solve()
         prior_m = _deviation_m(graph.prepare_covariances())
         first = LoopFinder(dive.submaps, dive.of_submap, options.threads)
@@ -341,7 +341,7 @@ def _uncorrected(dive: AlignedDive) -> AlignedDive:
     return replace(dive, poses=compose(dive.frame[None], dive.odometry))
 
 
-def _result_of(dive: _Dive, poses: Floats, covariance: Floats, drift: Floats) -> AlignedDive:
+def _result_of(dive: _DiveNodes, poses: Floats, covariance: Floats, drift: Floats) -> AlignedDive:
     frame = compose(poses[0], inverse(dive.odometry[0]))
     return AlignedDive(
         dive.given.name, dive.t_ns, dive.odometry, poses, covariance, drift, frame, dive.track
@@ -504,14 +504,14 @@ def _shifted_loops(alone: list[_AloneDive], first: NDArray[np.int64]) -> list[Lo
 
 def _anchors_of(
     alone: list[_AloneDive], frames: list[Floats], first: NDArray[np.int64]
-) -> list[Anchor]:
+) -> list[PoseAnchor]:
     """First poses: exact of the first dive and where a frame is given, else as they were found."""
     anchors = []
     for k, one in enumerate(alone):
         [own] = one.graph.anchors
         given = one.dive.given.frame is not None
         deviation = own.deviation if k == 0 or given else FOUND_FRAME
-        anchors.append(Anchor(int(first[k]), compose(frames[k], own.pose), deviation))
+        anchors.append(PoseAnchor(int(first[k]), compose(frames[k], own.pose), deviation))
     return anchors
 
 

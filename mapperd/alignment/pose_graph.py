@@ -18,7 +18,15 @@ from scipy.sparse.linalg import splu
 
 from mapperd.alignment.submaps import compose, inverse
 
-__all__ = ["Anchor", "DriftModel", "Loop", "PoseGraph", "PositionFix", "Solution", "Step"]
+__all__ = [
+    "DriftModel",
+    "Loop",
+    "OdometryStep",
+    "PoseAnchor",
+    "PoseGraph",
+    "PositionFix",
+    "Solution",
+]
 
 Floats = NDArray[np.float64]
 
@@ -59,7 +67,7 @@ class DriftModel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class OdometryStep:
     """Odometry between two nodes that follow each other.
 
     Attributes:
@@ -107,7 +115,7 @@ class Loop:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Anchor:
+class PoseAnchor:
     """A known pose of a node.
 
     Attributes:
@@ -172,11 +180,11 @@ class PoseGraph:
     """
 
     start: Floats
-    steps: Sequence[Step | None]
+    steps: Sequence[OdometryStep | None]
     model: DriftModel
     loops: list[Loop] = field(default_factory=list)
     fixes: list[PositionFix] = field(default_factory=list)
-    anchors: list[Anchor] = field(default_factory=list)
+    anchors: list[PoseAnchor] = field(default_factory=list)
     _states: Floats = field(init=False)
     _trust: Floats = field(init=False)
 
@@ -184,7 +192,7 @@ class PoseGraph:
         self._states = np.hstack([self.start, np.zeros_like(self.start)])
         self._trust = np.ones(len(self.start))
         if not self.anchors:
-            self.anchors = [Anchor(0, self.start[0].copy(), EXACT)]
+            self.anchors = [PoseAnchor(0, self.start[0].copy(), EXACT)]
 
     def reset(self) -> None:
         """Begin from the odometry again."""
@@ -296,7 +304,7 @@ class PoseGraph:
             normal.add([fix.node], [np.eye(2, STATES)], residual, weight * np.eye(2))
         return normal
 
-    def _of_step(self, k: int, step: Step) -> tuple[list[Floats], Floats, Floats]:
+    def _of_step(self, k: int, step: OdometryStep) -> tuple[list[Floats], Floats, Floats]:
         """Jacobians by the states of the nodes k - 1 and k, residual and information of a step."""
         scale, crab, turn = self._states[k - 1, 3:]
         angle = crab + turn * step.seconds / 2

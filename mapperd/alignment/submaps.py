@@ -29,7 +29,7 @@ from oculus_driver.recording import Chunk
 __all__ = [
     "Correction",
     "DiveSubmaps",
-    "DiveTrack",
+    "OdometryTrack",
     "SonarSubmap",
     "compose",
     "inverse",
@@ -80,7 +80,7 @@ def matrix_of(pose: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DiveTrack:
+class OdometryTrack:
     """The odometry of a dive at even times, also where no ping was mapped.
 
     Attributes:
@@ -170,7 +170,7 @@ class DiveSubmaps:
         recorded_s: time from the first pose to the last.
     """
 
-    track: DiveTrack
+    track: OdometryTrack
     submaps: list[SonarSubmap]
     pings: int
 
@@ -181,7 +181,7 @@ class DiveSubmaps:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Ping:
+class _HeldPing:
     image: PingImage
     map_T_sonar: Floats  # noqa: N815 frames are named
     motion: PingMotion | None
@@ -199,7 +199,7 @@ class _SubmapMapper(SonarMap):
         self.submaps: list[SonarSubmap] = []
         self.pings = 0
         self.posed: PosedPing | None = None
-        self._held: list[_Ping] = []
+        self._held: list[_HeldPing] = []
         self._path_m = 0.0
 
     def integrate(
@@ -216,7 +216,7 @@ class _SubmapMapper(SonarMap):
         matrix = posed.pose.pose.map_T_base
         yaw = math.atan2(matrix[1, 0], matrix[0, 0])
         base = np.array([matrix[0, 3], matrix[1, 3], yaw])
-        ping = _Ping(image, map_T_sonar, motion, posed.t_ns, base, posed.pose.segment)
+        ping = _HeldPing(image, map_T_sonar, motion, posed.t_ns, base, posed.pose.segment)
         if self._ends_before(ping):
             self.finish()
         if self._held:
@@ -224,7 +224,7 @@ class _SubmapMapper(SonarMap):
         self._held.append(ping)
         return PingStats()
 
-    def _ends_before(self, ping: _Ping) -> bool:
+    def _ends_before(self, ping: _HeldPing) -> bool:
         if not self._held:
             return False
         first, last = self._held[0], self._held[-1]
@@ -312,7 +312,7 @@ def read_submaps(
         pass
     mapper.finish()
     path.finish()
-    track = DiveTrack(
+    track = OdometryTrack(
         np.array(path.t_ns, dtype=np.int64),
         np.array([fused.pose.position_m for fused in path.poses]).reshape(-1, 3),
         np.array([fused.pose.map_q_base for fused in path.poses]).reshape(-1, 4),

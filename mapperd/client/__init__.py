@@ -5,9 +5,9 @@ docs/reference/map-stream.md has an example and the protocol.
 
 from mapperd.client.changes import ClientChange, ConnectionStatus, LinkChanged, MapChanged, MapReset
 from mapperd.client.client import MapClient
-from mapperd.client.errors import AskError, EndedError
 from mapperd.client.follower import MapFollower
 from mapperd.client.mirror import Cells, MapMirror
+from mapperd.client.validation import AskError, EndedError
 from mapperd.wire import messages
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import (

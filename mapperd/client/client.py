@@ -20,9 +20,9 @@ from mapperd.client.connect import (
     send,
     with_hint,
 )
-from mapperd.client.errors import AskError, EndedError
 from mapperd.client.protocol import ClientProtocol, StreamOptions
 from mapperd.client.state import MAX_BLOCKS, ClientState, StateReader
+from mapperd.client.validation import AskError, EndedError
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import AnswerMessage, Interest, Want
 from oculus_driver.back_off import BackOff, doubling_steps

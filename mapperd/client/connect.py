@@ -6,8 +6,8 @@ import ssl
 from dataclasses import dataclass
 from pathlib import Path
 
-from mapperd.client.errors import EndedError
 from mapperd.client.protocol import ClientProtocol
+from mapperd.client.validation import EndedError
 
 __all__ = [
     "DaemonAddress",

@@ -12,8 +12,8 @@ from typing import Any, Self, TypedDict, TypeVar, Unpack
 from mapperd.client.change_queue import ChangeQueue
 from mapperd.client.changes import ClientChange, ConnectionStatus
 from mapperd.client.client import MapClient
-from mapperd.client.errors import AskError
 from mapperd.client.state import StateReader
+from mapperd.client.validation import AskError
 from mapperd.wire.messages import Interest, Want
 
 __all__ = ["MapFollower"]

@@ -6,8 +6,8 @@ from typing import Any
 
 import msgspec
 
-from mapperd.client.errors import AskError, EndedError
 from mapperd.client.state import ClientState
+from mapperd.client.validation import AskError, EndedError
 from mapperd.wire.auth import proof_of
 from mapperd.wire.framing import StreamError, client_inbox, framed, server_inbox
 from mapperd.wire.messages import (

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.client.changes import ClientChange, MapChanged, MapReset
-from mapperd.client.errors import EndedError
 from mapperd.client.mirror import MapMirror
 from mapperd.client.validation import (
+    EndedError,
     check_blocks,
     check_map_info,
     check_message,

@@ -10,6 +10,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from mapperd.client.mirror import names_of
+from mapperd.errors import MapperdError
 from mapperd.wire.blocks import UNKNOWN, BlockSet
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import (
@@ -29,6 +30,8 @@ from mapperd.wire.messages import (
 )
 
 __all__ = [
+    "AskError",
+    "EndedError",
     "check_blocks",
     "check_map_info",
     "check_message",
@@ -195,3 +198,41 @@ def _between(cells: NDArray[np.int8]) -> NDArray[np.bool_]:
 def _finite(what: str, numbers: Iterable[float]) -> None:
     if not all(map(math.isfinite, numbers)):
         raise StreamError(f"{what} with numbers that are not finite", "bad_value")
+
+
+FINAL = frozenset(
+    {
+        "bad_interest",
+        "bad_version",
+        "needs_token",
+        "no_permission",
+        "not_trusted",
+        "too_many_blocks",
+        "wrong_token",
+    }
+)
+"""Reasons for which reconnecting does not help."""
+
+
+class AskError(MapperdError):
+    """The daemon did not carry out a request.
+
+    Attributes:
+        reason: one of docs/reference/control.md, or of the client itself: `not_connected`,
+            `link_lost`, `no_answer`, `too_long`.
+        details: plain values.
+    """
+
+    def __init__(self, reason: str, message: str, details: dict[str, object] | None = None) -> None:
+        super().__init__(message)
+        self.reason = reason
+        self.details = details or {}
+
+
+class EndedError(StreamError):
+    """The daemon ended or refused the connection, or this client cannot use it."""
+
+    @property
+    def is_final(self) -> bool:
+        """Whether reconnecting does not help."""
+        return self.reason in FINAL

@@ -20,7 +20,7 @@ from foxglove.websocket import (
 )
 
 from mapperd.client.changes import ClientChange, ConnectionStatus, LinkChanged
-from mapperd.client.errors import AskError
+from mapperd.client.validation import AskError
 from mapperd.errors import LiveError
 from mapperd.foxglove.bridge import FoxgloveRelay
 from mapperd.foxglove.channels import CHANNELS, Channels

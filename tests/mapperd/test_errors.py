@@ -6,7 +6,7 @@ import pytest
 
 from mapperd.api import OperationError
 from mapperd.cli.mapperctl.connection import CtlError
-from mapperd.client.errors import AskError, EndedError
+from mapperd.client.validation import AskError, EndedError
 from mapperd.errors import (
     CheckpointError,
     ConfigError,

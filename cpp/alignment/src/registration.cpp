@@ -369,7 +369,7 @@ namespace {
 // Sums over one submap's points in the other: matched weight, and weight in free space.
 template <typename Move>
 std::size_t tally(const Submap& field, const Submap& points, const Move& move, double scale_m,
-                  std::size_t count, Agreement& sum) {
+                  std::size_t count, SubmapAgreement& sum) {
   const auto& all = points.distributions();
   return for_evenly(all.size(), count, [&](std::size_t i) {
     const Vec3 p = move(all[i].mean_m);
@@ -389,14 +389,14 @@ std::size_t tally(const Submap& field, const Submap& points, const Move& move, d
 Candidate compare_submaps(const Submap& target, const Submap& source, const Pose2& pose,
                           double scale_m, std::size_t points) {
   const Planar target_T_source(pose);
-  Agreement sum;
+  SubmapAgreement sum;
   std::size_t taken = tally(
       target, source, [&](const Vec3& p) { return target_T_source.apply(p); }, scale_m, points,
       sum);
   taken += tally(
       source, target, [&](const Vec3& p) { return target_T_source.back(p); }, scale_m, points, sum);
   const double k = 1.0 / static_cast<double>(taken);
-  const Agreement shares{k * sum.matched, k * sum.contradicted};
+  const SubmapAgreement shares{k * sum.matched, k * sum.contradicted};
   return {pose, shares, shares.matched / (shares.matched + shares.contradicted + kLeastShare)};
 }
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.alignment.pose_graph import DriftModel, Loop, PoseGraph, PositionFix, Step
+from mapperd.alignment.pose_graph import DriftModel, Loop, OdometryStep, PoseGraph, PositionFix
 from mapperd.alignment.submaps import compose, inverse
 
 Floats = NDArray[np.float64]
@@ -23,20 +23,22 @@ def circle(laps: float = 2.0, nodes: int = NODES) -> Floats:
     return np.column_stack([8 * np.cos(angle), 8 * np.sin(angle), yaw])
 
 
-def drifting(truth: Floats, scale: float, crab: float, turn_radps: float) -> list[Step | None]:
+def drifting(
+    truth: Floats, scale: float, crab: float, turn_radps: float
+) -> list[OdometryStep | None]:
     """Odometry whose error the model knows: dividing by it gives the truth."""
-    steps: list[Step | None] = [None]
+    steps: list[OdometryStep | None] = [None]
     for a, b in itertools.pairwise(truth):
         true, seconds = compose(inverse(a), b), 8.0
         angle = -(crab + turn_radps * seconds / 2)
         c, s = math.cos(angle), math.sin(angle)
         x, y = np.array([[c, -s], [s, c]]) @ true[:2] / (1 + scale)
         motion = np.array([x, y, true[2] - turn_radps * seconds])
-        steps.append(Step(motion, seconds, float(np.hypot(x, y))))
+        steps.append(OdometryStep(motion, seconds, float(np.hypot(x, y))))
     return steps
 
 
-def reckoned(first: Floats, steps: list[Step | None]) -> Floats:
+def reckoned(first: Floats, steps: list[OdometryStep | None]) -> Floats:
     poses = [first]
     for step in steps[1:]:
         assert step is not None
@@ -122,7 +124,9 @@ def test_a_step_without_velocity_gives_way_to_revisits() -> None:
     steps = drifting(truth, 0.0, 0.0, 0.0)
     broken = steps[7]
     assert broken is not None
-    steps[7] = Step(broken.motion + np.array([1.5, -1.0, 0.0]), broken.seconds, broken.path_m)
+    steps[7] = OdometryStep(
+        broken.motion + np.array([1.5, -1.0, 0.0]), broken.seconds, broken.path_m
+    )
     graph = PoseGraph(reckoned(truth[0], steps), steps, MODEL)
     graph.loops = [*revisits(truth), loop_of(truth, 5, 9), loop_of(truth, 6, 8)]
     assert rms_m(graph.solve().poses, truth) < 0.4 * rms_m(graph.start, truth)

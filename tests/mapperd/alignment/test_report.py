@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mapperd.alignment.align import AlignedDive, Alignment
 from mapperd.alignment.pose_graph import Loop
 from mapperd.alignment.report import DiveReader, maps_of, record_of, write_alignment
-from mapperd.alignment.submaps import DiveTrack, SonarSubmap
+from mapperd.alignment.submaps import OdometryTrack, SonarSubmap
 from mapperd.config.tree import Config
 from mapperd.odometry.native import decode_native
 from mapperd.odometry.odometry_files import OdometryOptions, read_odometry
@@ -31,7 +31,7 @@ def planar_pose(x: float, y: float, yaw: float) -> Floats:
     )
 
 
-def track_of() -> DiveTrack:
+def track_of() -> OdometryTrack:
     """One metre a second along x, with a heading of 0.2 rad, a roll, and a depth."""
     t_ns = START_NS + np.arange(TICKS, dtype=np.int64) * 100_000_000
     s = np.arange(TICKS) / 10
@@ -42,7 +42,7 @@ def track_of() -> DiveTrack:
         math.sin(yaw / 2) * math.sin(roll / 2),
         math.sin(yaw / 2) * math.cos(roll / 2),
     ]
-    return DiveTrack(
+    return OdometryTrack(
         t_ns,
         np.column_stack([s, np.zeros(TICKS), -3.0 - 0.01 * s]),
         np.tile(quaternion, (TICKS, 1)),

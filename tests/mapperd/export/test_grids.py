@@ -73,7 +73,7 @@ def test_strips_of_a_grid_make_the_file_of_the_whole(
     rows = tops.window.height
     monkeypatch.setattr(cells, "STRIP_CELLS", 1)
     monkeypatch.setattr("mapperd.export.geotiff.TILE_CELLS", 16)
-    monkeypatch.setattr("mapperd.export.grids.ROWS_AT_ONCE", 3)
+    monkeypatch.setattr("mapperd.export.formats.ROWS_AT_ONCE", 3)
     strips = list(tops.strips(16))
     assert [len(strip.z) for strip in strips] == [16] * (rows // 16) + [rows % 16] * (rows % 16 > 0)
     assert len(strips) > 1

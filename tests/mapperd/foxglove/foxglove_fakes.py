@@ -11,8 +11,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from numpy.typing import NDArray
 
 from mapperd.client.changes import ClientChange, ConnectionStatus, LinkChanged, MapChanged, MapReset
-from mapperd.client.errors import AskError
 from mapperd.client.mirror import MapMirror
+from mapperd.client.validation import AskError
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, path_message
 from mapperd.wire.messages import (
     EventMessage,

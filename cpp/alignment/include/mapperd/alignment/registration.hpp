@@ -83,7 +83,7 @@ struct SearchWindow {
 };
 
 /// How well two submaps agree at a pose.
-struct Agreement {
+struct SubmapAgreement {
   double matched = 0.0;       ///< share of a submap's points that lie on occupied voxels
   double contradicted = 0.0;  ///< share that lie in free space of the other
 };
@@ -91,7 +91,7 @@ struct Agreement {
 /// A pose and how well the submaps agree there.
 struct Candidate {
   Pose2 pose;  ///< target_T_source
-  Agreement agreement;
+  SubmapAgreement agreement;
   double score = 0.0;  ///< matched / (matched + contradicted + a little), 0..1
 };
 
