@@ -17,7 +17,7 @@ CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLi
 # Programs and tests start hundreds of Pythons, which must not compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives localization-certainty second-pass localization-soak soak store-soak map-size crash-soak power-cuts chaos stream-study mutations accuracy-cost elevation-study numerical-growth survey-dives survey-study from-clone fuzz docs check tidy cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install lock sdist wheels prerequisites test-prerequisites clean
+.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives localization-certainty second-pass localization-soak soak store-soak map-size crash-soak power-cuts chaos stream-study mutations accuracy-cost elevation-study drift-study numerical-growth survey-dives survey-study from-clone fuzz docs check tidy cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install lock sdist wheels prerequisites test-prerequisites clean
 
 demo: $(STAMP)
 	$(TOOL) demo --out out/demo
@@ -108,6 +108,13 @@ elevation-study: $(STAMP)
 	$(TOOL) studies elevation run --contenders iwlo arc "arc, refined" --pose-noise
 	$(TOOL) studies elevation run --contenders iwlo arc "arc, refined" --dives depth_pitch roll ship_hull --voxel 0.05
 	$(TOOL) studies elevation report --contenders iwlo arc "arc, refined" --write
+
+# Simulates dives whose odometry drifts, aligns each with five odometries of every kind, and prints the
+# table of docs/reports/odometry.md. An hour of two cores; what is finished is kept.
+drift-study: $(STAMP)
+	$(TOOL) studies drift simulate
+	$(TOOL) studies drift run --jobs 2
+	$(TOOL) studies drift report
 
 # Errors of rounding over a million updates, and what single precision costs; writes the figure and
 # the tables of docs/reports/numerical-stability.md. One minute of one core.

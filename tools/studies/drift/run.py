@@ -16,7 +16,7 @@ An aligner is a function of a recording, a file of odometry, settings and a fold
 - `loops.csv`: the loops that it accepted, as `judge.read_loops` reads them; without loops, nothing;
 - `verdict.json`: `{"corrected": true}`, or `{"corrected": false, "because": "..."}`.
 
-Without `--align` nothing is aligned: the odometry is its own estimate.
+Without `--align` it is `mapperd.alignment`; `studies.drift.run:keep_odometry` aligns nothing.
 """
 
 import argparse
@@ -34,7 +34,7 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -44,8 +44,14 @@ import numpy as np
 import yaml
 from tqdm import tqdm
 
+from mapperd.alignment.align import DiveInput, align
+from mapperd.alignment.report import write_alignment
+from mapperd.alignment.submaps import read_submaps
 from mapperd.config.loader import config_of, read_tree
 from mapperd.config.tree import Config
+from mapperd.odometry.odometry_files import OdometryOptions
+from mapperd.session.recordings import files_in, sessions_of
+from mapperd.session.replay import odometry_of
 from studies.accuracy_cost.mapping.dives import once
 from studies.drift.dives import (
     DIVES,
@@ -72,7 +78,14 @@ from studies.drift.judge import (
 )
 from studies.report import table
 
-__all__ = ["DriftTask", "keep_odometry", "run_task", "summary_table", "table_of_rows"]
+__all__ = [
+    "DriftTask",
+    "align_recording",
+    "keep_odometry",
+    "run_task",
+    "summary_table",
+    "table_of_rows",
+]
 
 J = TypeVar("J")
 
@@ -90,6 +103,25 @@ def keep_odometry(recording: Path, odometry: Path, config: Config, out: Path) ->
     del recording, config
     write_tum(out / "trajectory.tum", read_odometry_track(odometry))
     verdict = {"corrected": False, "because": "nothing was aligned"}
+    (out / "verdict.json").write_text(json.dumps(verdict))
+
+
+def align_recording(recording: Path, odometry: Path, config: Config, out: Path) -> None:
+    """Align with `mapperd.alignment`; see the module for what an aligner writes."""
+    sessions = sessions_of(files_in([recording], begun=True))
+    files = odometry_of(sessions, OdometryOptions((odometry,)), config)
+    [session] = sessions_of(files_in([recording], begun=True), odometry=files)
+    alignment = align([DiveInput("dive", partial(read_submaps, session, config))])
+    [dive] = alignment.dives
+    write_alignment(alignment, out)
+    lines = ["t_i_s,t_j_s,x_m,y_m,yaw_rad,accepted"]
+    for loop in alignment.loops:
+        if not loop.neighbours:
+            times = f"{dive.t_ns[loop.i] / 1e9:.9f},{dive.t_ns[loop.j] / 1e9:.9f}"
+            x, y, yaw = loop.poses[loop.chosen].tolist()
+            lines.append(f"{times},{x:.6f},{y:.6f},{yaw:.6f},{int(loop.accepted)}")
+    (out / "loops.csv").write_text("\n".join(lines) + "\n")
+    verdict = {"corrected": alignment.corrected, "because": alignment.reason}
     (out / "verdict.json").write_text(json.dumps(verdict))
 
 
@@ -517,7 +549,7 @@ def main() -> None:
             command.add_argument("--rows", action="store_true", help="each run, not only medians")
         if name == "run":
             command.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
-            command.add_argument("--align", default=f"{__package__}.run:keep_odometry")
+            command.add_argument("--align", default=f"{__package__}.run:align_recording")
             command.add_argument("--name", default="align", help="of the aligner with its settings")
             command.add_argument(
                 "--set", nargs="+", default=[], metavar="SETTING=VALUE", help="of the dive's"

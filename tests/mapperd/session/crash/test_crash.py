@@ -285,7 +285,7 @@ def test_a_session_without_space_is_refused_or_keeps_its_map(
 
 
 DEMO = ROOT / "out" / "demo" / "capture.bin"
-DEMO_BYTES = 20_000_000
+DEMO_BYTES = 60_000_000
 
 REPLAY = (
     "octree: {voxel_resolution: 0.2}\nmounting: {orientation: {pitch: 0}}\n"
