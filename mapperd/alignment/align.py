@@ -324,7 +324,7 @@ class _AloneDive:
     def result(self) -> Alignment:
         """Judge the alignment of this dive alone."""
         covariance = self.graph.prepare_covariances()
-        figures, reason = _judged(self.graph, self.prior_m)
+        figures, reason = _judged(self.graph, _deviation_m(covariance), self.prior_m)
         if reason:
             self.solution = _without_loops(self.graph)
             covariance = self.graph.prepare_covariances()
@@ -394,11 +394,13 @@ def _deviation_m(covariance: Floats) -> float:
     return float(np.sqrt(np.maximum(covariance[:, 0, 0] + covariance[:, 1, 1], 0)).mean())
 
 
-def _judged(graph: PoseGraph, prior_m: float) -> tuple[dict[str, float], str]:
-    """Return what the verdict rests on, and why the result must not be used; empty if it may."""
+def _judged(graph: PoseGraph, deviation_m: float, prior_m: float) -> tuple[dict[str, float], str]:
+    """Return what the verdict rests on, and why the result must not be used; empty if it may.
+
+    Fixes correct a dive without revisits, too; but revisits must not contradict them.
+    """
     loops = [loop for loop in graph.loops if not loop.neighbours]
     accepted = [loop for loop in loops if loop.accepted]
-    deviation_m = _deviation_m(graph.prepare_covariances())
     correction_m = _rms_m(graph.start, graph.poses)
     split_m = _split_m(graph, accepted)
     figures = {
@@ -409,14 +411,12 @@ def _judged(graph: PoseGraph, prior_m: float) -> tuple[dict[str, float], str]:
         "correction_m": correction_m,
         "split_m": split_m,
     }
-    if graph.fixes:
-        return figures, ""
-    if len(accepted) < MIN_LOOPS:
+    if len(accepted) < MIN_LOOPS and not graph.fixes:
         found = f"{len(accepted)} revisits" if accepted else "no revisit"
         return figures, f"{found} could be registered, and {MIN_LOOPS} are needed"
     if len(accepted) < MIN_ACCEPTED_SHARE * len(loops):
         return figures, f"{len(loops) - len(accepted)} of {len(loops)} revisits contradict the rest"
-    if deviation_m > MAX_UNCERTAINTY_SHARE * prior_m:
+    if deviation_m > MAX_UNCERTAINTY_SHARE * prior_m and not graph.fixes:
         share = deviation_m / max(prior_m, 1e-9)
         return figures, f"the revisits leave {share:.0%} of the uncertainty of the odometry"
     if split_m > max(MAX_SPLIT_M, MAX_SPLIT_SHARE * correction_m):

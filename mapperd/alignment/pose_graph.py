@@ -151,12 +151,10 @@ class Solution:
     Attributes:
         poses: (N, 3) of the nodes.
         drift: (N, 3) scale, crab (rad) and turn (rad/s).
-        cost: half the sum of squared, weighted residuals.
     """
 
     poses: Floats
     drift: Floats
-    cost: float
 
 
 def wrapped(angle: Floats) -> Floats:
@@ -223,19 +221,17 @@ class PoseGraph:
         # Graduated non-convexity: the kernel starts wide enough to be convex.
         worst = max((self._distance(loop)[0] for loop in self.loops), default=0.0)
         control = max(1.0, 2 * worst / GATE)
-        cost = 0.0
         while True:
             last = control <= 1.0
             for _ in range(MAX_STEPS if last else 4):
                 self._weigh(control)
-                cost, change = self._step()
-                if change < STOP:
+                if self._step() < STOP:
                     break
             if last:
                 break
             control = max(1.0, control / 2.0)
         self._weigh(1.0)
-        return Solution(self._states[:, :3].copy(), self._states[:, 3:].copy(), cost)
+        return Solution(self._states[:, :3].copy(), self._states[:, 3:].copy())
 
     def _weigh(self, control: float) -> None:
         for loop in self.loops:
@@ -256,21 +252,14 @@ class PoseGraph:
         best = int(squared.argmin())
         return float(squared[best]), best
 
-    def residual_of(self, loop: Loop) -> Floats:
-        """(3,) x, y (m) and yaw (rad) by which the nodes deviate from a loop's measurement."""
-        relative = compose(inverse(self.poses[loop.i]), self.poses[loop.j])
-        residual: Floats = relative - loop.poses[loop.chosen]
-        residual[2] = math.remainder(residual[2], math.tau)
-        return residual
-
-    def _step(self) -> tuple[float, float]:
-        """Take one step of Gauss and Newton; return the cost before it and the largest change."""
+    def _step(self) -> float:
+        """Take one step of Gauss and Newton; return the largest change of a pose."""
         builder = self._linearized()
         matrix, gradient = builder.matrix(), builder.gradient
         change = splu(matrix).solve(-gradient).reshape(-1, STATES)
         self._states += change
         self._states[:, 2] = wrapped(self._states[:, 2])
-        return builder.cost, float(np.abs(change[:, :3]).max())
+        return float(np.abs(change[:, :3]).max())
 
     def _linearized(self) -> "_Normal":
         normal = _Normal(len(self._states))
@@ -377,7 +366,6 @@ class _Normal:
     def __init__(self, nodes: int) -> None:
         self.size = nodes * STATES
         self.gradient = np.zeros(self.size)
-        self.cost = 0.0
         self._rows: list[NDArray[np.intp]] = []
         self._columns: list[NDArray[np.intp]] = []
         self._values: list[Floats] = []
@@ -385,7 +373,6 @@ class _Normal:
     def add(
         self, nodes: list[int], jacobians: list[Floats], residual: Floats, information: Floats
     ) -> None:
-        self.cost += 0.5 * float(residual @ information @ residual)
         places = np.concatenate([np.arange(n * STATES, (n + 1) * STATES) for n in nodes])
         jacobian = np.hstack(jacobians)
         weighted = jacobian.T @ information

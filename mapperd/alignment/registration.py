@@ -13,7 +13,7 @@ from mapperd._core import Registration, Submap, compare_submaps, register_submap
 from mapperd.alignment.pose_graph import Loop, PoseGraph
 from mapperd.alignment.submaps import SonarSubmap, compose, inverse
 
-__all__ = ["LoopFinder", "Pair", "Rejection", "Trial"]
+__all__ = ["LoopFinder", "Pair", "Trial", "usable_information"]
 
 Floats = NDArray[np.float64]
 
@@ -82,14 +82,6 @@ class Pair:
     neighbours: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Rejection:
-    """Why a pair gives no registration: `reason` is a word, for counts."""
-
-    pair: Pair
-    reason: str
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
     """A pair with the prediction to look around: i_T_j, (3,), and its covariance, (3, 3)."""
@@ -108,6 +100,10 @@ class LoopFinder:
         nodes: index of the graph's node of each submap.
         threads: that register pairs at the same time; results do not depend on it.
         dive_of: dive of each submap. With it only revisits between dives are sought.
+
+    Attributes:
+        tried: number of registered pairs.
+        rejected: pairs without a loop, by reason.
     """
 
     submaps: Sequence[SonarSubmap]
@@ -186,22 +182,20 @@ class LoopFinder:
             return 0.0
         return math.exp(-((apart_m / reach_m) ** 2)) / (1.0 + spread_m)
 
-    def register(
-        self, trials: Sequence[Trial], progress: Callable[[int], None] = lambda _: None
-    ) -> list[Loop]:
+    def register(self, trials: Sequence[Trial]) -> list[Loop]:
         """Register pairs; return the loops that can be believed, in the order of the pairs."""
         loops: list[Loop] = []
         with ThreadPoolExecutor(self.threads) as pool:
-            for done, found in enumerate(pool.map(self._register, trials), start=1):
+            for found in pool.map(self._register, trials):
                 self.tried += 1
-                if isinstance(found, Rejection):
-                    self.rejected[found.reason] = self.rejected.get(found.reason, 0) + 1
+                if isinstance(found, str):
+                    self.rejected[found] = self.rejected.get(found, 0) + 1
                 else:
                     loops.append(found)
-                progress(done)
         return loops
 
-    def _register(self, trial: Trial) -> Loop | Rejection:
+    def _register(self, trial: Trial) -> Loop | str:
+        """Return a loop, or the reason why there is none."""
         pair, predicted = trial.pair, trial.prediction
         target, source = self._built(pair.i), self._built(pair.j)
         covariance = trial.covariance
@@ -225,7 +219,7 @@ class LoopFinder:
         )
         prior = np.linalg.inv(covariance + np.diag([FLOOR_M**2, FLOOR_M**2, FLOOR_RAD**2]))
         least = MIN_MATCHED_NEIGHBOUR if pair.neighbours else MIN_MATCHED
-        found: list[tuple[float, Floats, Floats]] = []
+        found: list[tuple[float, Registration, Floats]] = []
         reason = "no_overlap"
         for start, *_ in starts:
             result = register_submaps(target, source, start)
@@ -244,20 +238,19 @@ class LoopFinder:
             if not information.any():
                 reason = "degenerate"
                 continue
-            if not any(_alike(result.pose, other) for _, other, _ in found):
-                likely = result.score - PRIOR_WEIGHT * squared
-                found.append((likely, result.pose, information))
+            if not any(_alike(result.pose, other.pose) for _, other, _ in found):
+                found.append((result.score - PRIOR_WEIGHT * squared, result, information))
         if not found:
-            return Rejection(pair, reason)
+            return reason
         found.sort(key=lambda one: -one[0])
         kept = [one for one in found if one[0] >= RIVAL_SHARE * found[0][0]]
         return Loop(
             self.nodes[pair.i],
             self.nodes[pair.j],
-            np.stack([pose for _, pose, _ in kept]),
+            np.stack([result.pose for _, result, _ in kept]),
             np.stack([information for _, _, information in kept]),
             pair.neighbours,
-            np.array([score for score, _, _ in kept]),
+            np.array([result.score for _, result, _ in kept]),
         )
 
 

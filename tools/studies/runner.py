@@ -1,10 +1,15 @@
 """Run one of several programs by its name: `python -m studies NAME`, `python -m bench NAME`."""
 
 import importlib
+import multiprocessing
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from typing import TypeVar
 
-__all__ = ["run_program"]
+__all__ = ["do_all", "run_program"]
+
+J = TypeVar("J")
 
 
 def run_program(package: str, programs: Mapping[str, str], argv: Sequence[str]) -> int:
@@ -22,3 +27,22 @@ def run_program(package: str, programs: Mapping[str, str], argv: Sequence[str]) 
     name, *arguments = argv
     sys.argv = [f"{package} {name}", *arguments]
     return int(importlib.import_module(programs[name]).main() or 0)
+
+
+def do_all(work: Callable[[J], str], jobs: Sequence[J], processes: int, unit: str) -> None:
+    """Do all jobs, in this process or in several, and print what each returns."""
+    from tqdm import tqdm  # noqa: PLC0415 benchmarks need none
+
+    with tqdm(total=len(jobs), unit=unit, disable=None) as bar:
+        for text in _results(work, jobs, processes):
+            bar.update()
+            tqdm.write(text)
+
+
+def _results(work: Callable[[J], str], jobs: Iterable[J], processes: int) -> Iterator[str]:
+    if processes == 1:
+        yield from map(work, jobs)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, context) as pool:
+        yield from pool.map(work, jobs)

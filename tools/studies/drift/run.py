@@ -26,23 +26,20 @@ import importlib
 import inspect
 import itertools
 import json
-import multiprocessing
 import statistics
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import msgspec
 import numpy as np
 import yaml
-from tqdm import tqdm
 
 from mapperd.alignment.align import DiveInput, align
 from mapperd.alignment.report import write_alignment
@@ -77,6 +74,7 @@ from studies.drift.judge import (
     write_tum,
 )
 from studies.report import table
+from studies.runner import do_all
 
 __all__ = [
     "DriftTask",
@@ -87,7 +85,6 @@ __all__ = [
     "table_of_rows",
 ]
 
-J = TypeVar("J")
 
 Aligner = Callable[[Path, Path, Config, Path], None]
 Row = Mapping[str, Any]
@@ -486,7 +483,7 @@ def _run(args: argparse.Namespace) -> None:
         for dive in args.dives
         for kind in args.kinds
     ]
-    _each(run_task, tasks, args.jobs)
+    do_all(run_task, tasks, args.jobs, "run")
     rows = [json.loads(task.row_file.read_text()) for task in tasks]
     rows.sort(key=_order)
     print(table_of_rows(rows))
@@ -497,23 +494,6 @@ def _run(args: argparse.Namespace) -> None:
 def _order(row: Row) -> tuple[int, int, int, int]:
     dives, kinds = list(DIVES), list(KINDS)
     return dives.index(row["dive"]), kinds.index(row["kind"]), row["ping_seed"], row["seed"]
-
-
-def _each(work: Callable[[J], str], jobs: Sequence[J], processes: int) -> None:
-    """Do all jobs, in this process or in several, and print what each returns."""
-    with tqdm(total=len(jobs), unit="run", disable=None) as bar:
-        for text in _results(work, jobs, processes):
-            bar.update()
-            tqdm.write(text)
-
-
-def _results(work: Callable[[J], str], jobs: Iterable[J], processes: int) -> Iterator[str]:
-    if processes == 1:
-        yield from map(work, jobs)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, context) as pool:
-        yield from pool.map(work, jobs)
 
 
 def _report(args: argparse.Namespace) -> None:

@@ -13,16 +13,14 @@ dive and figures. A row is a file, `rows/CONTENDER/DIVE-SEED-VOXELmm-POSES.json`
 import argparse
 import hashlib
 import json
-import multiprocessing
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -37,6 +35,7 @@ from studies.accuracy_cost.mapping.dives import once
 from studies.elevation.dives import DIVES, DiveData, cache_of, load, simulate
 from studies.elevation.measures import ChangeWatch, TrueGrid, measure, truth_of
 from studies.report import IMAGES
+from studies.runner import do_all
 
 __all__ = [
     "CONTENDERS",
@@ -74,8 +73,6 @@ POSITION_NOISE_M, ATTITUDE_NOISE_DEG = 0.05, 0.5
 FOLDER = Path("out/elevation")
 SEEDS = (1, 2, 3)
 VOXEL_M = 0.1
-
-J = TypeVar("J")
 
 
 def contender_config(overrides: Contender, edge_m: float) -> Config:
@@ -292,7 +289,7 @@ def _common(task: Task, first: SonarMap | None, truth: TrueGrid) -> NDArray[np.b
 
 def _simulate(args: argparse.Namespace) -> None:
     jobs = [(name, seed, args.folder) for seed in args.seeds for name in args.dives]
-    _each(_simulate_one, jobs, args.jobs, "dive")
+    do_all(_simulate_one, jobs, args.jobs, "dive")
 
 
 def _simulate_one(job: tuple[str, int, Path]) -> str:
@@ -319,28 +316,11 @@ def _run(args: argparse.Namespace) -> None:
         for seed in args.seeds
         for name in args.dives
     ]
-    _each(_run_one, tasks, args.jobs, "dive")
+    do_all(_run_one, tasks, args.jobs, "dive")
 
 
 def _run_one(task: Task) -> str:
     return f"{task.label}: {', '.join(run_task(task)) or 'nothing new'}"
-
-
-def _each(work: Callable[[J], str], jobs: Sequence[J], processes: int, unit: str) -> None:
-    """Do all jobs, in this process or in several, and print what each returns."""
-    with tqdm(total=len(jobs), unit=unit, disable=None) as bar:
-        for text in _results(work, jobs, processes):
-            bar.update()
-            tqdm.write(text)
-
-
-def _results(work: Callable[[J], str], jobs: Iterable[J], processes: int) -> Iterator[str]:
-    if processes == 1:
-        yield from map(work, jobs)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, context) as pool:
-        yield from pool.map(work, jobs)
 
 
 def _report(args: argparse.Namespace) -> None:
