@@ -29,7 +29,16 @@ from mapperd.alignment.submaps import (
 )
 from mapperd.errors import ReplayError
 
-__all__ = ["AlignOptions", "AlignedDive", "Alignment", "DiveInput", "Fix", "Read", "align"]
+__all__ = [
+    "AlignOptions",
+    "AlignedDive",
+    "Alignment",
+    "DiveInput",
+    "Fix",
+    "Read",
+    "align",
+    "odometry_step",
+]
 
 Floats = NDArray[np.float64]
 
@@ -207,7 +216,7 @@ class _DiveNodes:
             times |= {before + (after - before) * k // parts for k in range(1, parts)}
         t_ns = np.array(sorted(times), dtype=np.int64)
         steps: list[OdometryStep | None] = [None]
-        steps += [_step(track, int(t_ns[k - 1]), int(t_ns[k])) for k in range(1, len(t_ns))]
+        steps += [odometry_step(track, int(t_ns[k - 1]), int(t_ns[k])) for k in range(1, len(t_ns))]
         of_submap = [int(np.searchsorted(t_ns, t)) for t in anchors]
         return cls(given, dive.submaps, track, t_ns, track.at(t_ns), of_submap, steps)
 
@@ -220,7 +229,8 @@ class _DiveNodes:
         ]
 
 
-def _step(track: OdometryTrack, begin_ns: int, end_ns: int) -> OdometryStep:
+def odometry_step(track: OdometryTrack, begin_ns: int, end_ns: int) -> OdometryStep:
+    """Return the odometry between two times, and how far it can be trusted."""
     inside = (track.t_ns > begin_ns) & (track.t_ns < end_ns)
     both = track.at(np.array([begin_ns, end_ns], dtype=np.int64))
     way_m = np.vstack([both[:1, :2], track.position_m[inside, :2], both[1:, :2]])

@@ -9,8 +9,22 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.alignment.align import AlignedDive, Alignment, AlignOptions, DiveInput, align
-from mapperd.alignment.submaps import Correction, DiveSubmaps, compose, inverse, read_submaps
+from mapperd.alignment.align import (
+    AlignedDive,
+    Alignment,
+    AlignOptions,
+    DiveInput,
+    align,
+    odometry_step,
+)
+from mapperd.alignment.submaps import (
+    Correction,
+    DiveSubmaps,
+    OdometryTrack,
+    compose,
+    inverse,
+    read_submaps,
+)
 from mapperd.config.loader import config_of
 from mapperd.session.recordings import files_in, sessions_of
 from tests.mapperd.localization.room import PERIOD_S, Dive, Recorder, dive, events, room
@@ -186,3 +200,22 @@ def test_dives_of_different_places_are_refused(
     )
     assert not found.corrected
     assert "elsewhere" in found.reason
+
+
+def test_a_step_is_loose_where_the_odometry_says_so_and_at_jumps() -> None:
+    count = 101  # 10 s at 1 m/s; two metres of doubt come about in the fifth second
+    t_ns = np.arange(count, dtype=np.int64) * 100_000_000
+    doubt_m = 2.0 * np.clip((np.arange(count) - 40) / 10, 0.0, 1.0)
+    segment = (np.arange(count) >= 80).astype(np.int64)
+    position_m = np.column_stack([np.arange(count) / 10, np.zeros(count), np.zeros(count)])
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    track = OdometryTrack(t_ns, position_m, level, segment, doubt_m)
+    sure, doubtful, jump = (
+        odometry_step(track, int(t_ns[a]), int(t_ns[b])) for a, b in ((0, 30), (30, 60), (60, 90))
+    )
+    assert sure.loose_m == 0
+    assert 1.5 < doubtful.loose_m <= 2.0
+    assert jump.loose_m > 5
+    assert jump.loose_rad > 0.5
+    assert sure.motion == pytest.approx([3.0, 0.0, 0.0])
+    assert sure.path_m == pytest.approx(3.0)

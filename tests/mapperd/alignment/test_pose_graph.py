@@ -92,6 +92,18 @@ def test_drift_is_found_where_crossings_show_it() -> None:
     assert drift == pytest.approx([0.03, -0.02, 0.0008], rel=0.25)
 
 
+def test_drift_may_change() -> None:
+    truth = circle()
+    half = NODES // 2
+    steps = drifting(truth[: half + 1], 0.03, 0.0, 0.0)
+    steps += drifting(truth[half:], -0.03, 0.0, 0.0)[1:]
+    graph = PoseGraph(reckoned(truth[0], steps), steps, MODEL)
+    graph.loops = [loop_of(truth, i, i + 1) for i in range(NODES - 1)]
+    scale = graph.solve().drift[:, 0]
+    assert scale[4:12].mean() > 0.015
+    assert scale[-12:-4].mean() < -0.015
+
+
 @pytest.mark.parametrize("count", [1, 3])
 def test_wrong_revisits_are_refused(count: int) -> None:
     truth = circle()

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from mapperd import _core
-from mapperd.alignment.registration import usable_information
+from mapperd.alignment.registration import LoopFinder, Pair, Trial, usable_information
+from mapperd.alignment.submaps import SonarSubmap
 
 Floats = NDArray[np.float64]
 
@@ -31,8 +32,8 @@ def scene(kind: str = "room") -> Floats:
     return np.vstack([wall, side, *pillars])
 
 
-def submap(points: Floats, frame: Floats) -> _core.Submap:
-    """A submap in a frame whose pose in the scene is (x, y, yaw); all else around is free."""
+def voxels_of(points: Floats, frame: Floats) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Occupied and free voxels in a frame at (x, y, yaw); all else around is free."""
     c, s = math.cos(frame[2]), math.sin(frame[2])
     moved = points - [frame[0], frame[1], 0.0]
     local = np.column_stack([c * moved[:, 0] + s * moved[:, 1], -s * moved[:, 0] + c * moved[:, 1]])
@@ -42,7 +43,14 @@ def submap(points: Floats, frame: Floats) -> _core.Submap:
     grid = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), -1).reshape(-1, 3)
     solid = set(map(tuple, occupied.tolist()))
     free = np.array([v for v in grid if tuple(v.tolist()) not in solid])
-    return _core.Submap((occupied + 0.5) * EDGE_M, (free + 0.5) * EDGE_M, EDGE_M)
+    return occupied.astype(np.int32), free.astype(np.int32)
+
+
+def submap(points: Floats, frame: Floats) -> _core.Submap:
+    """The submap of these voxels."""
+    occupied, free = voxels_of(points, frame)
+    solid, empty = (np.asarray(v + 0.5, dtype=np.float64) * EDGE_M for v in (occupied, free))
+    return _core.Submap(solid, empty, EDGE_M)
 
 
 def relative(a: Floats, b: Floats) -> Floats:
@@ -145,3 +153,18 @@ def test_windows_without_end_are_refused() -> None:
                 step_yaw_rad=0.05,
                 count=1,
             )
+
+
+@pytest.mark.parametrize(("off_m", "reason"), [(0.0, None), (0.5, "far_from_prediction")])
+def test_what_a_sure_prediction_excludes_is_refused(off_m: float, reason: str | None) -> None:
+    frames = np.zeros(3), np.array([0.4, 0.2, 0.1])
+    submaps = [
+        SonarSubmap(k, k, k, frame, 0, 9, *voxels_of(scene(), frame), EDGE_M)
+        for k, frame in enumerate(frames)
+    ]
+    predicted = relative(*frames) + np.array([off_m, 0.0, 0.0])
+    trial = Trial(Pair(0, 1, neighbours=False), predicted, np.diag([1e-4, 1e-4, 1e-4]))
+    finder = LoopFinder(submaps, [0, 1])
+    found = finder.register([trial])
+    assert finder.rejected == ({} if reason is None else {reason: 1})
+    assert len(found) == (reason is None)
