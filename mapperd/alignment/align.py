@@ -67,6 +67,10 @@ AGAIN_NOISE = np.array([0.3, 0.3, math.radians(2.0)])
 """Standard deviations (m, m, rad) that predictions are widened by: of submaps that follow each
 other, where velocity may have failed unnoticed; of registrations that are repeated."""
 
+FRAME_STEPS, FRAME_SPREAD = 10, 3.0
+"""Steps of the robust fit of a frame to fixes; the distance between them, in standard deviations,
+that gives a heading."""
+
 FREE_FRAME = np.array([1e3, 1e3, 10.0])
 FOUND_FRAME = np.array([0.5, 0.5, math.radians(2.0)])
 """Standard deviations (m, m, rad) of a dive's first pose: held by position fixes alone; by the
@@ -83,10 +87,11 @@ MIN_LOOPS = 6
 MIN_BETWEEN_DIVES = 4
 MIN_ACCEPTED_SHARE = 0.6
 MAX_UNCERTAINTY_SHARE = 0.45
+MIN_CORRECTION_DEVIATIONS = 1.5
 MAX_SPLIT_M, MAX_SPLIT_SHARE = 0.25, 0.5
 """What an alignment must reach to be used: revisits and their accepted share; standard deviation as
-a share of the odometry's; difference of the trajectories by two halves of the revisits, absolute or
-as a share of the correction."""
+a share of the odometry's; correction in standard deviations; difference of the trajectories by two
+halves of the revisits, absolute or as a share of the correction."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,10 +202,12 @@ class _DiveNodes:
 
     given: DiveInput
     submaps: list[SonarSubmap]
+    fragments: list[SonarSubmap]
     track: OdometryTrack
     t_ns: NDArray[np.int64]
     odometry: Floats
     of_submap: list[int]
+    of_fragment: list[int]
     steps: list[OdometryStep | None]
 
     @classmethod
@@ -208,17 +215,56 @@ class _DiveNodes:
         """Place nodes at the submaps, between them where they are far apart, and at fixes."""
         track = dive.track
         anchors = [submap.anchor_ns for submap in dive.submaps]
+        parts = [fragment.anchor_ns for fragment in dive.fragments]
         begin, end = int(track.t_ns[0]), int(track.t_ns[-1])
-        ends = sorted({begin, *anchors, end, *(t for t, *_ in given.fixes if begin <= t <= end)})
+        ends = sorted(
+            {begin, *anchors, *parts, end, *(t for t, *_ in given.fixes if begin <= t <= end)}
+        )
         times = set(ends)
         for before, after in itertools.pairwise(ends):
-            parts = math.ceil((after - before) / 1e9 / NODE_S)
-            times |= {before + (after - before) * k // parts for k in range(1, parts)}
+            count = math.ceil((after - before) / 1e9 / NODE_S)
+            times |= {before + (after - before) * k // count for k in range(1, count)}
         t_ns = np.array(sorted(times), dtype=np.int64)
         steps: list[OdometryStep | None] = [None]
         steps += [odometry_step(track, int(t_ns[k - 1]), int(t_ns[k])) for k in range(1, len(t_ns))]
-        of_submap = [int(np.searchsorted(t_ns, t)) for t in anchors]
-        return cls(given, dive.submaps, track, t_ns, track.at(t_ns), of_submap, steps)
+        of_submap, of_fragment = (np.searchsorted(t_ns, at).tolist() for at in (anchors, parts))
+        odometry = track.at(t_ns)
+        return cls(
+            given,
+            dive.submaps,
+            dive.fragments,
+            track,
+            t_ns,
+            odometry,
+            of_submap,
+            of_fragment,
+            steps,
+        )
+
+    def frame_by_fixes(self) -> Floats:
+        """(3,) pose of the odometry's frame that fits the fixes best; zero without fixes.
+
+        Its heading is fitted where the fixes are further apart than they are uncertain.
+        """
+        fixes = self.fixes(0)
+        if not fixes:
+            return np.zeros(3)
+        here_m = self.odometry[[fix.node for fix in fixes], :2] @ np.array([1, 1j])
+        there_m = np.array([fix.position_m for fix in fixes]) @ np.array([1, 1j])
+        deviation_m = np.array([fix.deviation_m for fix in fixes])
+        weights = deviation_m**-2.0
+        turn = complex(1.0)
+        for _ in range(FRAME_STEPS):
+            here, there = (np.average(points, weights=weights) for points in (here_m, there_m))
+            spread_m = math.sqrt(np.average(abs(here_m - here) ** 2, weights=weights))
+            if spread_m > FRAME_SPREAD * deviation_m.mean():
+                product = complex(np.sum(weights * np.conj(here_m - here) * (there_m - there)))
+                turn = product / max(abs(product), 1e-12)
+            away_m = abs(there_m - there - turn * (here_m - here))
+            scale_m = max(1.5 * float(np.median(away_m)), float(deviation_m.mean()))
+            weights = deviation_m**-2.0 / (1 + (away_m / scale_m) ** 2) ** 2
+        shift = there - turn * here
+        return np.array([shift.real, shift.imag, math.atan2(turn.imag, turn.real)])
 
     def fixes(self, first: int) -> list[PositionFix]:
         """Known positions, at nodes counted from `first`."""
@@ -303,7 +349,7 @@ class _AloneDive:
         progress(0.0, "mapping")
         dive = _DiveNodes.of(given, given.read(None))
         start = dive.odometry
-        frame = given.frame if given.frame is not None else np.zeros(3)
+        frame = given.frame if given.frame is not None else dive.frame_by_fixes()
         graph = PoseGraph(compose(frame[None], start), dive.steps, options.drift)
         graph.fixes = dive.fixes(0)
         if graph.fixes and given.frame is None:
@@ -311,23 +357,23 @@ class _AloneDive:
         graph.solve()
         prior_m = _deviation_m(graph.prepare_covariances())
         first = LoopFinder(dive.submaps, dive.of_submap, options.threads)
+        motion = LoopFinder(dive.fragments, dive.of_fragment, options.threads)
         progress(0.3, "registering")
-        trials = _predicted(first.neighbours(), dive.of_submap, graph, NEIGHBOUR_NOISE)
-        graph.loops += first.register(trials)
+        trials = _predicted(motion.neighbours(), dive.of_fragment, graph, NEIGHBOUR_NOISE)
+        graph.loops += motion.register(trials)
         solution, known = _close_loops(graph, first, [])
         progress(0.5, "mapping again")
         aligned = _result_of(dive, solution.poses, graph.prepare_covariances(), solution.drift)
         again = given.read(aligned.correction_at)
         finder = LoopFinder(again.submaps, dive.of_submap, options.threads)
-        dive = replace(dive, submaps=again.submaps)
-        accepted = {(loop.i, loop.j) for loop in graph.loops if loop.accepted}
-        pairs = [
-            pair
-            for pair in [*first.neighbours(), *known]
-            if (dive.of_submap[pair.i], dive.of_submap[pair.j]) in accepted
-        ]
+        motion = LoopFinder(again.fragments, dive.of_fragment, options.threads)
+        dive = replace(dive, submaps=again.submaps, fragments=again.fragments)
+        revisits = {(loop.i, loop.j) for loop in graph.loops if loop.accepted}
+        pairs = [p for p in known if (dive.of_submap[p.i], dive.of_submap[p.j]) in revisits]
         progress(0.8, "registering again")
-        graph.loops = finder.register(_predicted(pairs, dive.of_submap, graph, AGAIN_NOISE))
+        trials = _predicted(motion.neighbours(), dive.of_fragment, graph, AGAIN_NOISE)
+        again_trials = _predicted(pairs, dive.of_submap, graph, AGAIN_NOISE)
+        graph.loops = motion.register(trials) + finder.register(again_trials)
         solution, _ = _close_loops(graph, finder, pairs)
         return cls(dive, graph, finder, solution, prior_m, first.tried + finder.tried)
 
@@ -429,6 +475,11 @@ def _judged(graph: PoseGraph, deviation_m: float, prior_m: float) -> tuple[dict[
     if deviation_m > MAX_UNCERTAINTY_SHARE * prior_m and not graph.fixes:
         share = deviation_m / max(prior_m, 1e-9)
         return figures, f"the revisits leave {share:.0%} of the uncertainty of the odometry"
+    if correction_m < MIN_CORRECTION_DEVIATIONS * deviation_m:
+        return figures, (
+            f"the correction is {correction_m:.2f} m, and its standard deviation "
+            f"{deviation_m:.2f} m"
+        )
     if split_m > max(MAX_SPLIT_M, MAX_SPLIT_SHARE * correction_m):
         return figures, (
             f"two halves of the revisits give trajectories {split_m:.2f} m apart, and the "

@@ -5,6 +5,10 @@ direction of travel turns against the heading) and turn (the rate of the heading
 Ornstein-Uhlenbeck processes, so drift may be constant or change. Loops are robust (Geman-McClure
 with graduated non-convexity: Yang, Antonante, Tzoumas and Carlone 2020); a loop may have several
 alternatives, of which the most likely counts (max-mixture: Olson and Agarwal 2013).
+
+Registrations err, too: echoes of unknown elevation are placed too near or too far, alike in all
+submaps. Two errors, common to all loops, are estimated: a scale of the way between the submaps, and
+a turn about the middle of what they share, proportional to the turn between them.
 """
 
 import math
@@ -47,7 +51,7 @@ STOP = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class DriftModel:
-    """How odometry drifts; one standard deviation each.
+    """How odometry drifts and how registrations err alike; one standard deviation each.
 
     Attributes:
         scale: error of distances, as a share.
@@ -56,6 +60,8 @@ class DriftModel:
         memory_s: time over which these errors stay alike.
         noise_m: of a step, for each square root of a metre travelled.
         noise_rad: of a step, for each square root of a second.
+        registration_scale: error of the way between registered submaps, as a share.
+        registration_turn: error of the turn between them, as a share.
     """
 
     scale: float = 0.03
@@ -64,6 +70,8 @@ class DriftModel:
     memory_s: float = 60.0
     noise_m: float = 0.02
     noise_rad: float = math.radians(0.05)
+    registration_scale: float = 0.01
+    registration_turn: float = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,6 +102,7 @@ class Loop:
         poses: (K, 3) alternatives of i_T_j, the best first.
         information: (K, 3, 3) of x, y in the axes of i, and yaw.
         neighbours: whether the nodes follow each other closely, so that this is no revisit.
+        centre: (2,) middle of what the submaps share, in the frame of j.
         scores: (K,) agreement of the submaps, 0..1.
         weight: 0..1 after solving; below `ACCEPTED_WEIGHT` the loop is refused.
         chosen: index of the alternative that counts.
@@ -105,6 +114,7 @@ class Loop:
     information: Floats
     neighbours: bool
     scores: Floats
+    centre: Floats
     weight: float = 1.0
     chosen: int = 0
 
@@ -175,6 +185,8 @@ class PoseGraph:
         loops: registrations.
         fixes: known positions.
         anchors: known poses: at first that of node 0.
+        bias: (2,) common errors of the registrations: scale of the way, and turn about the middle
+            of what the submaps share by the sine of the turn between them.
     """
 
     start: Floats
@@ -184,10 +196,12 @@ class PoseGraph:
     fixes: list[PositionFix] = field(default_factory=list)
     anchors: list[PoseAnchor] = field(default_factory=list)
     _states: Floats = field(init=False)
+    bias: Floats = field(init=False)
     _trust: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         self._states = np.hstack([self.start, np.zeros_like(self.start)])
+        self.bias = np.zeros(2)
         self._trust = np.ones(len(self.start))
         if not self.anchors:
             self.anchors = [PoseAnchor(0, self.start[0].copy(), EXACT)]
@@ -196,13 +210,13 @@ class PoseGraph:
         """Begin from the odometry again."""
         self.__post_init__()
 
-    def save(self) -> tuple[Floats, Floats]:
+    def save(self) -> tuple[Floats, Floats, Floats]:
         """Return the present states, for `restore`."""
-        return self._states.copy(), self._trust.copy()
+        return self._states.copy(), self._trust.copy(), self.bias.copy()
 
-    def restore(self, saved: tuple[Floats, Floats]) -> None:
+    def restore(self, saved: tuple[Floats, Floats, Floats]) -> None:
         """Return to states of `save`."""
-        self._states, self._trust = saved[0].copy(), saved[1].copy()
+        self._states, self._trust, self.bias = (array.copy() for array in saved)
 
     def begin_at(self, poses: Floats, drift: Floats) -> None:
         """Begin from other poses and drift, (N, 3) each."""
@@ -246,23 +260,43 @@ class PoseGraph:
     def _distance(self, loop: Loop) -> tuple[float, int]:
         """Return the least squared Mahalanobis distance of the alternatives, and which it is."""
         relative = compose(inverse(self.poses[loop.i]), self.poses[loop.j])
-        residual = relative - loop.poses
+        residual = self.measured_by(loop, relative)[0] - loop.poses
         residual[:, 2] = wrapped(residual[:, 2])
         squared = np.einsum("ki,kij,kj->k", residual, loop.information, residual)
         best = int(squared.argmin())
         return float(squared[best]), best
 
+    def measured_by(self, loop: Loop, relative: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return what a loop measures of i_T_j (3,), and its derivatives by i_T_j and the bias."""
+        scale, gain = self.bias
+        c, s = math.cos(relative[2]), math.sin(relative[2])
+        x, y = loop.centre
+        # The lever from the centre to the submap's origin, turned by a right angle.
+        across = np.array([s * x + c * y, -(c * x - s * y)])
+        moved = (1 + scale) * relative[:2] + gain * s * across
+        measured = np.append(moved, relative[2] + gain * s)
+        by_pose = np.diag([1 + scale, 1 + scale, 1 + gain * c])
+        by_pose[:2, 2] = gain * (c * across + s * np.array([c * x - s * y, s * x + c * y]))
+        by_bias = np.array([(relative[0], s * across[0]), (relative[1], s * across[1]), (0.0, s)])
+        return measured, by_pose, by_bias
+
     def _step(self) -> float:
         """Take one step of Gauss and Newton; return the largest change of a pose."""
         builder = self._linearized()
         matrix, gradient = builder.matrix(), builder.gradient
-        change = splu(matrix).solve(-gradient).reshape(-1, STATES)
+        *change, bias = splu(matrix).solve(-gradient).reshape(-1, STATES)
         self._states += change
+        self.bias += bias[: len(self.bias)]
         self._states[:, 2] = wrapped(self._states[:, 2])
-        return float(np.abs(change[:, :3]).max())
+        return float(np.abs(np.array(change)[:, :3]).max())
 
     def _linearized(self) -> "_Normal":
-        normal = _Normal(len(self._states))
+        bias_node = len(self._states)  # its other states do nothing
+        normal = _Normal(bias_node + 1)
+        deviation = np.array([self.model.registration_scale, self.model.registration_turn])
+        of_bias = np.eye(len(deviation), STATES)
+        normal.add([bias_node], [of_bias], self.bias, np.diag(deviation**-2.0))
+        normal.add([bias_node], [np.eye(STATES)], np.zeros(STATES), 1e-6 * np.eye(STATES))
         for anchor in self.anchors:
             residual = self._states[anchor.node, :3] - anchor.pose
             residual[2] = math.remainder(residual[2], math.tau)
@@ -282,10 +316,13 @@ class PoseGraph:
             jacobians, residual, information = self._of_step(k, step)
             normal.add([k - 1, k], jacobians, residual, self._trust[k] * information)
         for loop in self.loops:
-            measured = loop.poses[loop.chosen]
-            jacobians, residual = self._relative(loop.i, loop.j, measured)
+            (of_i, of_j), relative = self._relative(loop.i, loop.j, np.zeros(3))
+            measured, by_pose, by_bias = self.measured_by(loop, relative)
+            residual = measured - loop.poses[loop.chosen]
+            residual[2] = math.remainder(residual[2], math.tau)
             information = loop.weight * loop.information[loop.chosen]
-            normal.add([loop.i, loop.j], jacobians, residual, information)
+            jacobians = [by_pose @ of_i, by_pose @ of_j, by_bias @ of_bias]
+            normal.add([loop.i, loop.j, bias_node], jacobians, residual, information)
         for fix in self.fixes:
             residual = self._states[fix.node, :2] - fix.position_m
             squared = float(residual @ residual) / fix.deviation_m**2
@@ -354,9 +391,9 @@ class PoseGraph:
     def _columns(self, i: int) -> Floats:
         """(N, 3, 3) covariances of all poses with that of node i."""
         count = len(self._states)
-        right = np.zeros((count * STATES, 3))
+        right = np.zeros(((count + 1) * STATES, 3))
         right[i * STATES : i * STATES + 3] = np.eye(3)
-        columns: Floats = self._factor.solve(right).reshape(count, STATES, 3)[:, :3]
+        columns: Floats = self._factor.solve(right).reshape(count + 1, STATES, 3)[:count, :3]
         return columns
 
 

@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 
 from mapperd._core import Registration, Submap, compare_submaps, register_submaps, search_poses
 from mapperd.alignment.pose_graph import Loop, PoseGraph
-from mapperd.alignment.submaps import SonarSubmap, compose, inverse
+from mapperd.alignment.submaps import (
+    MIN_FRAGMENT_VOXELS,
+    MIN_VOXELS,
+    SonarSubmap,
+    compose,
+    inverse,
+)
 
 __all__ = ["LoopFinder", "Pair", "Trial", "usable_information"]
 
@@ -20,8 +26,8 @@ Floats = NDArray[np.float64]
 KEPT_SUBMAPS = 64
 """Submaps whose distances are in memory at the same time."""
 
-NEIGHBOURS = 2
-"""Submaps that follow each other are registered to so many before them."""
+NEIGHBOURS = (2,)
+"""A fragment is registered to those so many before it: near ones see the same at the same time."""
 
 LOOP_S = 25.0
 """Time between the submaps of a revisit, at least."""
@@ -44,7 +50,7 @@ STEP_M, STEP_RAD = 0.4, math.radians(2.5)
 CANDIDATES = 4
 
 MIN_SCORE = 0.55
-MIN_MATCHED, MIN_MATCHED_NEIGHBOUR = 0.35, 0.25
+MIN_MATCHED, MIN_MATCHED_NEIGHBOUR = 0.35, 0.2
 PRIOR_WEIGHT = 0.01
 """Score that a candidate loses for each unit of squared distance from the prediction."""
 
@@ -56,6 +62,7 @@ APART_M, APART_RAD = 0.3, math.radians(2.0)
 
 FLOOR_M, FLOOR_RAD = 0.05, math.radians(0.4)
 FULL_SHARE, UNMATCHED_GROWTH = 0.7, 7.0
+NEIGHBOUR_FLOOR_M, NEIGHBOUR_FLOOR_RAD, NEIGHBOUR_FULL_SHARE = 0.1, math.radians(1.0), 0.3
 TURN_M, TURN_RAD = 0.1, math.radians(1.2)
 """Standard deviation of every registration, for odometry drifts within a submap. It grows
 exponentially as the matched share falls below `FULL_SHARE`, and by so much for each radian between
@@ -120,15 +127,17 @@ class LoopFinder:
         return self.submaps[index].build()
 
     def neighbours(self) -> list[Pair]:
-        """Pairs of submaps that follow each other."""
-        usable = [k for k, submap in enumerate(self.submaps) if submap.usable]
+        """Pairs that follow each other, of fragments."""
         return [
-            Pair(i, j, neighbours=True)
-            for place, j in enumerate(usable)
-            for i in usable[max(place - NEIGHBOURS, 0) : place]
-            if self.submaps[j].segment == self.submaps[i].segment
-            and (self.submaps[j].begin_ns - self.submaps[i].end_ns) / 1e9 < LOOP_S
+            Pair(j - back, j, neighbours=True)
+            for j in range(len(self.submaps))
+            for back in NEIGHBOURS
+            if j >= back and self._follow(self.submaps[j - back], self.submaps[j])
         ]
+
+    def _follow(self, a: SonarSubmap, b: SonarSubmap) -> bool:
+        enough = min(len(a.occupied), len(b.occupied)) >= MIN_FRAGMENT_VOXELS
+        return enough and a.segment == b.segment and (b.begin_ns - a.end_ns) / 1e9 < LOOP_S
 
     def loops(self, graph: PoseGraph, known: Iterable[Pair], per_submap: int) -> list[Trial]:
         """Pairs of revisits that the graph predicts, the best predicted first.
@@ -139,7 +148,7 @@ class LoopFinder:
             per_submap: number of partners of a submap.
         """
         skip = {(pair.i, pair.j) for pair in known}
-        usable = [k for k, submap in enumerate(self.submaps) if submap.usable]
+        usable = [k for k, one in enumerate(self.submaps) if len(one.occupied) >= MIN_VOXELS]
         ranked: list[tuple[float, Trial]] = []
         for i in usable:
             others = [j for j in usable if self._is_revisit(i, j) and (i, j) not in skip]
@@ -234,7 +243,7 @@ class LoopFinder:
             if squared > GATE:
                 reason = "far_from_prediction"
                 continue
-            information = usable_information(target, source, result)
+            information = usable_information(target, source, result, neighbours=pair.neighbours)
             if not information.any():
                 reason = "degenerate"
                 continue
@@ -251,6 +260,7 @@ class LoopFinder:
             np.stack([information for _, _, information in kept]),
             pair.neighbours,
             np.array([result.score for _, result, _ in kept]),
+            self.submaps[pair.j].centre_m,
         )
 
 
@@ -259,7 +269,9 @@ def _alike(a: Floats, b: Floats) -> bool:
     return math.dist(a[:2], b[:2]) < APART_M and turn < APART_RAD
 
 
-def usable_information(target: Submap, source: Submap, result: Registration) -> Floats:
+def usable_information(
+    target: Submap, source: Submap, result: Registration, *, neighbours: bool = False
+) -> Floats:
     """Return a registration's information without directions that the scene leaves open.
 
     Along an open direction, such as that of a straight wall, the submaps agree as well half a metre
@@ -269,6 +281,7 @@ def usable_information(target: Submap, source: Submap, result: Registration) -> 
         target: as registered.
         source: as registered.
         result: of the registration.
+        neighbours: whether they follow each other: they overlap by a part.
 
     Returns:
         (3, 3) of x, y and yaw, with the standard deviation of every registration added; all zeros
@@ -287,10 +300,14 @@ def usable_information(target: Submap, source: Submap, result: Registration) -> 
         ]
         if here - sum(there) / 2 > OPEN_FALL * here:
             held += np.outer(direction, direction)
-    growth = math.exp(UNMATCHED_GROWTH * max(FULL_SHARE - result.matched, 0.0))
+    least_m, least_rad, full = FLOOR_M, FLOOR_RAD, FULL_SHARE
+    if neighbours:
+        least_m, least_rad = NEIGHBOUR_FLOOR_M, NEIGHBOUR_FLOOR_RAD
+        full = NEIGHBOUR_FULL_SHARE
+    growth = math.exp(UNMATCHED_GROWTH * max(full - result.matched, 0.0))
     turn = abs(float(result.pose[2]))
-    floor_m = math.hypot(FLOOR_M * growth, TURN_M * turn)
-    floor_rad = math.hypot(FLOOR_RAD * growth, TURN_RAD * turn)
+    floor_m = math.hypot(least_m * growth, TURN_M * turn)
+    floor_rad = math.hypot(least_rad * growth, TURN_RAD * turn)
     floor = np.array([floor_m, floor_m, floor_rad * LEVER_M])
     values, vectors = np.linalg.eigh(held @ (units @ result.information @ units) @ held)
     floors_m2 = np.einsum("ik,i,ik->k", vectors, floor**2, vectors)

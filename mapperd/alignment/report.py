@@ -16,8 +16,8 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from mapperd import __version__
-from mapperd.alignment.align import AlignedDive, Alignment
-from mapperd.alignment.pose_graph import DriftModel, Loop
+from mapperd.alignment.align import AlignedDive, Alignment, odometry_step
+from mapperd.alignment.pose_graph import DriftModel, Loop, OdometryStep
 from mapperd.alignment.submaps import (
     Correction,
     DiveSubmaps,
@@ -225,11 +225,15 @@ class DiveReader:
 def _lifted(dive: DiveSubmaps, lift_m: float) -> DiveSubmaps:
     """Return a dive with other heights; voxels move by whole edges."""
     track = replace(dive.track, position_m=dive.track.position_m + np.array([0.0, 0.0, lift_m]))
-    submaps = []
-    for submap in dive.submaps:
-        up = np.array([0, 0, round(lift_m / submap.resolution_m)], dtype=np.int32)
-        submaps.append(replace(submap, occupied=submap.occupied + up, free=submap.free + up))
-    return replace(dive, track=track, submaps=submaps)
+    submaps, fragments = (
+        [_lifted_submap(one, lift_m) for one in some] for some in (dive.submaps, dive.fragments)
+    )
+    return replace(dive, track=track, submaps=submaps, fragments=fragments)
+
+
+def _lifted_submap(submap: SonarSubmap, lift_m: float) -> SonarSubmap:
+    up = np.array([0, 0, round(lift_m / submap.resolution_m)], dtype=np.int32)
+    return replace(submap, occupied=submap.occupied + up, free=submap.free + up)
 
 
 def maps_of(alignment: Alignment, readers: Sequence[DiveReader]) -> MapPair | None:
@@ -421,10 +425,9 @@ def _g2o_lines(alignment: Alignment, model: DriftModel) -> Iterator[str]:
     yield "# odometry, as it came: its drift counts as noise of each step alone"
     for first, dive in zip(fixed, alignment.dives, strict=True):
         for k in range(1, len(dive.t_ns)):
-            motion = compose(inverse(dive.odometry[k - 1]), dive.odometry[k])
-            seconds = float(dive.t_ns[k] - dive.t_ns[k - 1]) / NS
-            information = _step_information(motion, seconds, model)
-            yield f"EDGE_SE2 {first + k - 1} {first + k} {_numbers(motion)} {_upper(information)}"
+            step = odometry_step(dive.track, int(dive.t_ns[k - 1]), int(dive.t_ns[k]))
+            information = _upper(_step_information(step, model))
+            yield f"EDGE_SE2 {first + k - 1} {first + k} {_numbers(step.motion)} {information}"
     yield "# registrations of submaps; refused ones are comments"
     for loop in alignment.loops:
         mark = "" if loop.accepted else "# refused: "
@@ -432,13 +435,13 @@ def _g2o_lines(alignment: Alignment, model: DriftModel) -> Iterator[str]:
         yield f"{mark}EDGE_SE2 {loop.i} {loop.j} {_numbers(pose)} {_upper(information)}"
 
 
-def _step_information(motion: Floats, seconds: float, model: DriftModel) -> Floats:
-    path_m = float(np.hypot(motion[0], motion[1]))
-    along2 = model.noise_m**2 * max(path_m, 0.1) + (model.scale * path_m) ** 2
-    across2 = model.noise_m**2 * max(path_m, 0.1) + (model.crab_rad * path_m) ** 2
+def _step_information(step: OdometryStep, model: DriftModel) -> Floats:
+    path_m, seconds = step.path_m, step.seconds
+    noise2 = model.noise_m**2 * max(path_m, 0.1) + step.loose_m**2
+    drift2 = (max(model.scale, model.crab_rad) * path_m) ** 2  # whatever the direction of travel
     turn2 = model.noise_rad**2 * seconds + (model.turn_radps * seconds) ** 2 + 1e-6
-    larger = max(along2, across2)  # whatever the direction of travel
-    return np.diag([1 / larger, 1 / larger, 1 / turn2])
+    information = (1 / (noise2 + drift2), 1 / (noise2 + drift2), 1 / (turn2 + step.loose_rad**2))
+    return np.diag(information)
 
 
 def _numbers(values: Floats) -> str:

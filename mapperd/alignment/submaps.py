@@ -5,9 +5,10 @@ frame of its middle ping: x forward, y to port, z up and absolute. Depth, roll a
 sensors, so submaps differ by x, y and yaw only.
 """
 
+import itertools
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,10 +48,18 @@ MAX_PAUSE_S = 2.0
 
 POSE_STEP_NS = 100_000_000
 
-MIN_VOXELS = 150
-"""Occupied voxels below which a submap is not registered."""
+FRAGMENTS = 3
+MIN_VOXELS, MIN_FRAGMENT_VOXELS = 150, 60
+"""Occupied voxels below which a submap and a fragment are not registered."""
 
 MIN_PINGS = 3
+
+RETURN_VOXELS, RETURN_GAP_M = 1.5, 0.5
+"""Thickness of the front of a return in edges of a voxel, and the gap between two returns."""
+
+FIRST_ONLY_M = 15.0
+"""Up to this range only the first return of a beam is kept: what lies behind is mostly the floor,
+whose near edge moves with the vehicle."""
 
 
 def compose(a: Floats, b: Floats) -> Floats:
@@ -68,6 +77,33 @@ def inverse(a: Floats) -> Floats:
     x = -c * a[..., 0] - s * a[..., 1]
     y = s * a[..., 0] - c * a[..., 1]
     return np.stack([x, y, -a[..., 2]], axis=-1)
+
+
+def front_of_returns(image: PingImage, threshold: float, depth_m: float) -> PingImage:
+    """Keep the front of each return along a beam.
+
+    Walls and piles echo at many elevations, the nearest first. What follows is put too near or too
+    far, by how much depends on the range, and registrations of submaps that see a thing at
+    different ranges become too short or too long by percents. A floor is one return. Of images up
+    to `FIRST_ONLY_M` only the first return is kept.
+
+    Args:
+        image: of a ping.
+        threshold: samples above it are returns; they are separate if `RETURN_GAP_M` apart.
+        depth_m: that is kept from the first sample of a return.
+    """
+    intensity, edge_m = image.intensity, image.range_resolution_m
+    row = np.arange(len(intensity), dtype=np.int32)[:, None]
+    far = np.int32(-len(intensity) - math.ceil(RETURN_GAP_M / edge_m))
+    seen = np.where(intensity > threshold, row, far)
+    before = np.vstack([np.full_like(seen[:1], far), np.maximum.accumulate(seen[:-1], axis=0)])
+    begins = (seen == row) & (row - before > RETURN_GAP_M / edge_m)
+    front = np.maximum.accumulate(np.where(begins, row, far), axis=0)
+    if image.max_range_m <= FIRST_ONLY_M:
+        front = np.where(begins.any(axis=0), begins.argmax(axis=0), far)
+    kept = np.where(row - front <= depth_m / edge_m, intensity, np.float32(0.0))
+    kept.setflags(write=False)
+    return replace(image, intensity=kept)
 
 
 def matrix_of(pose: Floats) -> Floats:
@@ -145,11 +181,6 @@ class SonarSubmap:
         spread_m = points_m - self.centre_m
         self.radius_m = float(np.sqrt((spread_m**2).sum(axis=1).mean())) if len(points_m) else 0.0
 
-    @property
-    def usable(self) -> bool:
-        """Whether it holds enough to be registered."""
-        return len(self.occupied) >= MIN_VOXELS
-
     def build(self) -> Submap:
         """Return its distances and distributions, for registration."""
         occupied, free = (
@@ -165,13 +196,17 @@ class DiveSubmaps:
 
     Attributes:
         track: the odometry.
-        submaps: in order of time.
+        submaps: in order of time, for revisits.
+        fragments: thirds of the submaps, for the motion between them. A submap takes over the drift
+            of its odometry: what it shares with the next one was seen by its last pings and by the
+            first ones of the next, so the two agree at the drifting poses.
         pings: number of pings in the submaps.
         recorded_s: time from the first pose to the last.
     """
 
     track: OdometryTrack
     submaps: list[SonarSubmap]
+    fragments: list[SonarSubmap]
     pings: int
 
     @property
@@ -197,6 +232,7 @@ class _SubmapMapper(SonarMap):
         super().__init__(config)
         self._correction = correction
         self.submaps: list[SonarSubmap] = []
+        self.fragments: list[SonarSubmap] = []
         self.pings = 0
         self.posed: PosedPing | None = None
         self._held: list[_HeldPing] = []
@@ -216,7 +252,9 @@ class _SubmapMapper(SonarMap):
         matrix = posed.pose.pose.map_T_base
         yaw = math.atan2(matrix[1, 0], matrix[0, 0])
         base = np.array([matrix[0, 3], matrix[1, 3], yaw])
-        ping = _HeldPing(image, map_T_sonar, motion, posed.t_ns, base, posed.pose.segment)
+        depth_m = RETURN_VOXELS * self.resolution_m
+        front = front_of_returns(image, self.config.filtering.intensity_threshold, depth_m)
+        ping = _HeldPing(front, map_T_sonar, motion, posed.t_ns, base, posed.pose.segment)
         if self._ends_before(ping):
             self.finish()
         if self._held:
@@ -239,38 +277,42 @@ class _SubmapMapper(SonarMap):
         )
 
     def finish(self) -> None:
-        """Make a submap of the held pings."""
+        """Make a submap of the held pings, and fragments of its parts."""
         held, self._held, self._path_m = self._held, [], 0.0
         if len(held) < MIN_PINGS:
             return
-        anchor = held[len(held) // 2]
         times = np.array([ping.t_ns for ping in held], dtype=np.int64)
         bends = np.zeros((len(held), 3)) if self._correction is None else self._correction(times)
+        self.submaps.append(self._mapped(held, bends))
+        ends = np.linspace(0, len(held), FRAGMENTS + 1).round().astype(int).tolist()
+        for begin, end in itertools.pairwise(ends):
+            if end - begin >= MIN_PINGS:
+                self.fragments.append(self._mapped(held[begin:end], bends[begin:end]))
+        self.pings += len(held)
+
+    def _mapped(self, held: Sequence[_HeldPing], bends: Floats) -> SonarSubmap:
+        anchor = held[len(held) // 2]
         corrected_T_anchor = compose(bends[len(held) // 2], anchor.base)  # noqa: N806 frames
         for ping, bend in zip(held, bends, strict=True):
             anchor_T_map = matrix_of(compose(inverse(corrected_T_anchor), bend))  # noqa: N806
-            motion = ping.motion
             try:
-                super().integrate(ping.image, anchor_T_map @ ping.map_T_sonar, motion)
+                super().integrate(ping.image, anchor_T_map @ ping.map_T_sonar, ping.motion)
             except MapError:  # it was checked at a pose nearby
                 continue
         kinds = (self.voxels(kind).centres_m for kind in ("occupied", "free"))
         occupied, free = (np.floor(c / self.resolution_m).astype(np.int32) for c in kinds)
-        self.submaps.append(
-            SonarSubmap(
-                held[0].t_ns,
-                anchor.t_ns,
-                held[-1].t_ns,
-                anchor.base,
-                anchor.segment,
-                len(held),
-                occupied,
-                free,
-                self.resolution_m,
-            )
-        )
-        self.pings += len(held)
         self.clear()
+        return SonarSubmap(
+            held[0].t_ns,
+            anchor.t_ns,
+            held[-1].t_ns,
+            anchor.base,
+            anchor.segment,
+            len(held),
+            occupied,
+            free,
+            self.resolution_m,
+        )
 
 
 Correction = Callable[[NDArray[np.int64]], Floats]
@@ -319,7 +361,7 @@ def read_submaps(
         np.array([fused.segment for fused in path.poses], dtype=np.int64),
         np.sqrt([max(fused.covariance[0, 0] + fused.covariance[1, 1], 0) for fused in path.poses]),
     )
-    return DiveSubmaps(track, mapper.submaps, mapper.pings)
+    return DiveSubmaps(track, mapper.submaps, mapper.fragments, mapper.pings)
 
 
 def _submap_settings(config: Config) -> Config:

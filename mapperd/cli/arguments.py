@@ -54,6 +54,7 @@ class Arguments:
         view_port: port of the page that shows the replay; None shows none.
         refine: integrate all echoes once more at the end.
         align: estimate the trajectory again before mapping.
+        fixes: file of known positions for it.
     """
 
     replay: tuple[Path, ...]
@@ -70,6 +71,7 @@ class Arguments:
     odometry: OdometryOptions | None = None
     refine: bool = False
     align: bool = False
+    fixes: Path | None = None
 
 
 VIEW_PORT = 8080
@@ -125,6 +127,7 @@ def parse_arguments(
         odometry=_odometry(args),
         refine=args.refine,
         align=args.align,
+        fixes=args.fixes,
     )
 
 
@@ -156,6 +159,8 @@ def _bad_pass(args: argparse.Namespace) -> str | None:
         return "--refine needs --replay, without --store"
     if args.align and (not args.replay or args.store is not None or args.pose is not None):
         return "--align needs --replay, without --store and --pose"
+    if args.fixes is not None and not args.align:
+        return "--fixes needs --align"
     return None
 
 
@@ -274,6 +279,13 @@ def _parser(commands: Sequence[Callable[[], CommandParser]] = ()) -> CommandPars
         action="store_true",
         help="first estimate the drifting trajectory again from what the sonar saw, and map with "
         "it if that is better (docs/guides/align.md); writes DIR/alignment/",
+    )
+    replay(
+        "--fixes",
+        metavar="FILE",
+        type=Path,
+        help="with --align: positions that are known, such as by GPS at the surface: CSV with "
+        "time_s,x_m,y_m,deviation_m or time_s,latitude_deg,longitude_deg,deviation_m",
     )
     replay(
         "--view",

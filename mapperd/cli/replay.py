@@ -21,6 +21,7 @@ from mapperd.geometry.frames import Pose
 from mapperd.mapping.queries import MapContent
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.odometry_files import OdometryFiles, OdometryOptions, read_odometry
+from mapperd.odometry.trajectory_files import FixFile
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.persistence import MapPersistence, TilePersistence
 from mapperd.session.recordings import (
@@ -123,7 +124,9 @@ def map_recordings(
         return _stored(sessions, sonar_map.config, arguments.pose, arguments.store, trajectory)
     facts: dict[str, Any] = {}
     if arguments.align:
-        odometry, facts["alignment"] = _aligned(sessions[0], sonar_map.config, arguments.out)
+        odometry, facts["alignment"] = _aligned(
+            sessions[0], sonar_map.config, arguments.out, arguments.fixes
+        )
         aligned = sessions_of(paths, damaged, odometry)
         runs = [as_asked(session, None, sonar_map.config) for session in aligned]
     window = Window(arguments.start_s, arguments.duration_s)
@@ -173,7 +176,7 @@ def _require_alignable(runs: Sequence[Run]) -> None:
 
 
 def _aligned(
-    session: RecordedSession, config: Config, out: Path
+    session: RecordedSession, config: Config, out: Path, fixes: Path | None
 ) -> tuple[OdometryFiles | None, dict[str, Any]]:
     """Align a session and write the results; return the odometry to map with, and the verdict."""
     from mapperd.alignment.align import DiveInput, align  # noqa: PLC0415 needs an extra
@@ -185,8 +188,9 @@ def _aligned(
     def progress(share: float, _: str) -> None:
         bar.show(share, len(reader.submaps))
 
-    name = session.paths[0].stem
-    alignment = align([DiveInput(name, reader)], progress=progress)
+    known = () if fixes is None else FixFile(fixes).fixes(config)
+    dive = DiveInput(session.paths[0].stem, reader, fixes=known)
+    alignment = align([dive], progress=progress)
     bar.close(len(reader.submaps))
     folder = out / ALIGNMENT_FOLDER
     record = write_alignment(alignment, folder, maps_of(alignment, [reader]))

@@ -4,12 +4,15 @@ Each pose becomes a chunk with a native record, like recorded odometry.
 """
 
 import csv
+import math
 from collections.abc import Iterator, Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import TextIO
 
+from mapperd.config.tree import Config
 from mapperd.geometry.frames import Body, World, compass_quaternion, rotation_from_rpy
+from mapperd.geometry.geodesy import Origin
 from mapperd.odometry.native import NativeRecord, encode_native
 from mapperd.odometry.records import MAX_DISTANCE_M, bad_numbers, bad_quaternion
 from oculus_driver.errors import RecordingError
@@ -193,15 +196,25 @@ class CsvFile(_TextPoses):
     kind = "CSV"
 
     def _rows(self, file: TextIO) -> Iterator[Row]:
+        for line, stamp_ns, columns, numbers in self._table(file, (POSITIONS, ORIENTATIONS)):
+            (place, turn), (position_m, angles) = columns, numbers
+            yield line, stamp_ns, _enu(place, position_m), self._wxyz(line, turn, angles)
+
+    def _table(
+        self, file: TextIO, choices: Sequence[Sequence[tuple[str, ...]]]
+    ) -> Iterator[tuple[int, int, list[tuple[str, ...]], list[list[float]]]]:
+        """Yield line, time, the columns of each choice and their numbers."""
         header, first = file.readline(MAX_LINE), 1
         while header.startswith("# ") or header.isspace():
             header, first = file.readline(MAX_LINE), first + 1
         mark = max(",;\t", key=header.count)
         names = [name.strip().strip("#\"'").strip().lower() for name in header.split(mark)]
         (time,) = self._columns("time", TIMES, names)
-        place = self._columns("position", POSITIONS, names)
-        turn = self._columns("orientation", ORIENTATIONS, names)
-        wanted = {name: names.index(name) for name in (time, *place, *turn)}
+        whats = ("position", "orientation")
+        columns = [
+            self._columns(what, choice, names) for what, choice in zip(whats, choices, strict=False)
+        ]
+        wanted = {name: names.index(name) for some in ((time,), *columns) for name in some}
         reader = csv.reader(file, delimiter=mark)
         try:
             for row in reader:
@@ -211,10 +224,8 @@ class CsvFile(_TextPoses):
                 if len(row) <= max(wanted.values()):
                     raise self._bad(line, f"{len(row)} columns; the header has {len(names)}")
                 cells = {name: row[index].strip() for name, index in wanted.items()}
-                stamp_ns = self._stamp(line, cells[time], time)
-                position_m = [self._number(line, cells[name], name) for name in place]
-                numbers = [self._number(line, cells[name], name) for name in turn]
-                yield line, stamp_ns, _enu(place, position_m), self._wxyz(line, turn, numbers)
+                numbers = [[self._number(line, cells[n], n) for n in some] for some in columns]
+                yield line, self._stamp(line, cells[time], time), columns, numbers
         except csv.Error as error:
             raise self._bad(reader.line_num + first, str(error)) from error
 
@@ -246,6 +257,80 @@ class CsvFile(_TextPoses):
         turn = compass_quaternion if names == COMPASS else rotation_from_rpy
         wxyz: list[float] = turn(roll, pitch, third).tolist()
         return wxyz
+
+
+GEOGRAPHIC = ("latitude_deg", "longitude_deg")
+DEVIATION = "deviation_m"
+FIX_POSITIONS = tuple(
+    names
+    for place in (
+        ("x_m", "y_m"),
+        ("x", "y"),
+        ("east_m", "north_m"),
+        ("north_m", "east_m"),
+        GEOGRAPHIC,
+    )
+    for names in ((*place, DEVIATION), place)
+)
+DEFAULT_DEVIATION_M = 1.0
+
+
+class FixFile(CsvFile):
+    """Known positions of a vehicle, such as by GPS at the surface, as CSV with a header.
+
+    Columns: a time as in other files; `x_m,y_m` (`x,y`, `east_m,north_m` in either order), or
+    `latitude_deg,longitude_deg`; `deviation_m`, one standard deviation, 1 m without that column.
+    """
+
+    kind = "position fixes"
+    expected = "position fixes"
+
+    def fixes(self, config: Config) -> tuple[tuple[int, float, float, float], ...]:
+        """Return Unix time (ns), x, y and standard deviation (m) of each fix.
+
+        Args:
+            config: whose `odometry.origin` latitudes and longitudes need.
+
+        Raises:
+            RecordingError: the file is malformed, or needs an origin.
+        """
+        found = []
+        geo = config.odometry.origin
+        origin = None if geo is None else Origin.of_degrees(geo.latitude, geo.longitude)
+        try:
+            with self.path.open(encoding="utf-8-sig", newline="") as file:
+                for line, stamp_ns, (names,), (numbers,) in self._table(file, (FIX_POSITIONS,)):
+                    x, y = numbers[:2]
+                    deviation_m = numbers[2] if len(names) > 2 else DEFAULT_DEVIATION_M  # noqa: PLR2004
+                    if names[0] == "north_m":
+                        x, y = y, x
+                    if names[:2] == GEOGRAPHIC:
+                        x, y = self._east_north(line, x, y, origin)
+                    if not (abs(x) <= MAX_DISTANCE_M and abs(y) <= MAX_DISTANCE_M):
+                        raise self._bad(line, f"position ({x:g}, {y:g}) m is out of range")
+                    if not 0 < deviation_m <= MAX_DISTANCE_M:
+                        raise self._bad(line, f"{DEVIATION} is {deviation_m:g}; above 0 m")
+                    found.append((stamp_ns + self._offset_ns, x, y, deviation_m))
+        except UnicodeDecodeError as error:
+            raise RecordingError(f"{self.path}: not UTF-8 text (byte {error.start})") from error
+        except OSError as error:
+            raise RecordingError(
+                f"{self.path}: cannot be read: {error.strerror or error}"
+            ) from error
+        if not found:
+            raise RecordingError(f"{self.path}: no position fix in it")
+        return tuple(found)
+
+    def _east_north(
+        self, line: int, latitude_deg: float, longitude_deg: float, origin: Origin | None
+    ) -> tuple[float, float]:
+        if origin is None:
+            raise self._bad(line, "latitudes need an origin: set odometry.origin")
+        if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180):  # noqa: PLR2004 degrees
+            raise self._bad(line, f"{latitude_deg:g}, {longitude_deg:g} is no place on Earth")
+        place = (math.radians(latitude_deg), math.radians(longitude_deg))
+        east_m, north_m, _ = origin.enu_m(*place, 0.0).tolist()
+        return east_m, north_m
 
 
 def _enu(names: tuple[str, ...], numbers: list[float]) -> list[float]:

@@ -19,11 +19,13 @@ from mapper_survey.request import Request, Survey, SurveyDive, read_survey
 from mapperd.config.layers import load_files
 from mapperd.errors import ExportExtraError, ReplayError, missing_extra
 from mapperd.io import atomic_file, make_folder, remove
+from mapperd.odometry.trajectory_files import FixFile
 from mapperd.session.recordings import RecordedSession, files_in, sessions_of
 from mapperd.session.replay import odometry_of, require_overlap
 from oculus_driver.errors import RecordingError
 
 if TYPE_CHECKING:
+    from mapperd.alignment.align import Fix
     from mapperd.alignment.report import AlignmentRecord
 
 __all__ = ["SURVEY", "align_survey", "dives_of"]
@@ -101,7 +103,8 @@ def align_survey(
 ) -> "AlignmentRecord":
     """Align the dives, and write trajectories, the report and, if corrected, a survey of them.
 
-    Dives with a transform, and all dives of a survey with an origin, have a known frame.
+    Dives with a transform, and all dives of a survey with an origin, have a known frame. Dives with
+    position fixes are placed by these.
 
     Args:
         request: of `dives_of`.
@@ -127,7 +130,8 @@ def align_survey(
     for dive in request.survey.dives:
         lift_m = 0.0 if dive.transform is None else dive.transform.z
         readers.append(DiveReader(_session_of(request, dive), request.config, lift_m))
-        inputs.append(DiveInput(dive.name, readers[-1], _frame_of(request, dive)))
+        known = _fixes_of(request, dive)
+        inputs.append(DiveInput(dive.name, readers[-1], _frame_of(request, dive), known))
     try:
         alignment = align(inputs, AlignOptions(threads=threads), progress)
     except RecordingError as error:
@@ -161,12 +165,21 @@ def _session_of(request: Request, dive: SurveyDive) -> RecordedSession:
     return sessions[0]
 
 
+def _fixes_of(request: Request, dive: SurveyDive) -> "tuple[Fix, ...]":
+    if dive.fixes is None:
+        return ()
+    try:
+        return FixFile(request.folder / dive.fixes).fixes(request.config)
+    except RecordingError as error:
+        raise ReplayError(f"dive {dive.name}: {error}") from error
+
+
 def _frame_of(request: Request, dive: SurveyDive) -> NDArray[np.float64] | None:
     """Pose of the dive's odometry in the survey: x, y (m), yaw (rad); None if it is to be found."""
     at = dive.transform
     if at is not None:
         return np.array([at.x, at.y, math.radians(at.yaw_deg)])
-    return None if request.survey.origin is None else np.zeros(3)
+    return None if request.survey.origin is None or dive.fixes is not None else np.zeros(3)
 
 
 def _survey_text(request: Request, out: Path, record: "AlignmentRecord") -> str:

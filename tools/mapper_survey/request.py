@@ -59,6 +59,7 @@ class SurveyDive(Struct, frozen=True, forbid_unknown_fields=True):
         odometry_offset: seconds added to their times.
         localization: a known map in the survey's frame, on which the dive is localized; each ping
             is mapped at the localized poses, and only while they are certain.
+        fixes: CSV of known positions in the survey's frame, for `mapper-survey align`.
     """
 
     name: Annotated[str, Meta(pattern="^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
@@ -67,6 +68,7 @@ class SurveyDive(Struct, frozen=True, forbid_unknown_fields=True):
     localization: str | None = None
     odometry: list[Annotated[str, Meta(min_length=1)]] = []
     odometry_offset: Annotated[float, Meta(ge=-1e10, le=1e10)] = 0.0
+    fixes: Annotated[str, Meta(min_length=1)] | None = None
 
 
 class SurveyOrigin(Struct, frozen=True, forbid_unknown_fields=True):
@@ -147,28 +149,32 @@ def read_survey(path: Path) -> Request:
     except SurveyError as error:
         raise SurveySettingsError(f"{path}: $.outputs: {error}") from error
     for number, dive in enumerate(survey.dives):
-        here = f"{path}: $.dives[{number}]"
-        if not (folder / dive.recording).exists():
-            raise SurveyMissingError(
-                f"{here}.recording: {dive.recording}: there is no such recording; allowed: a file "
-                "or a folder, from the folder of this file"
-            )
-        for name in dive.odometry:
-            if not (folder / name).exists():
-                raise SurveyMissingError(
-                    f"{here}.odometry: {name}: there is no such file; allowed: a list of files, "
-                    "from the folder of this file"
-                )
-        if dive.transform is not None and dive.localization is not None:
-            raise SurveySettingsError(
-                f"{here}: has a transform and localization; allowed: one of them, for either "
-                "determines where the dive lies in the survey"
-            )
-        if dive.localization is not None and not (folder / dive.localization).is_file():
-            raise SurveyMissingError(
-                f"{here}.localization: {dive.localization}: there is no such map"
-            )
+        _check_files(dive, folder, f"{path}: $.dives[{number}]")
     return Request(survey, _settings_of(survey, folder, path), folder)
+
+
+def _check_files(dive: SurveyDive, folder: Path, here: str) -> None:
+    """Raise if a file of a dive is missing, or its keys contradict each other."""
+    if not (folder / dive.recording).exists():
+        raise SurveyMissingError(
+            f"{here}.recording: {dive.recording}: there is no such recording; allowed: a file "
+            "or a folder, from the folder of this file"
+        )
+    for name in dive.odometry:
+        if not (folder / name).exists():
+            raise SurveyMissingError(
+                f"{here}.odometry: {name}: there is no such file; allowed: a list of files, "
+                "from the folder of this file"
+            )
+    if dive.fixes is not None and not (folder / dive.fixes).is_file():
+        raise SurveyMissingError(f"{here}.fixes: {dive.fixes}: there is no such file")
+    if dive.transform is not None and dive.localization is not None:
+        raise SurveySettingsError(
+            f"{here}: has a transform and localization; allowed: one of them, for either "
+            "determines where the dive lies in the survey"
+        )
+    if dive.localization is not None and not (folder / dive.localization).is_file():
+        raise SurveyMissingError(f"{here}.localization: {dive.localization}: there is no such map")
 
 
 def _tree_of(path: Path) -> object:

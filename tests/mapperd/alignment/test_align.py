@@ -147,16 +147,20 @@ def test_fixes_correct_a_dive_without_revisits(tmp_path: Path, write_recording: 
     short = drifting(dive(70).truth)
     plain = align([given(tmp_path, short, write_recording)])
     begin_ns = begin_of(plain.dives[0])
+    known_T_room = np.array([30.0, -20.0, 2.0])
+    known = compose(np.broadcast_to(known_T_room, short.truth.shape), short.truth)
     fixes = tuple(
         (begin_ns + int(k * PERIOD_S * 1e9), float(x), float(y), 0.05)
-        for k, (x, y, _) in enumerate(short.truth)
+        for k, (x, y, _) in enumerate(known)
         if k % 10 == 0
     )
+    wrong_ns, *_ = fixes[3]
+    fixes += ((wrong_ns + 1, 500.0, 0.0, 0.05),)  # an outlier
     found = align([given(tmp_path, short, write_recording, "fixed", fixes=fixes)])
     [aligned] = found.dives
     assert found.corrected
     times = begin_ns + (np.arange(70) * PERIOD_S * 1e9).astype(np.int64)
-    off = np.hypot(*(aligned.poses_at(times) - short.truth)[:, :2].T)
+    off = np.hypot(*(aligned.poses_at(times) - known)[:, :2].T)
     assert np.sqrt((off**2).mean()) < 0.15
 
 

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,9 @@ from mapperd.alignment.submaps import compose, inverse
 Floats = NDArray[np.float64]
 
 MODEL = DriftModel()
+EXACT = replace(MODEL, registration_scale=1e-6, registration_turn=1e-6)
+"""Registrations without common errors."""
+
 NODES = 33
 
 
@@ -51,7 +55,15 @@ def loop_of(truth: Floats, i: int, j: int, error: Floats | None = None) -> Loop:
     if error is not None:
         relative = relative + error
     information = np.diag([1 / 0.05**2, 1 / 0.05**2, 1 / 0.01**2])
-    return Loop(i, j, relative[None], information[None], neighbours=False, scores=np.ones(1))
+    return Loop(
+        i,
+        j,
+        relative[None],
+        information[None],
+        neighbours=False,
+        scores=np.ones(1),
+        centre=np.zeros(2),
+    )
 
 
 def graph_of(truth: Floats, **drift: float) -> PoseGraph:
@@ -86,6 +98,7 @@ def test_revisits_correct_the_drift() -> None:
 def test_drift_is_found_where_crossings_show_it() -> None:
     truth = circle()
     graph = graph_of(truth)
+    graph.model = EXACT
     # Registrations of neighbours show all three errors.
     graph.loops = [loop_of(truth, i, i + 1) for i in range(NODES - 1)]
     drift = graph.solve().drift[4:-4].mean(axis=0)
@@ -122,9 +135,8 @@ def test_of_alternatives_the_one_that_fits_the_others_counts() -> None:
     graph.loops = revisits(truth)
     right = loop_of(truth, 5, 21)
     poses = np.stack([right.poses[0] + [3.0, 0.0, 0.0], right.poses[0]])
-    both = Loop(
-        5, 21, poses, np.repeat(right.information, 2, axis=0), neighbours=False, scores=np.ones(2)
-    )
+    information = np.repeat(right.information, 2, axis=0)
+    both = replace(right, poses=poses, information=information, scores=np.ones(2))
     graph.loops.append(both)
     graph.solve()
     assert both.chosen == 1
@@ -195,3 +207,53 @@ def test_compose_and_inverse_cancel() -> None:
     rng = np.random.default_rng(1)
     a, b = rng.uniform(-3, 3, (2, 50, 3))
     assert np.allclose(compose(inverse(a), compose(a, b))[:, :2], b[:, :2])
+
+
+def measured(truth: Floats, ends: tuple[int, int], bias: Floats, centre: Floats) -> Loop:
+    """A registration whose map is turned about what the submaps share, and too short or too long.
+
+    Composed of whole transforms: turn j about the centre, then scale the way.
+    """
+    (i, j), (scale, gain) = ends, bias
+    true = compose(inverse(truth[i]), truth[j])
+    pivot = compose(true, np.array([*centre, 0.0]))
+    about = compose(pivot, np.array([0.0, 0.0, gain * math.sin(true[2])]))
+    turned = compose(about, np.array([*-centre, 0.0]))
+    turned[:2] += scale * true[:2]
+    return replace(loop_of(truth, i, j), poses=turned[None], centre=centre)
+
+
+def test_common_errors_of_registrations_are_found() -> None:
+    # Odometry without drift shows both; drift of its own would share the scale.
+    truth = circle()
+    graph = graph_of(truth, scale=0.0, crab=0.0, turn_radps=0.0)
+    graph.model = DriftModel(scale=1e-4, crab_rad=1e-4, turn_radps=1e-6)
+    bias, centre = np.array([0.02, 0.03]), np.array([6.0, 1.0])
+    graph.loops = [measured(truth, (i, i + 2), bias, centre) for i in range(NODES - 2)]
+    solution = graph.solve()
+    assert rms_m(solution.poses, truth) < 0.05
+    assert graph.bias == pytest.approx(bias, abs=0.003)
+
+
+def test_derivatives_with_common_errors_are_those_of_finite_differences() -> None:
+    truth = circle()
+    graph = graph_of(truth)
+    bias, centre = np.array([-0.02, 0.03]), np.array([5.0, -2.0])
+    graph.loops = [measured(truth, (i, i + 3), bias, centre) for i in (2, 9)]
+    graph.solve()
+    loop = graph.loops[0]
+    relative = compose(inverse(graph.poses[loop.i]), graph.poses[loop.j])
+    _, by_pose, by_bias = graph.measured_by(loop, relative)
+    step = 1e-6
+    for k in range(3):
+        ahead, back = relative.copy(), relative.copy()
+        ahead[k], back[k] = ahead[k] + step, back[k] - step
+        slope = (graph.measured_by(loop, ahead)[0] - graph.measured_by(loop, back)[0]) / (2 * step)
+        assert slope == pytest.approx(by_pose[:, k], abs=1e-6)
+    for k in range(2):
+        kept, ends = graph.bias.copy(), []
+        for sign in (1, -1):
+            graph.bias[k] = kept[k] + sign * step
+            ends.append(graph.measured_by(loop, relative)[0])
+        graph.bias[k] = kept[k]
+        assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(by_bias[:, k], abs=1e-6)

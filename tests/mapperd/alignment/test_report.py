@@ -73,8 +73,16 @@ def dive_of(name: str, frame: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> A
 
 def loop(i: int, j: int, pose: tuple[float, float, float], weight: float) -> Loop:
     information = np.array([[100.0, 1, 2], [1, 90, 3], [2, 3, 400]])
-    poses, scores = np.array([pose]), np.array([0.8])
-    return Loop(i, j, poses, information[None], neighbours=False, scores=scores, weight=weight)
+    return Loop(
+        i,
+        j,
+        np.array([pose]),
+        information[None],
+        neighbours=False,
+        scores=np.array([0.8]),
+        centre=np.zeros(2),
+        weight=weight,
+    )
 
 
 def alignment_of(*dives: AlignedDive, corrected: bool = True) -> Alignment:
