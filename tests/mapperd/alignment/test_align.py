@@ -147,7 +147,7 @@ def test_fixes_correct_a_dive_without_revisits(tmp_path: Path, write_recording: 
     short = drifting(dive(70).truth)
     plain = align([given(tmp_path, short, write_recording)])
     begin_ns = begin_of(plain.dives[0])
-    known_T_room = np.array([30.0, -20.0, 2.0])
+    known_T_room = np.array([30.0, -20.0, 2.0])  # noqa: N806 frames
     known = compose(np.broadcast_to(known_T_room, short.truth.shape), short.truth)
     fixes = tuple(
         (begin_ns + int(k * PERIOD_S * 1e9), float(x), float(y), 0.05)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -162,6 +163,19 @@ def test_the_graph_has_all_nodes_and_its_accepted_edges_fit(tmp_path: Path) -> N
         assert math.hypot(*pose[:2, 2]) == pytest.approx(5.0)
         assert math.hypot(*(vertices[j] - vertices[i])[:2, 2]) == pytest.approx(4.5)
     np.testing.assert_allclose(edges[-1][3], [100, 1, 2, 90, 3, 400])
+
+
+@pytest.mark.usefixtures("drawn")
+def test_steps_without_velocity_are_loose_in_the_graph(tmp_path: Path) -> None:
+    dive = dive_of("a")
+    doubt_m = np.where(np.arange(TICKS) > 50, 3.0, 0.0)  # in the second step, of two
+    track = replace(dive.track, deviation_m=doubt_m, segment=np.zeros(TICKS, dtype=np.int64))
+    write_alignment(alignment_of(replace(dive, track=track)), tmp_path)
+    lines = (tmp_path / "graph.g2o").read_text().splitlines()
+    edges = [line.split() for line in lines if line.startswith("EDGE_SE2")]
+    sure, loose = (1 / math.sqrt(float(words[6])) for words in edges[:2])
+    assert sure < 0.5
+    assert 2.5 < loose < 3.5
 
 
 @pytest.mark.usefixtures("drawn")

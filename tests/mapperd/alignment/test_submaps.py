@@ -20,7 +20,7 @@ def image_of(beams: dict[int, list[tuple[int, int]]], rows: int) -> PingImage:
     return PingImage(intensity, np.linspace(-0.5, 0.5, 4), EDGE_M)
 
 
-def rows_kept(image: PingImage, beam: int, depth_m: float = 0.3) -> NDArray[np.intp]:
+def rows_kept(image: PingImage, beam: int, depth_m: float = 0.35) -> NDArray[np.intp]:
     kept = front_of_returns(image, THRESHOLD, depth_m).intensity
     return np.flatnonzero(kept[:, beam] > THRESHOLD)
 

@@ -110,6 +110,7 @@ def test_the_map_is_that_of_the_trajectory_written(
     ("words", "named"),
     [
         (["--align"], "--replay"),
+        (["--replay", "a.mcap", "--fixes", "gps.csv"], "--fixes"),
         (["--replay", "a.mcap", "--align", "--store", "a.map"], "--store"),
         (["--replay", "a.mcap", "--align", "--pose", "0,0,0,0,0,0"], "--pose"),
         (["--replay", "a.mcap", "--align", "--as-recorded"], "--as-recorded"),

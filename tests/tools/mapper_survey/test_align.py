@@ -112,6 +112,32 @@ def test_a_survey_with_an_origin_shares_its_frame(tmp_path: Path, aligner: Align
     assert written(tmp_path / "out")["origin"]["latitude"] == 54.0
 
 
+def test_fixes_place_a_dive_in_place_of_the_origin(tmp_path: Path, aligner: Aligner) -> None:
+    (tmp_path / "gps.csv").write_text("time_s,latitude_deg,longitude_deg\n7,54,10\n")
+    survey = write_survey(
+        tmp_path,
+        dives=[{"name": "a", "recording": "a.mcap", "fixes": "gps.csv"}],
+        origin={"latitude": 54.0, "longitude": 10.0},
+    )
+    assert main(["align", str(survey), "--out", str(tmp_path / "out")]) == ExitCode.OK
+    [given] = aligner.given
+    assert given.frame is None
+    [(t_ns, x_m, y_m, _)] = given.fixes
+    assert t_ns == 7_000_000_000
+    assert (x_m, y_m) == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+def test_a_file_of_fixes_that_is_wrong_is_one_line(
+    tmp_path: Path, aligner: Aligner, capsys: Capture
+) -> None:
+    (tmp_path / "gps.csv").write_text("time_s,x_m\n7,54\n")
+    dive = {"name": "a", "recording": "a.mcap", "fixes": "gps.csv"}
+    survey = write_survey(tmp_path, dives=[dive])
+    assert main(["align", str(survey), "--out", str(tmp_path / "out")]) != ExitCode.OK
+    assert "gps.csv" in capsys.readouterr().err.splitlines()[-1]
+    assert not aligner.given
+
+
 def test_a_refused_alignment_has_a_code_a_verdict_and_no_survey(
     tmp_path: Path, aligner: Aligner, capsys: Capture
 ) -> None:
