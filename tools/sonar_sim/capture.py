@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, RecordingWriter
 from sonar_sim.effects.plan import AUTO, Choice
+from sonar_sim.errors import SceneError
 from sonar_sim.raycast.visible_surface import VisibleSurface
 from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
 from sonar_sim.scene.vehicle import (
@@ -84,7 +85,15 @@ def write_capture(
 
     Returns:
         The surface that the sonar had in sight.
+
+    Raises:
+        SceneError: the sonar does not speak the Oculus protocol.
     """
+    if not scenario.sonar.on_wire:
+        raise SceneError(
+            f"{scenario.name}: a {scenario.sonar.model} does not speak the Oculus protocol and "
+            "cannot be recorded; render it, or choose an Oculus"
+        )
     settings = settings or CaptureSettings()
     seen = VisibleSurface()
     pings = _sonar_link(scenario, settings, seen, progress)

@@ -63,3 +63,29 @@ def test_what_no_sonar_can_is_refused(
 ) -> None:
     with pytest.raises(SceneError, match=word):
         sonar_preset(model, mode, **changes)
+
+
+@pytest.mark.parametrize(
+    ("model", "published"),
+    [  # kHz, beams, swath in degrees, range resolution and longest range in m
+        ("Gemini 720is", (720.0, 512, 120.0, 0.008, 120.0)),
+        ("P900-45", (900.0, 256, 45.0, 0.0254, 100.0)),
+        ("P900-90", (900.0, 512, 90.0, 0.0254, 100.0)),
+        ("P900-130", (900.0, 768, 130.0, 0.0254, 100.0)),
+    ],
+)
+def test_sonars_of_other_makers_are_their_data_sheets(
+    model: str, published: tuple[float, int, float, float, float]
+) -> None:
+    khz, beams, aperture_deg, row_m, max_range_m = published
+    sonar = sonar_preset(model, demanded_range_m=max_range_m / 4)
+    assert (sonar.frequency_hz, sonar.beams) == (1e3 * khz, beams)
+    assert np.degrees(2.0 * sonar.half_aperture_rad) == pytest.approx(aperture_deg)
+    angles_deg = np.degrees([sonar.beam_width_rad, sonar.vertical_width_rad])
+    assert angles_deg == pytest.approx([1.0, 20.0])
+    assert sonar.range_resolution_m == row_m, "an Oculus would coarsen it"
+    assert sonar.max_range_m == max_range_m
+    assert not sonar.on_wire
+    assert sonar_preset("M1200d").on_wire
+    with pytest.raises(SceneError, match=f"no {model} with mode 2"):
+        sonar_preset(model, 2)

@@ -1,12 +1,13 @@
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 from sonar_sim.errors import SceneError
 from sonar_sim.scene.scenario import Scenario
-from sonar_sim.scene_file.objects import clean_mesh, read_mesh
+from sonar_sim.scene_file.mesh_files import clean_mesh, read_parts
 
 Load = Callable[..., Scenario]
 
@@ -24,16 +25,20 @@ def test_mesh_of_every_format_is_read_to_scale(tmp_path: Path, load: Load, endin
     assert corners.max(axis=0) == pytest.approx([0.5, 1.0, -3.5], abs=1e-6)
 
 
-def test_parts_of_a_file_become_one_mesh(tmp_path: Path) -> None:
+def test_parts_of_one_material_become_one_surface(tmp_path: Path, load: Load) -> None:
     parts = trimesh.Scene()
     parts.add_geometry(trimesh.creation.box(extents=(1, 1, 1)))
     moved = np.eye(4)
     moved[0, 3] = 5.0
     parts.add_geometry(trimesh.creation.box(extents=(1, 1, 1)), transform=moved)
     parts.export(tmp_path / "two.glb")  # type: ignore[no-untyped-call]
-    mesh = read_mesh(tmp_path / "two.glb")
-    assert len(mesh.faces) == 24
-    assert mesh.bounds[1] == pytest.approx([5.5, 0.5, 0.5])
+    made = load(
+        "objects: [{name: m, shape: {kind: mesh, file: two.glb}, material: rock, "
+        "position_m: [0, 0, -5]}]"
+    )
+    (surface,) = made.scene.surfaces
+    assert (surface.name, len(surface.faces)) == ("m", 24)
+    assert surface.vertices_m.max(axis=0) == pytest.approx([5.5, 0.5, -4.5])
 
 
 def test_triangles_without_an_area_are_left_out() -> None:
@@ -72,6 +77,119 @@ def test_broken_mesh_is_refused_by_name(
 
 def test_missing_file_and_foreign_format_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="no such file"):
-        read_mesh(tmp_path / "none.stl")
-    with pytest.raises(SceneError, match=r"\.glb, \.obj, \.ply, \.stl"):
-        read_mesh(tmp_path / "model.dae")
+        read_parts(tmp_path / "none.stl")
+    with pytest.raises(SceneError, match=r"\.dae, \.glb, \.gltf, \.obj, \.ply"):
+        read_parts(tmp_path / "model.blend")
+
+
+TWO_OF_STEEL = """
+mtllib absent.mtl
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+v 0 0 1
+o first
+usemtl Steel.001
+f 1 2 3
+usemtl wood
+f 1 3 4
+o second
+usemtl Steel.001
+f 1 2 5
+"""
+OBJECT = "objects: [{{name: m, shape: {{kind: mesh, file: {}}}, material: rock{}}}]"
+
+
+def materials_of(made: Scenario) -> dict[str, tuple[str, int]]:
+    """Material and number of triangles of each surface."""
+    return {one.name: (one.material.name, len(one.faces)) for one in made.scene.surfaces}
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ("", {"m: rock": ("rock", 2), "m: wood": ("wood", 1)}),
+        ('"Steel*": rusty_steel', {"m: rusty_steel": ("rusty_steel", 2), "m: wood": ("wood", 1)}),
+        ('"*": mud', {"m": ("mud", 3)}),
+        ('"second*": pvc, "*": mud', {"m: pvc": ("pvc", 1), "m: mud": ("mud", 2)}),
+    ],
+)
+def test_faces_have_the_materials_of_their_file(
+    tmp_path: Path, load: Load, given: str, expected: dict[str, tuple[str, int]]
+) -> None:
+    (tmp_path / "m.obj").write_text(TWO_OF_STEEL)
+    made = load(OBJECT.format(f"m.obj, materials: {{{given}}}", ", position_m: [0, 0, -5]"))
+    assert materials_of(made) == expected
+
+
+def test_a_material_that_the_file_lacks_is_refused(tmp_path: Path, load: Load) -> None:
+    (tmp_path / "m.obj").write_text(TWO_OF_STEEL)
+    with pytest.raises(SceneError, match=r"nothing is named Stel; it has Steel\.001"):
+        load(OBJECT.format("m.obj, materials: {Stel: pvc}", ", position_m: [0, 0, -5]"))
+    with pytest.raises(SceneError, match="no material is called gold"):
+        load(OBJECT.format('m.obj, materials: {"*": gold}', ", position_m: [0, 0, -5]"))
+
+
+def boxes_of_two_materials() -> trimesh.Scene:
+    """A steel box of 1 x 2 x 3 m at the origin, and a wooden one 4 m along x, mirrored."""
+    scene = trimesh.Scene()
+    for k, name in enumerate(("painted_steel", "wood")):
+        box = trimesh.creation.box(extents=(1.0, 2.0, 3.0))
+        grey: Any = [90, 90, 90, 255]
+        visual: Any = trimesh.visual
+        look = visual.material.PBRMaterial(name=name, baseColorFactor=grey)
+        box.visual = visual.TextureVisuals(uv=np.zeros((8, 2)), material=look)
+        transform = np.diag([1.0 - 2.0 * k, 1.0, 1.0, 1.0])
+        transform[0, 3] = 4.0 * k
+        scene.add_geometry(box, node_name=f"node {k}", geom_name=f"box {k}", transform=transform)
+    return scene
+
+
+@pytest.mark.parametrize("ending", ["glb", "gltf"])
+def test_gltf_keeps_materials_places_and_outsides(tmp_path: Path, load: Load, ending: str) -> None:
+    files = boxes_of_two_materials().export(file_type=ending)  # type: ignore[no-untyped-call]
+    for name, data in ({"model.glb": files} if ending == "glb" else files).items():
+        (tmp_path / name).write_bytes(data)
+    made = load(OBJECT.format(f"model.{ending}", ", position_m: [0, 0, -5]"))
+    steel, wood = made.scene.surfaces
+    assert (steel.material.name, wood.material.name) == ("painted_steel", "wood")
+    assert wood.vertices_m.mean(axis=0) == pytest.approx([4.0, 0.0, -5.0])
+    for one in (steel, wood):
+        assert trimesh.Trimesh(one.vertices_m, one.faces).volume == pytest.approx(6.0)
+
+
+@pytest.mark.filterwarnings("ignore:the matrix subclass")  # in pycollada
+@pytest.mark.parametrize(
+    ("up_axis", "option", "high"),
+    [("Y_UP", "", 1), ("Z_UP", "", 2), ("X_UP", "", 0), ("Y_UP", ", up: z", 2)],
+)
+def test_collada_stands_upright_in_metres(
+    tmp_path: Path, load: Load, up_axis: str, option: str, high: int
+) -> None:
+    box = boxes_of_two_materials().geometry["box 0"]
+    exchange: Any = trimesh.exchange
+    text = exchange.dae.export_collada(box).decode()
+    header = f'<unit meter="0.1" name="decimetre"/><up_axis>{up_axis}</up_axis>'
+    (tmp_path / "m.dae").write_text(text.replace("<up_axis>Y_UP</up_axis>", header))
+    made = load(OBJECT.format(f"m.dae{option}", ", position_m: [0, 0, -5]"))
+    corners = made.scene.surfaces[0].vertices_m
+    assert np.ptp(corners[:, 2]) == pytest.approx((0.1, 0.2, 0.3)[high])
+    mesh = trimesh.Trimesh(corners, made.scene.surfaces[0].faces)
+    assert mesh.volume == pytest.approx(0.006)  # not inside out
+
+
+def test_y_of_other_files_is_turned_up_on_demand(tmp_path: Path, load: Load) -> None:
+    boxes_of_two_materials().geometry["box 0"].export(tmp_path / "m.stl")
+    made = load(OBJECT.format("m.stl, up: y", ", position_m: [0, 0, -5]"))
+    assert np.ptp(made.scene.surfaces[0].vertices_m, axis=0) == pytest.approx([1.0, 3.0, 2.0])
+
+
+def test_parts_of_a_group_have_their_own_materials(load: Load) -> None:
+    box = "shape: {kind: box, size_m: [1, 1, 1]}"
+    made = load(
+        f"objects: [{{name: g, material: rock, position_m: [0, 0, -5], shape: {{kind: group, "
+        f"parts: [{{{box}}}, {{{box}, position_m: [2, 0, 0], material: wood}}, "
+        f"{{{box}, position_m: [4, 0, 0]}}]}}}}]"
+    )
+    assert materials_of(made) == {"g: rock": ("rock", 24), "g: wood": ("wood", 12)}

@@ -94,3 +94,67 @@ def test_terrain_without_area_or_with_too_many_cells_is_refused(load: Load) -> N
         load(f"terrain: {{{flat}, x_m: [3, 3], y_m: [0, 1]}}")
     with pytest.raises(SceneError, match=r"\$\.terrain: .*too small"):
         load(f"terrain: {{{flat}, x_m: [0, 1000], y_m: [0, 1000], cell_m: 0.01}}")
+
+
+def geotiff(
+    path: Path, heights: np.ndarray, *, corner: tuple[float, float], **more: object
+) -> None:
+    """A north-up raster with cells of 2 x 1 units, written by hand: its corner is north-west."""
+    tifffile = pytest.importorskip("tifffile")
+    tags = [
+        (33550, "d", 3, (2.0 * more.get("cell", 1.0), 1.0 * more.get("cell", 1.0), 0.0)),  # type: ignore[operator]
+        (33922, "d", 6, (0.0, 0.0, 0.0, *corner, 0.0)),
+        (34735, "H", 12, (1, 1, 0, 2, 1024, 0, 1, more.get("kind", 1), 1025, 0, 1, 1)),
+        (42113, "s", 0, "-9999"),
+    ]
+    tifffile.imwrite(path, heights.astype(np.float32), extratags=tags, photometric="minisblack")
+
+
+def test_geotiff_lies_about_its_origin_north_up(tmp_path: Path) -> None:
+    rows, columns = np.indices((6, 5))
+    heights = -10.0 - 1.0 * rows + 0.1 * columns
+    geotiff(tmp_path / "bay.tif", heights, corner=(500_000.0, 6_000_000.0))
+    field = schema.HeightField(file="bay.tif", origin=(500_005.0, 5_999_997.0), offset_m=1.0)
+    height_m = height_of(terrain(field), tmp_path)
+    # The origin lies in the middle of the 5 x 6 cells of 2 x 1 m.
+    x_m, y_m = np.array([-4.0, 4.0, 0.0, 4.1]), np.array([2.5, -2.5, 0.0, 0.0])
+    assert height_m(x_m, y_m)[:3] == pytest.approx([-9.0, -13.6, -11.3])
+    assert np.isnan(height_m(x_m, y_m)[3]), "it ends at its last cells' middles"
+    middle = height_of(terrain(schema.HeightField(file="bay.tif")), tmp_path)
+    assert middle(x_m[:1], y_m[:1]) == pytest.approx([-10.0])
+
+
+def test_geotiff_of_depths_in_degrees_is_laid_out_in_metres(tmp_path: Path) -> None:
+    depths = np.arange(16.0).reshape(4, 4)
+    geotiff(tmp_path / "d.tif", depths, corner=(8.0, 60.0), kind=2, cell=1e-3)
+    field = schema.HeightField(file="d.tif", scale=-1.0)
+    height_m = height_of(terrain(field), tmp_path)
+    # At 60° north a degree of longitude is 55 800 m long, one of latitude 111 412 m (WGS-84).
+    x_m, y_m = 1.5 * 2e-3 * 55_800.0, 1.5e-3 * 111_412.0
+    corners = height_m(np.array([-x_m, x_m]) * 0.9999, np.array([y_m, -y_m]) * 0.9999)
+    assert corners == pytest.approx([0.0, -15.0], abs=2e-3)
+
+
+def test_where_a_geotiff_has_no_data_is_no_floor(tmp_path: Path, load: Load) -> None:
+    heights = np.full((8, 5), -5.0)
+    heights[:, 0], heights[0, 1] = -9999.0, np.nan
+    geotiff(tmp_path / "bay.tif", heights, corner=(0.0, 0.0))
+    text = "terrain: {relief: {kind: height_field, file: bay.tif}, x_m: [-5, 5], y_m: [-4, 4]}"
+    (floor,) = load(text).scene.surfaces
+    assert np.isfinite(floor.vertices_m).all()
+    low, high = floor.vertices_m.min(axis=0), floor.vertices_m.max(axis=0)
+    assert [*low, *high] == pytest.approx([-2.0, -3.5, -5.0, 4.0, 3.5, -5.0], abs=0.26)
+    with pytest.raises(SceneError, match="no data"):
+        load(
+            f"{text}\nobjects: [{{name: b, shape: {{kind: box, size_m: [1, 1, 1]}}, "
+            "material: rock, position_m: [-4, 0, 0], on_floor: true}]"
+        )
+    with pytest.raises(SceneError, match=r"\$\.terrain: there are no heights"):
+        load(text.replace("[-5, 5]", "[50, 60]"))
+
+
+@pytest.mark.parametrize("content", [b"", b"II*\0garbage", b"\x89PNG"])
+def test_broken_geotiff_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "bay.tif").write_bytes(content)
+    with pytest.raises(SceneError, match=r"bay\.tif: not a GeoTIFF"):
+        height_of(terrain(schema.HeightField(file="bay.tif")), tmp_path)

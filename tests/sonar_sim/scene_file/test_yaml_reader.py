@@ -63,7 +63,7 @@ sonar:
    rows: 300, told_speed_mps: 1480, frequency_khz: 900, aperture_deg: 90, beam_width_deg: 0.5,
    vertical_width_deg: 11, max_range_m: 30, base_row_mm: 3, pulse_ms: 0.5, source_level_db: 190,
    array_gain_db: 30, side_lobe_db: 20, noise_excess_db: 35, tvg_spreading_log: 20,
-   crosstalk_db: -50}
+   crosstalk_db: -50, max_rows: 640}
 """).sonar
     expected = SonarSettings(
         frequency_hz=900e3,
@@ -83,6 +83,7 @@ sonar:
         model="M1200d",
         mode=2,
         max_range_m=30,
+        max_rows=640,
         bits=16,
         forced_rows=300,
         told_speed_mps=1480,

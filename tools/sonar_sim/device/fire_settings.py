@@ -25,6 +25,7 @@ OF_ALL_MODES = (
     "noise_excess_db",
     "tvg_spreading_log",
     "forced_rows",
+    "max_rows",
     "pulse_s",
     "crosstalk_db",
 )
@@ -44,7 +45,9 @@ def part_number_of(model: str) -> int:
         if known.name == model:
             return number
     names = ", ".join(family.name for family in FAMILIES)
-    raise SceneError(f"sonar: no part number of {model}; known: {names}")
+    raise SceneError(
+        f"sonar: {model} does not speak the Oculus protocol and cannot be served; known: {names}"
+    )
 
 
 def initial_request(sonar: SonarSettings, ping_rate_hz: float) -> FireRequest:

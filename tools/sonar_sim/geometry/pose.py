@@ -90,6 +90,25 @@ def quaternion_of(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     return -unit if unit[0] < 0.0 else unit
 
 
+def rotation_of_quaternion(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation matrix of a quaternion (w, x, y, z) of any length but 0, (3, 3).
+
+    Raises:
+        ValueError: its length is 0 or not finite.
+    """
+    length = float(np.linalg.norm(quaternion))
+    if not 0.0 < length < math.inf:
+        raise ValueError(f"quaternion {quaternion.tolist()} is no rotation")
+    w, x, y, z = quaternion / length
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SonarMotion:
     """How the sonar moves while it listens.

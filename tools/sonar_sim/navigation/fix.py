@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oculus_driver.sound_speed import pressure_bar_at
+from sonar_sim.geometry.geodesy import metres_per_degree
 from sonar_sim.geometry.pose import FramePose, quaternion_of
 from sonar_sim.scene.vehicle import OdometryErrors, OdometrySample, Vehicle
 from sonar_sim.scene.water import Water
@@ -17,10 +18,6 @@ from sonar_sim.scene.water import Water
 NED_R_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FRD_R_FLU = np.diag([1.0, -1.0, -1.0])
 
-EQUATOR_M = 6_378_137.0
-"""Semi-major axis of WGS-84."""
-ECCENTRICITY_SQUARED = 6.694_379_990_141e-3
-"""Of WGS-84."""
 ATMOSPHERE_BAR = 1.01325
 
 
@@ -102,15 +99,12 @@ class Fix:
 
     @property
     def latitude_longitude_deg(self) -> tuple[float, float]:
-        """On WGS-84, by the radii of curvature at the map's origin: good to kilometres."""
-        origin_rad = math.radians(self.vehicle.latitude_deg)
-        flat = 1.0 - ECCENTRICITY_SQUARED * math.sin(origin_rad) ** 2
-        meridian_m = EQUATOR_M * (1.0 - ECCENTRICITY_SQUARED) / flat**1.5
-        parallel_m = EQUATOR_M / math.sqrt(flat) * math.cos(origin_rad)
+        """On WGS-84, good to kilometres from the map's origin."""
+        north_per_deg_m, east_per_deg_m = metres_per_degree(self.vehicle.latitude_deg)
         north_m, east_m, _ = self.position_ned_m
         return (
-            self.vehicle.latitude_deg + math.degrees(float(north_m) / meridian_m),
-            self.vehicle.longitude_deg + math.degrees(float(east_m) / parallel_m),
+            self.vehicle.latitude_deg + float(north_m) / north_per_deg_m,
+            self.vehicle.longitude_deg + float(east_m) / east_per_deg_m,
         )
 
 

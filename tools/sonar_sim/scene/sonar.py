@@ -1,8 +1,9 @@
-"""The sonar's fixed properties: an Oculus, by default an M750d in its 750 kHz band."""
+"""The sonar's fixed properties: an Oculus, by default an M750d in its 750 kHz band, or another."""
 
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,7 @@ class SonarSettings:
         gamma_byte: pixel = full scale * amplitude^(gamma_byte / 255); 0 and 255 mean linear.
         model, mode: what it calls itself; see `sonar_preset`.
         max_range_m: what may be asked for.
+        max_rows: rows that it sends at most; it coarsens their spacing by powers of two.
         bits: of a sample, 8, 16 or 32.
         forced_rows: rows of the image whatever an Oculus would choose; None lets it choose.
         told_speed_mps: speed of sound that the sonar assumes; None is the true one.
@@ -62,6 +64,7 @@ class SonarSettings:
     model: str = "M750d"
     mode: int = 1
     max_range_m: float = 120.0
+    max_rows: int = MAX_ROWS
     bits: int = 8
     forced_rows: int | None = None
     told_speed_mps: float | None = None
@@ -76,16 +79,18 @@ class SonarSettings:
             )
         if self.bits not in (8, 16, 32):
             raise SceneError(f"{self.bits} bits a sample; an Oculus sends 8, 16 or 32")
+        if self.max_rows < 1:
+            raise SceneError(f"max_rows {self.max_rows} are no image")
         if self.beams < 2 or (self.forced_rows is not None and self.forced_rows < 1):  # noqa: PLR2004 one beam has no pitch
             raise SceneError(f"{self.beams} beams, {self.forced_rows} rows are no image")
 
     @cached_property
     def range_resolution_m(self) -> float:
-        """Row spacing: the base spacing times the smallest power of two that fits `MAX_ROWS`."""
+        """Row spacing: the base spacing times the smallest power of two that fits `max_rows`."""
         if self.forced_rows is not None:
             return self.demanded_range_m / self.forced_rows
         spacing_m = self.base_row_m
-        while self.demanded_range_m / spacing_m > MAX_ROWS:
+        while self.demanded_range_m / spacing_m > self.max_rows:
             spacing_m *= 2.0
         return spacing_m
 
@@ -95,6 +100,11 @@ class SonarSettings:
         if self.forced_rows is not None:
             return self.forced_rows
         return int(self.demanded_range_m / self.range_resolution_m + 1e-9)
+
+    @property
+    def on_wire(self) -> bool:
+        """Whether it speaks the Oculus protocol, so that it can be served and recorded."""
+        return self.model not in OTHERS
 
     @property
     def range_m(self) -> float:
@@ -120,21 +130,26 @@ class SonarSettings:
 def sonar_preset(model: str = "M750d", mode: int = 1, **changes: Any) -> SonarSettings:  # noqa: ANN401 any field
     """One of the sonars that can be had, in one of its modes.
 
-    Frequencies, ranges and angles are those of the driver (docs/reference/models.md).
+    Frequencies, ranges and angles of Oculus sonars are those of the driver
+    (docs/reference/models.md), those of others in `OTHERS`.
 
     Args:
-        model: M370s, M750d, M1200d or M3000d.
-        mode: 1 is wide and looks far, 2 is narrow and sharp; the M370s has mode 1 only.
+        model: M370s, M750d, M1200d or M3000d; or one of `OTHERS`, which are simulated and not
+            spoken on the wire.
+        mode: 1 is wide and looks far, 2 is narrow and sharp; the M370s and others have mode 1 only.
         changes: fields that shall differ.
 
     Raises:
         SceneError: there is no such sonar or mode, or a change cannot be.
     """
+    if model in OTHERS and mode == 1:
+        return replace(OTHERS[model], **changes)
     try:
         band = _BANDS[model, mode]
     except KeyError:
-        known = ", ".join(f"{name} mode {number}" for name, number in _BANDS)
-        raise SceneError(f"no {model} with mode {mode}; there are {known}") from None
+        known = [f"{name} mode {number}" for name, number in _BANDS]
+        known += [f"{name} mode 1" for name in OTHERS]
+        raise SceneError(f"no {model} with mode {mode}; there are {', '.join(known)}") from None
     frequency_hz = band.frequency_hz or 0.0
     standard = SonarSettings(
         frequency_hz=frequency_hz,
@@ -149,6 +164,40 @@ def sonar_preset(model: str = "M750d", mode: int = 1, **changes: Any) -> SonarSe
     )
     return replace(standard, **changes)
 
+
+def _other(model: str, frequency_hz: float, beams: int, aperture_deg: float) -> SonarSettings:
+    """A multibeam sonar with beams of 1° x 20°, as all of them have."""
+    tritech = model.startswith("Gemini")
+    return SonarSettings(
+        model=model,
+        frequency_hz=frequency_hz,
+        beams=beams,
+        half_aperture_rad=math.radians(aperture_deg / 2.0),
+        base_row_m=0.008 if tritech else 0.0254,
+        max_range_m=120.0 if tritech else 100.0,
+        max_rows=4096,
+    )
+
+
+OTHERS: MappingProxyType[str, SonarSettings] = MappingProxyType(
+    {
+        one.model: one
+        for one in (
+            _other("Gemini 720is", 720e3, 512, 120.0),
+            _other("P900-45", 900e3, 256, 45.0),
+            _other("P900-90", 900e3, 512, 90.0),
+            _other("P900-130", 900e3, 768, 130.0),
+        )
+    }
+)
+"""Sonars of other makers by name: simulated, but not spoken on the wire.
+
+Gemini 720is: Tritech manual 0703-SOM-00002, 2.1: 720 kHz, 120°, 512 beams of 1.0° (0.25° effective)
+x 20°, 0.2 to 120 m, range resolution 8 mm. P900: Teledyne BlueView's data sheet of the series:
+900 kHz, 256, 512 or 768 beams of 1° x 20°, 0.18° apart, to 100 m, range resolution 25.4 mm.
+Levels, noise, gain and side lobes are unpublished and stay those of an Oculus; bearings are uniform
+in sine.
+"""
 
 UNKNOWN_APERTURE_DEG, UNKNOWN_BEAM_DEG, UNKNOWN_ELEVATION_DEG = 130.0, 2.0, (20.0,)
 """Unpublished values of the M370s: the swath of the M750d, the beam of an array of its length."""

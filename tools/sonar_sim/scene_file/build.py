@@ -28,6 +28,7 @@ from sonar_sim.scene_file import schema
 from sonar_sim.scene_file.objects import (
     Placed,
     motion_of,
+    named_material,
     path_of,
     place,
     surface_of,
@@ -109,26 +110,19 @@ def _surfaces(
     placed: list[Placed] = []
     for k, section in enumerate(file.objects):
         with _place(f"{where}: $.objects[{k}] ({section.name})"):
-            material = _material(section.material, materials)
-            placed += place(section, material, floor_m, folder)
-    surfaces = [one.surface for one in placed]
+            placed += place(section, materials, floor_m, folder)
+    surfaces = [surface for one in placed for surface in one.surfaces]
     if file.terrain is not None and floor_m is not None:
         with _place(f"{where}: $.terrain"):
             bodies = [one.whole for one in placed if one.whole is not None]
             floor = without_hidden(floor_of(file.terrain, floor_m), bodies)
-            material = _material(file.terrain.material, materials)
+            material = named_material(file.terrain.material, materials)
             surfaces.insert(0, surface_of(FLOOR, floor, material, smooth=True))
     names = [surface.name for surface in surfaces]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise SceneError(f"{where}: $.objects: two objects are called {twice}")
     return tuple(surfaces)
-
-
-def _material(name: str, materials: Mapping[str, Material]) -> Material:
-    if name not in materials:
-        raise SceneError(f"no material is called {name}; there are {', '.join(materials)}")
-    return materials[name]
 
 
 def _targets(file: schema.SceneFile, where: str) -> tuple[PointTarget, ...]:

@@ -1,8 +1,9 @@
 """Build a scene's objects: shapes and mesh files, placed and moving."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import cast
 
@@ -18,57 +19,9 @@ from sonar_sim.geometry.trajectory import Drift, Motion, ObjectMotion, Tour, Tra
 from sonar_sim.scene.material import Material
 from sonar_sim.scene.scene import Surface
 from sonar_sim.scene_file import schema
-from sonar_sim.scene_file.shapes import HeightOf, triangles_of
-
-FORMATS = {".stl", ".obj", ".ply", ".glb"}
-SLIVER_M = 1e-9
-"""Triangles less high than this have no area worth the name."""
-
-
-def read_mesh(path: Path, scale: float = 1.0) -> trimesh.Trimesh:
-    """Read a mesh; triangles without an area are left out, and all parts become one.
-
-    Args:
-        path: of an STL, OBJ, PLY or GLB file.
-        scale: metres a unit of the file.
-
-    Raises:
-        SceneError: no such file or format, not finite, or nothing left of it.
-    """
-    if path.suffix.lower() not in FORMATS:
-        raise SceneError(f"{path}: meshes are read from {', '.join(sorted(FORMATS))}")
-    if not path.is_file():
-        raise SceneError(f"{path}: there is no such file")
-    try:
-        mesh = trimesh.load_mesh(path, process=False)
-        if isinstance(mesh, trimesh.Scene):
-            mesh = mesh.to_mesh()
-        vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3) * scale
-        faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
-    except Exception as error:  # its readers raise whatever their formats' bytes lead them to
-        raise SceneError(f"{path}: not a mesh: {error}") from error
-    return clean_mesh(vertices, faces, str(path))
-
-
-def clean_mesh(vertices: np.ndarray, faces: np.ndarray, name: str) -> trimesh.Trimesh:
-    """Leave out triangles without an area.
-
-    Raises:
-        SceneError: a vertex is not finite, an index is out of range, or nothing is left.
-    """
-    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
-        raise SceneError(f"{name}: a triangle names a vertex that does not exist")
-    used = vertices[np.unique(faces)]
-    if not np.isfinite(used).all():
-        raise SceneError(f"{name}: {np.sum(~np.isfinite(used).all(axis=1))} vertices not finite")
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    mesh.remove_unreferenced_vertices()
-    if len(mesh.faces):
-        mesh.update_faces(mesh.nondegenerate_faces(height=SLIVER_M))
-    if not len(mesh.faces):
-        raise SceneError(f"{name}: no triangle with an area")
-    return mesh
-
+from sonar_sim.scene_file.height_maps import HeightOf
+from sonar_sim.scene_file.mesh_files import read_parts
+from sonar_sim.scene_file.shapes import triangles_of
 
 Triple = tuple[float, float, float]
 
@@ -131,41 +84,55 @@ class Placed:
     """One object.
 
     Attributes:
-        surface: what echoes.
+        surfaces: what echoes, one for each material.
         whole: its mesh in the map, with the parts that the floor hides; None if it moves.
     """
 
-    surface: Surface
+    surfaces: tuple[Surface, ...]
     whole: trimesh.Trimesh | None
 
 
 def place(
-    section: schema.ObjectSection, material: Material, floor_m: HeightOf | None, folder: Path
+    section: schema.ObjectSection,
+    materials: Mapping[str, Material],
+    floor_m: HeightOf | None,
+    folder: Path,
 ) -> Iterator[Placed]:
     """Build an object and its copies.
 
     Args:
         section: the object's section of the file.
-        material: of its name.
+        materials: all of the scene, by name.
         floor_m: height of the floor, None without a floor.
         folder: where its files are.
 
     Raises:
         SceneError: the object cannot be.
     """
-    mesh = _mesh(section, floor_m, folder)
+    meshes = _meshes(section, materials, floor_m, folder)
     repeat = section.repeat or schema.Repeat(count=1, step_m=(0.0, 0.0, 0.0))
     for k in range(repeat.count):
         name = section.name if section.repeat is None else f"{section.name} {k + 1}"
         position_m = np.array(section.position_m) + k * np.array(repeat.step_m)
         one = msgspec.structs.replace(section, name=name, position_m=tuple(position_m.tolist()))
-        yield _at(one, mesh, material, floor_m)
+        yield _at(one, meshes, materials, floor_m)
+
+
+def named_material(name: str, materials: Mapping[str, Material]) -> Material:
+    """Return the material of a name.
+
+    Raises:
+        SceneError: there is none.
+    """
+    if name not in materials:
+        raise SceneError(f"no material is called {name}; there are {', '.join(materials)}")
+    return materials[name]
 
 
 def _at(
     section: schema.ObjectSection,
-    mesh: trimesh.Trimesh,
-    material: Material,
+    meshes: Mapping[str, trimesh.Trimesh],
+    materials: Mapping[str, Material],
     floor_m: HeightOf | None,
 ) -> Placed:
     position_m = np.array(section.position_m)
@@ -173,18 +140,31 @@ def _at(
         if floor_m is None:
             raise SceneError("nothing can stand on_floor where there is no terrain")
         position_m[2] += float(floor_m(position_m[:1], position_m[1:2])[0])
+        if not math.isfinite(position_m[2]):
+            raise SceneError("nothing can stand on_floor where the terrain has no data")
     attitude_deg = (section.roll_deg, section.pitch_deg, section.yaw_deg)
     x, y, z = (float(p) for p in position_m)
     motion = motion_of(section.motion, (x, y, z), attitude_deg)
-    if motion is not None:
-        return Placed(
-            surface_of(section.name, mesh, material, smooth=section.smooth, motion=motion), None
-        )
-    whole = _turned(mesh, position_m, attitude_deg)
-    seen = _in_water(whole, floor_m)
-    if not len(seen.faces):
+    wholes = dict(meshes)
+    if motion is None:
+        wholes = {key: _turned(mesh, position_m, attitude_deg) for key, mesh in meshes.items()}
+    seen = wholes
+    if motion is None:
+        seen = {key: _in_water(mesh, floor_m) for key, mesh in wholes.items()}
+        seen = {key: mesh for key, mesh in seen.items() if len(mesh.faces)}
+    if not seen:
         raise SceneError("nothing of it is between the floor and the water's surface")
-    return Placed(surface_of(section.name, seen, material, smooth=section.smooth), whole)
+    surfaces = tuple(
+        surface_of(
+            section.name if len(meshes) == 1 else f"{section.name}: {key}",
+            mesh,
+            materials[key],
+            smooth=section.smooth,
+            motion=motion,
+        )
+        for key, mesh in seen.items()
+    )
+    return Placed(surfaces, _whole(wholes.values()) if motion is None else None)
 
 
 def without_hidden(floor: trimesh.Trimesh, objects: list[trimesh.Trimesh]) -> trimesh.Trimesh:
@@ -228,33 +208,91 @@ def surface_of(
     )
 
 
-def _mesh(section: schema.ObjectSection, floor_m: HeightOf | None, folder: Path) -> trimesh.Trimesh:
-    mesh = _shaped(section.shape, floor_m, folder)
+def _meshes(
+    section: schema.ObjectSection,
+    materials: Mapping[str, Material],
+    floor_m: HeightOf | None,
+    folder: Path,
+) -> dict[str, trimesh.Trimesh]:
+    """Build an object's triangles by the names of their materials, in the object's frame."""
+    pieces: dict[str, list[trimesh.Trimesh]] = {}
+    for material, mesh in _shaped(section.shape, section.material, materials, floor_m, folder):
+        named_material(material, materials)
+        pieces.setdefault(material, []).append(mesh)
+    meshes = {material: _joined(parts) for material, parts in pieces.items()}
     if section.cell_m is None:
-        return mesh
+        return meshes
+    return {material: _cut(mesh, section.cell_m) for material, mesh in meshes.items()}
+
+
+def _cut(mesh: trimesh.Trimesh, cell_m: float) -> trimesh.Trimesh:
     vertices, faces = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
-        mesh.vertices, mesh.faces, section.cell_m, max_iter=MAX_ROUNDS
+        mesh.vertices, mesh.faces, cell_m, max_iter=MAX_ROUNDS
     )
     fine = trimesh.Trimesh(vertices, faces, process=False)
     fine.merge_vertices()
     return fine
 
 
-def _shaped(shape: schema.Shape, floor_m: HeightOf | None, folder: Path) -> trimesh.Trimesh:
+_Piece = tuple[str, trimesh.Trimesh]
+"""Name of a material, and triangles of it."""
+
+
+def _shaped(
+    shape: schema.Shape,
+    material: str,
+    materials: Mapping[str, Material],
+    floor_m: HeightOf | None,
+    folder: Path,
+) -> Iterator[_Piece]:
     match shape:
-        case schema.Mesh(file=file, scale=scale):
-            mesh = read_mesh(folder / file, scale)
+        case schema.Mesh():
+            yield from _of_file(shape, material, materials, folder)
         case schema.ShapeGroup(parts=parts):
-            meshes = [_part(part, floor_m, folder) for part in parts]
-            mesh = cast("trimesh.Trimesh", trimesh.util.concatenate(meshes))
+            for part in parts:
+                place_m = np.array(part.position_m)
+                attitude_deg = (part.roll_deg, part.pitch_deg, part.yaw_deg)
+                own = part.material or material
+                for key, mesh in _shaped(part.shape, own, materials, floor_m, folder):
+                    yield key, _turned(mesh, place_m, attitude_deg)
         case _:
-            mesh = triangles_of(shape, floor_m)
-    return mesh
+            yield material, triangles_of(shape, floor_m)
 
 
-def _part(part: schema.ShapePart, floor_m: HeightOf | None, folder: Path) -> trimesh.Trimesh:
-    mesh = _shaped(part.shape, floor_m, folder)
-    return _turned(mesh, np.array(part.position_m), (part.roll_deg, part.pitch_deg, part.yaw_deg))
+def _of_file(
+    shape: schema.Mesh, material: str, materials: Mapping[str, Material], folder: Path
+) -> Iterator[_Piece]:
+    """Read a file's parts with the materials that the section, or their own names, give them."""
+    parts = read_parts(folder / shape.file, shape.scale, shape.up)
+    named = {name for part in parts for name in (part.name, part.material) if name}
+    for pattern in shape.materials:
+        if not any(fnmatchcase(name, pattern) for name in named):
+            known = ", ".join(sorted(named)) or "no names"
+            raise SceneError(f"{shape.file}: materials: nothing is named {pattern}; it has {known}")
+    for part in parts:
+        own = part.material if part.material in materials else material
+        given = (
+            name
+            for pattern, name in shape.materials.items()
+            if fnmatchcase(part.material, pattern) or fnmatchcase(part.name, pattern)
+        )
+        yield next(given, own), part.mesh
+
+
+def _joined(meshes: Iterable[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """Join meshes to one."""
+    parts = list(meshes)
+    return parts[0] if len(parts) == 1 else cast("trimesh.Trimesh", trimesh.util.concatenate(parts))
+
+
+def _whole(meshes: Iterable[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """Join the meshes of an object's materials, closed where they touch."""
+    parts = list(meshes)
+    if len(parts) == 1:
+        return parts[0]
+    whole = _joined(parts)
+    whole.merge_vertices()
+    return whole
 
 
 def _turned(

@@ -100,10 +100,22 @@ class Hull(Section, frozen=True, tag="hull", tag_field="kind"):
 
 
 class Mesh(Section, frozen=True, tag="mesh", tag_field="kind"):
-    """Triangles of a file: STL, OBJ, PLY or GLB."""
+    """Triangles of a file: STL, PLY, OBJ, glTF (GLB), COLLADA (DAE), URDF or SDF."""
 
     file: Annotated[str, field_info("Path, seen from the scene's file.")]
     scale: Annotated[float, field_info("Metres a unit of the file.", "m", gt=0, le=1e6)] = 1.0
+    up: Annotated[
+        Literal["x", "y", "z"] | None,
+        field_info("The file's axis that points up; left out, what a DAE file declares, else z."),
+    ] = None
+    materials: Annotated[
+        dict[str, str],
+        field_info(
+            "Materials of the file's materials or parts, by their names; `*` and `?` stand for any "
+            "text, the first that fits counts. Others have the scene's material of their own "
+            "name, or else the object's."
+        ),
+    ] = {}
 
 
 BuiltShape = Box | Cylinder | Sphere | Capsule | Pipe | Sheet | Disc | Hull
@@ -118,10 +130,13 @@ class ShapePart(Section, frozen=True):
     roll_deg: Annotated[float, field_info("About x, first.", "°", ge=-360, le=360)] = 0.0
     pitch_deg: Annotated[float, field_info("About y, nose down.", "°", ge=-360, le=360)] = 0.0
     yaw_deg: Annotated[float, field_info("About z, last.", "°", ge=-360, le=360)] = 0.0
+    material: Annotated[str | None, field_info("Name of a material; left out, the object's.")] = (
+        None
+    )
 
 
 class ShapeGroup(Section, frozen=True, tag="group", tag_field="kind"):
-    """Several shapes of one material that stand and move together."""
+    """Several shapes that stand and move together."""
 
     parts: Annotated[tuple[ShapePart, ...], field_info("The shapes.", "", min_length=1)]
 
@@ -236,9 +251,16 @@ class TourMotion(Section, frozen=True, tag="tour", tag_field="kind"):
 
 
 class ObjectSection(Section, frozen=True):
-    """Something that echoes: a shape of one material at a place."""
+    """Something that echoes: a shape at a place."""
 
-    name: Annotated[str, field_info("For people; copies are numbered.", "", min_length=1)]
+    name: Annotated[
+        str,
+        field_info(
+            "For people; copies are numbered, and parts of other materials get theirs appended.",
+            "",
+            min_length=1,
+        ),
+    ]
     shape: Annotated[Shape, field_info("One of the shapes below.")]
     material: Annotated[str, field_info("Name of a material.")]
     position_m: Annotated[Point, field_info("Of the shape's origin in the map.", "m")] = (
@@ -297,11 +319,24 @@ class Procedural(Section, frozen=True, tag="procedural", tag_field="kind"):
 
 
 class HeightField(Section, frozen=True, tag="height_field", tag_field="kind"):
-    """A floor of measured heights: a .npy or .csv table, rows along y, columns along x."""
+    """A floor of measured heights: a GeoTIFF, or a .npy or .csv table with rows along y.
+
+    A table fills the terrain's spans. A GeoTIFF keeps its size; where it has no data is no floor.
+    """
 
     file: Annotated[str, field_info("Path, seen from the scene's file.")]
-    scale: Annotated[float, field_info("Metres a unit of the file.", "m", gt=0, le=1e6)] = 1.0
+    scale: Annotated[
+        float, field_info("Metres a unit of height; -1 turns depths.", "m", ge=-1e6, le=1e6)
+    ] = 1.0
     offset_m: Annotated[float, field_info("Added to the heights; z is up.", "m")] = 0.0
+    origin: Annotated[
+        tuple[float, float] | None,
+        field_info(
+            "Easting and northing, or longitude and latitude, of the map's origin in a GeoTIFF; "
+            "left out, its middle.",
+            "m or °",
+        ),
+    ] = None
 
 
 class TerrainSection(Section, frozen=True):
@@ -362,12 +397,27 @@ class CloudSection(Section, frozen=True):
 class SonarSection(Section, frozen=True):
     """The sonar and its setting; what is left out is the model's own."""
 
-    model: Annotated[Literal["M370s", "M750d", "M1200d", "M3000d"], field_info("Oculus model.")] = (
-        "M750d"
-    )
+    model: Annotated[
+        Literal[
+            "M370s",
+            "M750d",
+            "M1200d",
+            "M3000d",
+            "Gemini 720is",
+            "P900-45",
+            "P900-90",
+            "P900-130",
+        ],
+        field_info(
+            "Oculus model; or one of another maker, which can be neither served nor recorded."
+        ),
+    ] = "M750d"
     mode: Annotated[int, field_info("1 wide and far, 2 narrow and sharp.", "", ge=1, le=2)] = 1
     range_m: Annotated[float, field_info("Range asked for.", "m", ge=0.1, le=200)] = 10.0
-    beams: Annotated[Literal[256, 512], field_info("Columns of the image.")] = 512
+    beams: Annotated[
+        Annotated[int, Meta(ge=2, le=4096)] | UnsetType,
+        field_info("Columns of the image; an Oculus has 512 or 256."),
+    ] = UNSET
     bits: Annotated[Literal[8, 16, 32], field_info("Of a sample.")] = 8
     gain_percent: Annotated[float, field_info("The operator's gain.", "%", ge=0, le=100)] = 50.0
     gamma_byte: Annotated[
@@ -403,6 +453,10 @@ class SonarSection(Section, frozen=True):
     max_range_m: Annotated[
         Annotated[float, Meta(ge=0.1, le=200)] | UnsetType,
         field_info("What may be asked for.", "m"),
+    ] = UNSET
+    max_rows: Annotated[
+        Annotated[int, Meta(ge=1, le=10000)] | UnsetType,
+        field_info("Rows of the image at most; coarser by powers of two beyond."),
     ] = UNSET
     base_row_mm: Annotated[
         Annotated[float, Meta(ge=0.5, le=1000)] | UnsetType,

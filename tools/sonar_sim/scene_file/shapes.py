@@ -1,22 +1,16 @@
 """Build shapes and terrain as meshes."""
 
 import math
-import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 
 from sonar_sim.errors import SceneError
 from sonar_sim.scene_file import schema
+from sonar_sim.scene_file.height_maps import Floats, HeightOf, measured_height
 
-Floats = NDArray[np.float64]
-HeightOf = Callable[[Floats, Floats], Floats]
-"""Height of the floor, z up, at x and y."""
 HULL_STATIONS, HULL_LINES = 64, 24
 
 
@@ -189,7 +183,7 @@ def height_of(terrain: schema.TerrainSection, folder: Path) -> HeightOf:
         case schema.Procedural() as relief:
             return _waves(relief)
         case schema.HeightField() as field:
-            return _table(field, terrain, folder)
+            return measured_height(field, terrain, folder)
 
 
 def floor_of(terrain: schema.TerrainSection, height_m: HeightOf) -> trimesh.Trimesh:
@@ -202,7 +196,14 @@ def floor_of(terrain: schema.TerrainSection, height_m: HeightOf) -> trimesh.Trim
     if len(axes[0]) * len(axes[1]) > MAX_CELLS:
         raise SceneError(f"{len(axes[0])} x {len(axes[1])} points: cell_m is too small")
     x, y = np.meshgrid(*axes, indexing="ij")
-    return sheet(np.stack([x, y, height_m(x, y)], axis=-1))
+    z = height_m(x, y)
+    if np.isfinite(z).all():
+        return sheet(np.stack([x, y, z], axis=-1))
+    floor = sheet(np.stack([x, y, np.nan_to_num(z)], axis=-1))
+    floor.update_faces(np.isfinite(z).ravel()[floor.faces].all(axis=1))
+    if not len(floor.faces):
+        raise SceneError("there are no heights between x_m and y_m")
+    return floor
 
 
 def _steps(span_m: tuple[float, float], cell_m: float) -> Floats:
@@ -248,32 +249,3 @@ def _waves(relief: schema.Procedural) -> HeightOf:
         return height
 
     return height_m
-
-
-def _table(field: schema.HeightField, terrain: schema.TerrainSection, folder: Path) -> HeightOf:
-    """Heights between the points of a table that fills the terrain's spans."""
-    path = folder / field.file
-    heights_m = _read_table(path) * field.scale + field.offset_m
-    y_m, x_m = (
-        np.linspace(*span, count)
-        for span, count in zip((terrain.y_m, terrain.x_m), heights_m.shape, strict=True)
-    )
-    between = RegularGridInterpolator((y_m, x_m), heights_m, bounds_error=False, fill_value=None)
-    return lambda x_m, y_m: np.asarray(between((y_m, x_m)), dtype=np.float64)
-
-
-def _read_table(path: Path) -> Floats:
-    try:
-        if path.suffix == ".npy":
-            table = np.load(path, allow_pickle=False)
-        elif path.suffix == ".csv":
-            with warnings.catch_warnings(action="error"):  # an empty file is no table
-                table = np.loadtxt(path, delimiter=",", ndmin=2)
-        else:
-            raise SceneError(f"{path}: heights are read from .npy and .csv")
-        heights = np.asarray(table, dtype=np.float64)
-    except (OSError, ValueError, TypeError, EOFError, UserWarning) as error:
-        raise SceneError(f"{path}: no table of heights: {error}") from error
-    if heights.ndim != 2 or min(heights.shape) < 2 or not np.isfinite(heights).all():  # noqa: PLR2004 a table
-        raise SceneError(f"{path}: heights must be a table of at least 2 x 2 finite numbers")
-    return heights

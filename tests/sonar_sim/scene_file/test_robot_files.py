@@ -1,0 +1,172 @@
+"""URDF and SDF, judged by yourdfpy and by hand."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from sonar_sim.errors import SceneError
+from sonar_sim.scene_file.mesh_files import NamedMesh, read_parts
+
+ROBOT = """<?xml version="1.0"?>
+<robot name="arm">
+  <material name="wood"/>
+  <link name="base">
+    <visual name="plate"><origin xyz="0.1 0 0" rpy="0 0 0.3"/>
+      <geometry><box size="1 2 0.5"/></geometry><material name="wood"/></visual>
+    <visual name="pin"><origin xyz="0 0 1" rpy="0.2 0.1 0"/>
+      <geometry><cylinder radius="0.1" length="2"/></geometry></visual>
+    <collision><geometry><box size="9 9 9"/></geometry></collision>
+  </link>
+  <link name="upper"><visual><origin xyz="0 0 0.4" rpy="0 -0.5 0"/>
+    <geometry><mesh filename="package://arm_description/meshes/part.stl" scale="0.1 0.2 0.3"/>
+    </geometry></visual></link>
+  <link name="tip"><collision><geometry><sphere radius="0.3"/></geometry></collision></link>
+  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
+    <origin xyz="1 2 3" rpy="0.4 0.5 0.6"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="wrist" type="fixed"><parent link="upper"/><child link="tip"/>
+    <origin xyz="0 0.5 0" rpy="1 0 0"/></joint>
+</robot>
+"""
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Path:
+    """A robot in its package."""
+    package = tmp_path / "arm_description"
+    (package / "meshes").mkdir(parents=True)
+    (package / "urdf").mkdir()
+    trimesh.creation.icosphere(subdivisions=1).export(package / "meshes" / "part.stl")
+    path = package / "urdf" / "arm.urdf"
+    path.write_text(ROBOT)
+    return path
+
+
+def bounds(parts: list[NamedMesh]) -> np.ndarray:
+    points = np.concatenate([part.mesh.vertices for part in parts])
+    return np.array([points.min(axis=0), points.max(axis=0)])
+
+
+def test_a_robot_stands_as_another_reader_has_it(robot: Path) -> None:
+    yourdfpy = pytest.importorskip("yourdfpy")
+    parts = [part for part in read_parts(robot) if part.name != "tip"]
+
+    def located(fname: str, dir: str = "") -> str:  # noqa: A002, ARG001 names of the library
+        return str(robot.parents[1] / fname.removeprefix("package://arm_description/"))
+
+    theirs: Any = yourdfpy.URDF.load(str(robot), filename_handler=located)
+    assert bounds(parts) == pytest.approx(np.asarray(theirs.scene.bounds), abs=0.01)
+    assert [(part.name, part.material) for part in parts] == [
+        ("base/pin", ""),
+        ("upper", ""),
+        ("base/plate", "wood"),
+    ]
+
+
+def test_a_link_without_visuals_has_its_collisions(robot: Path) -> None:
+    (tip,) = [part for part in read_parts(robot) if part.name == "tip"]
+    assert np.ptp(bounds([tip]), axis=0) == pytest.approx([0.6, 0.6, 0.6], abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ('<sphere radius="0.3"/>', "<torus/>", "link 'tip': no geometry 'torus'"),
+        ('radius="0.3"', 'radius="big"', "link 'tip': 'big' is not 1 numbers"),
+        ('<parent link="base"/>', '<parent link="tip"/>', "hangs on itself"),
+        ("part.stl", "none.stl", "no such file"),
+        ("</robot>", "", "not XML"),
+    ],
+)
+def test_a_broken_robot_is_refused_by_name(robot: Path, old: str, new: str, reason: str) -> None:
+    robot.write_text(ROBOT.replace(old, new))
+    with pytest.raises(SceneError, match=f"(arm.urdf|stl).*{reason}"):
+        read_parts(robot)
+
+
+WORLD = """<?xml version="1.0"?>
+<sdf version="1.9"><world name="bay">
+  <light name="sun" type="directional"/>
+  <model name="ground"><static>true</static><pose>0 0 -10 0 0 0</pose><link name="link">
+    <visual name="visual"><geometry><plane><normal>0 0 1</normal><size>40 20</size></plane>
+      </geometry><material><script><name>mud</name></script></material></visual></link></model>
+  <model name="rig"><pose degrees="true">5 0 -4 0 0 90</pose>
+    <frame name="deck" attached_to="leg"><pose>0 0 2 0 0 0</pose></frame>
+    <link name="leg"><pose>1 0 0 0 0 0</pose>
+      <visual name="pile"><geometry><cylinder><radius>0.5</radius><length>4</length></cylinder>
+        </geometry></visual></link>
+    <link name="box"><pose relative_to="deck">0 3 0 0 0 0</pose>
+      <visual name="v"><pose rotation_format="quat_xyzw">0 0 1 0 0 0.7071068 0.7071068</pose>
+        <geometry><box><size>2 0.2 0.4</size></box></geometry></visual></link>
+    <model name="lamp"><pose relative_to="box">0 0 5 0 0 0</pose><link name="l">
+      <collision name="c"><geometry><capsule><radius>0.1</radius><length>1</length></capsule>
+        </geometry></collision></link></model>
+  </model>
+  <include><uri>model://buoy</uri><name>north</name><pose>0 9 -1 0 0 0</pose></include>
+</world></sdf>
+"""
+BUOY = """<sdf version="1.6"><model name="buoy"><pose>7 7 7 0 0 0</pose><link name="l">
+  <visual name="hull"><geometry><mesh><uri>model://buoy/meshes/hull.stl</uri>
+    <scale>2 2 2</scale></mesh></geometry></visual></link></model></sdf>
+"""
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> Path:
+    """A world with a model in the folder beside it."""
+    buoy = tmp_path / "models" / "buoy"
+    (buoy / "meshes").mkdir(parents=True)
+    (buoy / "model.config").write_text("<model><sdf version='1.6'>hull.sdf</sdf></model>")
+    (buoy / "hull.sdf").write_text(BUOY)
+    trimesh.creation.box(extents=(1, 1, 1)).export(buoy / "meshes" / "hull.stl")
+    path = tmp_path / "bay.world"
+    path.write_text(WORLD)
+    return path
+
+
+def test_a_world_is_laid_out_by_its_frames(world: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GZ_SIM_RESOURCE_PATH", str(world.parent / "models"))
+    parts = {part.name: part for part in read_parts(world)}
+    assert parts["ground/link/visual"].material == "mud"
+    expected = {
+        # The rig's x points north; its deck is above the leg, 1 m ahead of its middle.
+        "ground/link/visual": ([-20, -10, -10], [20, 10, -10]),
+        "rig/leg/pile": ([4.5, 0.5, -6], [5.5, 1.5, -2]),
+        "rig/box/v": ([1, 0.9, -1.2], [3, 1.1, -0.8]),
+        "rig/lamp/l/c": ([1.9, 0.9, 2.4], [2.1, 1.1, 3.6]),
+        "north/l/hull": ([-1, 8, -2], [1, 10, 0]),
+    }
+    assert set(parts) == set(expected)
+    for name, (low, high) in expected.items():
+        assert parts[name].mesh.bounds[0] == pytest.approx(low, abs=1e-3), name
+        assert parts[name].mesh.bounds[1] == pytest.approx(high, abs=1e-3), name
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("<uri>model://buoy</uri>", "<uri>model://boat</uri>", "no model 'model://boat'"),
+        ('relative_to="deck"', 'relative_to="dock"', "no frame 'dock'"),
+        ('attached_to="leg"', 'attached_to="deck"', "refers to itself"),
+        ("<pose>1 0 0 0 0 0</pose>", "<pose>1 0 0</pose>", "is not 6 numbers"),
+        ("<size>2 0.2 0.4</size>", "", "is not 3 numbers"),
+        ("<plane>", "<heightmap/><plane>", "terrain"),
+        ("sdf", "gazebo", "its root is <gazebo>"),
+    ],
+)
+def test_a_broken_world_is_refused_by_name(
+    world: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str, reason: str
+) -> None:
+    monkeypatch.setenv("GZ_SIM_RESOURCE_PATH", str(world.parent / "models"))
+    world.write_text(WORLD.replace(old, new))
+    with pytest.raises(SceneError, match=f"bay.world.*{reason}"):
+        read_parts(world)
+
+
+def test_a_world_that_includes_itself_ends(tmp_path: Path) -> None:
+    path = tmp_path / "loop.sdf"
+    path.write_text('<sdf><model name="m"><include><uri>loop.sdf</uri></include></model></sdf>')
+    with pytest.raises(SceneError, match="deep"):
+        read_parts(path)

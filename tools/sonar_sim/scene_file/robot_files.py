@@ -1,0 +1,373 @@
+"""Read the geometry of robots (URDF) and worlds (SDF): what stands where, before anything moves.
+
+Both nest poses in XML. Of a link its visuals count; its collisions where it has none. Joints stand
+at 0. Physics, sensors, plugins and lights are ignored.
+"""
+
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from sonar_sim.errors import SceneError
+from sonar_sim.geometry.pose import rotation_of, rotation_of_quaternion
+
+MODEL_PATHS = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH")
+"""Variables of the environment that name the folders of Gazebo's models."""
+FACETS = 48
+MAX_INCLUDES = 16
+Transform = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Geometry:
+    """One visual of a link.
+
+    Attributes:
+        name: model, link and visual.
+        material: its name; empty if it has none, or only colours.
+        transform: file's frame from the geometry's, with its scale, (4, 4).
+        mesh: a primitive; None if `file` has the triangles.
+        file: of a mesh.
+    """
+
+    name: str
+    material: str
+    transform: Transform
+    mesh: trimesh.Trimesh | None
+    file: Path | None
+
+
+def read_urdf(path: Path) -> Iterator[Geometry]:
+    """Read all visuals of a robot, all joints at 0, in the frame of its root.
+
+    Raises:
+        SceneError: not a robot, or a geometry or joint that cannot be read.
+    """
+    robot = _root(path, "robot")
+    places = _urdf_links(robot, str(path))
+    for link in robot.findall("link"):
+        name = link.get("name", "")
+        for k, visual in enumerate(link.findall("visual") or link.findall("collision")):
+            where = f"{path}: link {name!r}"
+            material = visual.find("material")
+            named = "" if material is None else material.get("name", "")
+            transform = places[name] @ _origin(visual.find("origin"), where)
+            label = "/".join(filter(None, (name, visual.get("name") or (str(k) if k else ""))))
+            yield _urdf_geometry(visual, transform, (label, named), path, where)
+
+
+def _urdf_links(robot: ET.Element, where: str) -> dict[str, Transform]:
+    """Each link's frame in the root's."""
+    parents: dict[str, tuple[str, Transform]] = {}
+    for joint in robot.findall("joint"):
+        parent, child = (_attribute(joint.find(end), "link", where) for end in ("parent", "child"))
+        parents[child] = parent, _origin(joint.find("origin"), where)
+    places = {}
+    for link in (one.get("name", "") for one in robot.findall("link")):
+        at, transform, seen = link, np.eye(4), {link}
+        while at in parents:
+            at, joint_pose = parents[at]
+            transform = joint_pose @ transform
+            if at in seen:
+                raise SceneError(f"{where}: link {link!r} hangs on itself")
+            seen.add(at)
+        places[link] = transform
+    return places
+
+
+def _urdf_geometry(
+    visual: ET.Element, transform: Transform, names: tuple[str, str], path: Path, where: str
+) -> Geometry:
+    shape = _only_child(visual.find("geometry"), where)
+    match shape.tag:
+        case "mesh":
+            file = _resolved(_attribute(shape, "filename", where), path)
+            scale = _numbers(shape.get("scale", "1 1 1"), where)
+            return Geometry(*names, transform @ np.diag([*scale, 1.0]), None, file)
+        case "box":
+            mesh = _box(_numbers(_attribute(shape, "size", where), where))
+        case "sphere":
+            mesh = _ellipsoid([_number(shape.get("radius"), where)] * 3)
+        case "cylinder" | "capsule":
+            radius, length = (_number(shape.get(key), where) for key in ("radius", "length"))
+            mesh = _round(shape.tag, radius, length)
+        case other:
+            raise SceneError(
+                f"{where}: no geometry {other!r}; there are box, cylinder, sphere, capsule, mesh"
+            )
+    return Geometry(*names, transform, mesh, None)
+
+
+def _origin(element: ET.Element | None, where: str) -> Transform:
+    """Read a pose of URDF: xyz and fixed-axis roll, pitch, yaw in radians."""
+    if element is None:
+        return np.eye(4)
+    xyz = _numbers(element.get("xyz", "0 0 0"), where)
+    rpy = _numbers(element.get("rpy", "0 0 0"), where)
+    return _transform(xyz, rotation_of(*rpy))
+
+
+def read_sdf(path: Path) -> Iterator[Geometry]:
+    """Read all visuals of a world or model as it begins, in its frame.
+
+    Raises:
+        SceneError: not SDF, or a model, geometry or pose that cannot be found or read.
+    """
+    yield from _Sdf(path, 0).everything()
+
+
+class _Sdf:
+    """One file; those that it includes are read by others of this class."""
+
+    def __init__(self, path: Path, depth: int) -> None:
+        self._path = path
+        self._depth = depth
+        if depth > MAX_INCLUDES:
+            raise SceneError(f"{path}: included more than {MAX_INCLUDES} deep")
+        self._root = _root(path, "sdf")
+
+    def everything(self) -> Iterator[Geometry]:
+        worlds = self._root.findall("world")
+        for frame in worlds or [self._root]:
+            yield from self._models(frame, np.eye(4), "")
+
+    def one_model(self, transform: Transform, name: str) -> Iterator[Geometry]:
+        """Read a model's file as another file includes it: its own pose is replaced."""
+        model = self._root.find("model")
+        if model is None:
+            raise SceneError(f"{self._path}: there is no model in it")
+        yield from self._model(model, transform, name or model.get("name") or "")
+
+    def _models(self, parent: ET.Element, transform: Transform, prefix: str) -> Iterator[Geometry]:
+        """Read the models of a world, or those nested in a model."""
+        frames = _PoseFrames(parent, str(self._path))
+        for model in parent.findall("model"):
+            name = model.get("name", "")
+            yield from self._model(model, transform @ frames.pose(name), prefix + name)
+        for k, include in enumerate(parent.findall("include")):
+            file = self._included(include)
+            inner = _Sdf(file, self._depth + 1)
+            given = include.findtext("name")
+            pose = include.find("pose")
+            own = inner._root.find("model/pose")
+            at = frames.resolved(pose) if pose is not None else frames.resolved(own)
+            label = given or f"{file.parent.name}{k or ''}"
+            yield from inner.one_model(transform @ at, prefix + label)
+
+    def _model(self, model: ET.Element, transform: Transform, name: str) -> Iterator[Geometry]:
+        frames = _PoseFrames(model, f"{self._path}: model {name!r}")
+        for link in model.findall("link"):
+            link_name = link.get("name", "")
+            at = transform @ frames.pose(link_name)
+            for visual in link.findall("visual") or link.findall("collision"):
+                label = f"{name}/{link_name}/{visual.get('name', '')}"
+                where = f"{self._path}: {label}"
+                pose = at @ _sdf_pose(visual.find("pose"), where)
+                material = visual.findtext("material/script/name", "").strip()
+                found = self._geometry(visual, pose, (label, material), where)
+                if found is not None:
+                    yield found
+        yield from self._models(model, transform, f"{name}/")
+
+    def _geometry(
+        self, visual: ET.Element, transform: Transform, names: tuple[str, str], where: str
+    ) -> Geometry | None:
+        shape = _only_child(visual.find("geometry"), where)
+
+        def number(key: str) -> float:
+            return _number(shape.findtext(key), where)
+
+        match shape.tag:
+            case "empty":
+                return None
+            case "mesh":
+                file = _resolved(shape.findtext("uri", "").strip(), self._path)
+                scale = _numbers(shape.findtext("scale", "1 1 1"), where)
+                if shape.find("submesh") is not None:
+                    raise SceneError(f"{where}: submesh is not supported: save it as its own file")
+                return Geometry(*names, transform @ np.diag([*scale, 1.0]), None, file)
+            case "box":
+                mesh = _box(_numbers(shape.findtext("size", ""), where))
+            case "plane":
+                mesh = _plane(shape, where)
+            case "sphere":
+                mesh = _ellipsoid([number("radius")] * 3)
+            case "ellipsoid":
+                mesh = _ellipsoid(_numbers(shape.findtext("radii", ""), where))
+            case "cylinder" | "capsule" | "cone":
+                mesh = _round(shape.tag, number("radius"), number("length"))
+            case other:
+                raise SceneError(
+                    f"{where}: geometry {other!r} is not supported; box, capsule, cone, cylinder, "
+                    "ellipsoid, mesh, plane and sphere are; height maps go into the scene's terrain"
+                )
+        return Geometry(*names, transform, mesh, None)
+
+    def _included(self, include: ET.Element) -> Path:
+        uri = include.findtext("uri", "").strip()
+        file = _resolved(uri, self._path)
+        if file.is_dir():
+            config = file / "model.config"
+            name = "model.sdf"
+            if config.is_file():
+                name = _root(config, "model").findtext("sdf", name).strip()
+            file /= name
+        if not file.is_file():
+            raise SceneError(
+                f"{self._path}: no model {uri!r}: it is in no folder beside the file, nor in "
+                f"${MODEL_PATHS[0]}"
+            )
+        return file
+
+
+class _PoseFrames:
+    """Named frames of a model or world: links, frames, nested models; poses may refer to them."""
+
+    def __init__(self, parent: ET.Element, where: str) -> None:
+        self._where = where
+        self._own = {"", "__model__", "world", parent.get("name", "")}
+        self._elements = {
+            one.get("name", ""): one
+            for tag in ("link", "frame", "model", "joint")
+            for one in parent.findall(tag)
+        }
+
+    def pose(self, name: str) -> Transform:
+        """Return the frame of an element in that of the parent."""
+        return self._pose(name, frozenset())
+
+    def resolved(self, pose: ET.Element | None) -> Transform:
+        """Return a pose in the parent's frame."""
+        relative = "" if pose is None else pose.get("relative_to", "")
+        return self._pose(relative, frozenset()) @ _sdf_pose(pose, self._where)
+
+    def _pose(self, name: str, above: frozenset[str]) -> Transform:
+        if name in self._own and name not in self._elements:
+            return np.eye(4)
+        if name not in self._elements or name in above:
+            raise SceneError(f"{self._where}: no frame {name!r}, or one that refers to itself")
+        element = self._elements[name]
+        pose = element.find("pose")
+        default = element.get("attached_to", "")
+        if element.tag == "joint":
+            default = element.findtext("child", "").strip()
+        relative = (pose.get("relative_to") if pose is not None else None) or default
+        return self._pose(relative, above | {name}) @ _sdf_pose(pose, self._where)
+
+
+def _sdf_pose(element: ET.Element | None, where: str) -> Transform:
+    """Read x y z roll pitch yaw, in radians or degrees, or x y z and a quaternion x y z w."""
+    text = "" if element is None else (element.text or "").strip()
+    if element is None or not text:
+        return np.eye(4)
+    if element.get("rotation_format") == "quat_xyzw":
+        x, y, z, *xyzw = _numbers(text, where, 7)
+        return _transform([x, y, z], rotation_of_quaternion(np.array(xyzw)[[3, 0, 1, 2]]))
+    x, y, z, *rpy = _numbers(text, where, 6)
+    if element.get("degrees", "false").lower() in ("true", "1"):
+        rpy = [math.radians(angle) for angle in rpy]
+    return _transform([x, y, z], rotation_of(*rpy))
+
+
+def _transform(xyz: list[float], rotation: NDArray[np.float64]) -> Transform:
+    transform = np.eye(4)
+    transform[:3, :3], transform[:3, 3] = rotation, xyz
+    return transform
+
+
+def _box(size_m: list[float]) -> trimesh.Trimesh:
+    return cast("trimesh.Trimesh", trimesh.creation.box(extents=size_m))
+
+
+def _ellipsoid(radii_m: list[float]) -> trimesh.Trimesh:
+    mesh = cast("trimesh.Trimesh", trimesh.creation.icosphere(subdivisions=3, radius=1.0))
+    mesh.vertices *= radii_m
+    return mesh
+
+
+def _round(kind: str, radius_m: float, length_m: float) -> trimesh.Trimesh:
+    """Build a cylinder, capsule or cone along z about its middle."""
+    if kind == "capsule":
+        made = trimesh.creation.capsule(height=length_m, radius=radius_m, count=[FACETS, FACETS])
+    elif kind == "cone":
+        made = trimesh.creation.cone(radius=radius_m, height=length_m, sections=FACETS)
+    else:
+        made = trimesh.creation.cylinder(radius=radius_m, height=length_m, sections=FACETS)
+    made.vertices -= [0.0, 0.0, made.bounds.mean(axis=0)[2]]
+    return made
+
+
+def _plane(shape: ET.Element, where: str) -> trimesh.Trimesh:
+    width, length = _numbers(shape.findtext("size", "1 1"), where, 2)
+    normal = _numbers(shape.findtext("normal", "0 0 1"), where)
+    if not np.linalg.norm(normal) > 0.0:
+        raise SceneError(f"{where}: a plane's normal has no length")
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [width, length, 0.0] / 2
+    mesh = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+    turn = trimesh.geometry.align_vectors([0, 0, 1], normal)  # type: ignore[no-untyped-call]
+    mesh.apply_transform(turn)
+    return mesh
+
+
+def _resolved(uri: str, path: Path) -> Path:
+    """Return the file or folder of a URI: file://, package://, model://, or a path.
+
+    A package or model is looked for in the folders above the file and in Gazebo's.
+    """
+    scheme, found, rest = uri.partition("://")
+    if not found:
+        return path.parent / uri
+    if scheme == "file":
+        return path.parent / rest
+    named = [part for key in MODEL_PATHS for part in os.environ.get(key, "").split(os.pathsep)]
+    folders = [*path.resolve().parents, *(Path(part) for part in named if part)]
+    places = [folder / rest for folder in folders]
+    inside = rest.partition("/")[2]  # of a package whose folder has another name
+    places += [folder / inside for folder in folders[:3] if inside]
+    return next((place for place in places if place.exists()), places[0])
+
+
+def _root(path: Path, tag: str) -> ET.Element:
+    try:
+        root = ET.parse(path).getroot()  # noqa: S314 expat limits what entities may grow to
+    except (OSError, ET.ParseError) as error:
+        raise SceneError(f"{path}: not XML: {error}") from error
+    if root.tag != tag:
+        raise SceneError(f"{path}: its root is <{root.tag}>, not <{tag}>")
+    return root
+
+
+def _only_child(element: ET.Element | None, where: str) -> ET.Element:
+    if element is None or not len(element):
+        raise SceneError(f"{where}: a geometry is missing")
+    return element[0]
+
+
+def _attribute(element: ET.Element | None, key: str, where: str) -> str:
+    value = None if element is None else element.get(key)
+    if value is None:
+        tag = "an element" if element is None else f"<{element.tag}>"
+        raise SceneError(f"{where}: {tag} with {key!r} is missing")
+    return value
+
+
+def _numbers(text: str, where: str, count: int = 3) -> list[float]:
+    try:
+        values = [float(part) for part in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise SceneError(f"{where}: {text!r} is not {count} numbers")
+    return values
+
+
+def _number(text: str | None, where: str) -> float:
+    return _numbers(text or "", where, 1)[0]
