@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, RecordingWriter
 from sonar_sim.effects.plan import AUTO, Choice
 from sonar_sim.errors import SceneError
+from sonar_sim.geometry.trajectory import Route
 from sonar_sim.raycast.visible_surface import VisibleSurface
-from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
+from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose, with_bodies
+from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.vehicle import (
     OdometrySample,
     SimulatedOdometry,
@@ -121,7 +123,7 @@ def _sonar_link(
     shots = [PingRequest(sonar_pose(scenario, t), t, sonar_motion(scenario, t)) for t in times_s]
     generator = _generator(settings.seed, NETWORK_STREAM)
     listening_s = 2.0 * sonar.range_m / (sonar.told_speed_mps or water.speed_of_sound_mps)
-    recipe = SimulatorSpec(scenario.scene, sonar, settings.seed, settings.effects)
+    recipe = SimulatorSpec(_scene_of(scenario), sonar, settings.seed, settings.effects)
     pings = simulate_pings(recipe, shots, settings.processes)
     for ping_id, (time_s, ping) in enumerate(zip(times_s, pings, strict=True)):
         seen.add(ping.seen_m)
@@ -138,6 +140,13 @@ def _sonar_link(
             yield arrival_s, "sonar", piece
         if progress is not None:
             progress(ping_id + 1, len(times_s))
+
+
+def _scene_of(scenario: Scenario) -> Scene:
+    """The scene with the other vehicles on their paths, at whose ends they stay."""
+    paths = {one.vehicle: Route(one.trajectory, "stay") for one in scenario.others}
+    paths.pop(scenario.vehicle, None)
+    return with_bodies(scenario.scene, paths.items())
 
 
 def _odometry_link(samples: Iterable[OdometrySample]) -> Iterator[Delivery]:

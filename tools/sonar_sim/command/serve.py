@@ -14,8 +14,9 @@ from oculus_driver.virtual_sonar.server import broadcast_of
 from oculus_driver.wire import STATUS_PORT, TCP_PORT
 from sonar_sim.command.arguments import seed
 from sonar_sim.device.fire_settings import part_number_of
-from sonar_sim.device.server import ROUTE_ENDS, ServedScenario, ServeSettings
+from sonar_sim.device.server import ServedScenario, ServeSettings
 from sonar_sim.effects.plan import AUTO
+from sonar_sim.geometry.trajectory import ROUTE_ENDS
 from sonar_sim.navigation.formats import FORMATS
 from sonar_sim.navigation.odometry_output import OdometryOutput, output_named
 from sonar_sim.scene.scenario import Scenario

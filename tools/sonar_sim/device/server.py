@@ -6,10 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Literal, Self
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Self
 
 from oculus_driver.virtual_sonar.device import Identity
 from oculus_driver.virtual_sonar.faults import Faults
@@ -17,57 +14,9 @@ from oculus_driver.virtual_sonar.playback import advertised_address
 from oculus_driver.virtual_sonar.server import VirtualSonar
 from sonar_sim.device.simulated_device import SimulatedDevice
 from sonar_sim.effects.plan import AUTO, EffectSelection
-from sonar_sim.geometry.pose import FramePose
-from sonar_sim.geometry.trajectory import Trajectory
+from sonar_sim.geometry.trajectory import Route, RouteEnd
 from sonar_sim.navigation.odometry_output import OdometryOutput, OdometrySender
 from sonar_sim.scene.scenario import Scenario
-
-RouteEnd = Literal["stop", "stay", "back"]
-ROUTE_ENDS: tuple[RouteEnd, ...] = ("stop", "stay", "back")
-DAY_S = 86_400.0
-
-
-class Route(Trajectory):
-    """A trajectory, and the behaviour at its end.
-
-    Args:
-        trajectory: the trajectory.
-        ends: "stop" ends the route; "stay" keeps the last pose; "back" drives back and forth,
-            astern on the way back.
-
-    Attributes:
-        duration_s: total duration; a day without a stop.
-    """
-
-    def __init__(self, trajectory: Trajectory, ends: RouteEnd) -> None:
-        self._there = trajectory
-        self._ends = ends
-        self.duration_s = trajectory.duration_s if ends == "stop" else DAY_S
-
-    def pose(self, time_s: float) -> FramePose:
-        """Return the pose of the base in the map frame."""
-        return self._there.pose(self._place(time_s)[0])
-
-    def velocity_mps(self, time_s: float) -> NDArray[np.float64]:
-        """Return the velocity in the body frame, (3,)."""
-        place_s, sense = self._place(time_s)
-        velocity: NDArray[np.float64] = sense * self._there.velocity_mps(place_s)
-        return velocity
-
-    def turn_rates_rps(self, time_s: float) -> NDArray[np.float64]:
-        """Return the angular velocity in the body frame, rad/s, (3,)."""
-        place_s, sense = self._place(time_s)
-        rates: NDArray[np.float64] = sense * self._there.turn_rates_rps(place_s)
-        return rates
-
-    def _place(self, time_s: float) -> tuple[float, float]:
-        """Return the time on the trajectory and its rate: 1, 0 or -1."""
-        length_s = self._there.duration_s
-        if self._ends != "back" or length_s <= 0.0:
-            inside = time_s < length_s
-            return min(time_s, length_s), 1.0 if inside else 0.0
-        turns, rest_s = divmod(time_s, length_s)
-        return (length_s - rest_s, -1.0) if int(turns) % 2 else (rest_s, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +28,7 @@ class ServeSettings:
         status_to: destination of status messages.
         device_id: serial number.
         standby: send nothing until a client requests pings.
-        ends: behaviour at the end, see `sonar_sim.device.server.Route`.
+        ends: behaviour at the end, see `sonar_sim.geometry.trajectory.Route`.
         faults: faults of the sonar.
         outputs: destinations of the odometry.
         seed: seed of all random numbers.

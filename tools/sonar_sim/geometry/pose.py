@@ -137,3 +137,14 @@ def rotation_by(vector_rad: NDArray[np.float64]) -> NDArray[np.float64]:
     versine = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
     rotation: NDArray[np.float64] = np.eye(3) + sine * skew + versine * skew @ skew
     return rotation
+
+
+def rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Axis times angle of a rotation, 0 to pi, (3,): the inverse of `rotation_by`."""
+    w, *xyz = quaternion_of(rotation)
+    axis = np.asarray(xyz)
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-12:  # noqa: PLR2004 no axis
+        return 2.0 * axis
+    vector: NDArray[np.float64] = axis * (2.0 * math.atan2(sine, float(w)) / sine)
+    return vector

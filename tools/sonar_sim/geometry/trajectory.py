@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,12 @@ class Trajectory:
 
     Raises:
         SceneError: it takes less than a hundredth of a second, or more than a day.
+
+    Attributes:
+        live: whether it is known only as far as it has been driven.
     """
+
+    live = False
 
     def __init__(self, waypoints: Sequence[Waypoint], motion: Motion | None = None) -> None:
         motion = motion or Motion()
@@ -107,6 +112,54 @@ def _with_waves(
     rolling = motion.sway_deg * np.sin(2.0 * math.pi * time_s / 4.3)
     pitching = motion.sway_deg * np.sin(2.0 * math.pi * time_s / 5.1 + 1.0)
     return np.stack([x, y, z + heave, yaw, roll + rolling, pitching], axis=1)
+
+
+RouteEnd = Literal["stop", "stay", "back"]
+ROUTE_ENDS: tuple[RouteEnd, ...] = ("stop", "stay", "back")
+DAY_S = 86_400.0
+
+
+class Route(Trajectory):
+    """A trajectory, and the behaviour at its end.
+
+    Args:
+        trajectory: the trajectory.
+        ends: "stop" ends the route; "stay" keeps the last pose; "back" drives back and forth,
+            astern on the way back.
+
+    Attributes:
+        duration_s: total duration; a day without a stop.
+    """
+
+    def __init__(self, trajectory: Trajectory, ends: RouteEnd) -> None:
+        self._there = trajectory
+        self._ends = ends
+        self.duration_s = trajectory.duration_s if ends == "stop" else DAY_S
+
+    def pose(self, time_s: float) -> FramePose:
+        """Return the pose of the base in the map frame."""
+        return self._there.pose(self._place(time_s)[0])
+
+    def velocity_mps(self, time_s: float) -> NDArray[np.float64]:
+        """Return the velocity in the body frame, (3,)."""
+        place_s, sense = self._place(time_s)
+        velocity: NDArray[np.float64] = sense * self._there.velocity_mps(place_s)
+        return velocity
+
+    def turn_rates_rps(self, time_s: float) -> NDArray[np.float64]:
+        """Return the angular velocity in the body frame, rad/s, (3,)."""
+        place_s, sense = self._place(time_s)
+        rates: NDArray[np.float64] = sense * self._there.turn_rates_rps(place_s)
+        return rates
+
+    def _place(self, time_s: float) -> tuple[float, float]:
+        """Return the time on the trajectory and its rate: 1, 0 or -1."""
+        length_s = self._there.duration_s
+        if self._ends != "back" or length_s <= 0.0:
+            inside = time_s < length_s
+            return min(time_s, length_s), 1.0 if inside else 0.0
+        turns, rest_s = divmod(time_s, length_s)
+        return (length_s - rest_s, -1.0) if int(turns) % 2 else (rest_s, 1.0)
 
 
 Triple = tuple[float, float, float]

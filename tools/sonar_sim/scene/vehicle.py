@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sonar_sim.errors import SceneError
 from sonar_sim.geometry.pose import FramePose, rotation_of
 from sonar_sim.geometry.trajectory import Trajectory
+from sonar_sim.scene.material import MATERIALS, Material
 
 Triple = tuple[float, float, float]
 NONE: Triple = (0.0, 0.0, 0.0)
@@ -74,6 +75,9 @@ class Vehicle:
         odometry_rate_hz: of its records.
         errors: of them.
         latitude_deg, longitude_deg: of the map's origin, for formats that are global.
+        size_m: length, width and height of the box that sonars of other vehicles see, about the
+            base; None is invisible.
+        material: of that box.
     """
 
     name: str = "vehicle"
@@ -81,6 +85,12 @@ class Vehicle:
     errors: OdometryErrors = field(default_factory=OdometryErrors)
     latitude_deg: float = 53.5
     longitude_deg: float = 8.1
+    size_m: Triple | None = None
+    material: Material = MATERIALS["pvc"]
+
+    def __post_init__(self) -> None:
+        if self.size_m is not None and not all(0.0 < edge < math.inf for edge in self.size_m):
+            raise SceneError(f"vehicle {self.name!r}: size_m {self.size_m} is no box")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,8 +1,9 @@
 """From a checked file to a scenario."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -52,27 +53,64 @@ def build_scenario(name: str, file: schema.SceneFile, folder: Path) -> Scenario:
     Raises:
         SceneError: something in it cannot be; names the place.
     """
-    path = folder / f"{name}.yaml"
-    with _place(f"{path}: $.sonar"):
-        sonar = _sonar(file.sonar)
-    with _place(f"{path}: $.trajectory"):
+    where = str(folder / f"{name}.yaml")
+    materials = _materials(file, where)
+    with _place(f"{where}: $.trajectory"):
         trajectory = path_of(file.trajectory)
-    with _place(f"{path}: $.vehicle"):
-        vehicle = _vehicle(file.vehicle)
-    return Scenario(
+    with _place(f"{where}: $.vehicle"):
+        vehicle = _vehicle(file.vehicle, materials)
+    with _place(f"{where}: $.sonar"):
+        sonar = _sonar(file.sonar)
+    first = Scenario(
         name=name,
-        scene=_scene(file, folder, str(path)),
+        scene=_scene(file, materials, folder, where),
         sonar=sonar,
-        mounting=Mounting(**msgspec.structs.asdict(file.mounting)),
+        mounting=_mounting(file.mounting),
         trajectory=trajectory,
         vehicle=vehicle,
         ping_rate_hz=file.sonar.ping_rate_hz,
         description=file.description,
     )
+    others = [*_further_sonars(file.sonars, first, f"{where}: $.sonars")]
+    for k, section in enumerate(file.vehicles):
+        at = f"{where}: $.vehicles[{k}]"
+        with _place(at):
+            one = _vehicle(section.vehicle, materials)
+            known = {first.vehicle.name, *(other.vehicle.name for other in others)}
+            if one.name in known:
+                raise SceneError(f"two vehicles are called {one.name}")
+            on = replace(first, trajectory=path_of(section.trajectory), vehicle=one, sonar_name="")
+        others += _further_sonars(section.sonars, on, f"{at}.sonars")
+    return replace(first, others=tuple(others))
 
 
-def _scene(file: schema.SceneFile, folder: Path, where: str) -> Scene:
-    materials = _materials(file, where)
+def _further_sonars(
+    sections: Sequence[schema.FurtherSonarSection], on: Scenario, where: str
+) -> Iterator[Scenario]:
+    """Build scenarios of sonars on the vehicle of another one."""
+    names = {on.sonar_name}
+    for k, section in enumerate(sections):
+        with _place(f"{where}[{k}]"):
+            if section.name in names:
+                raise SceneError(f"two sonars of {on.vehicle.name} are called {section.name}")
+            names.add(section.name)
+            yield replace(
+                on,
+                name=f"{on.vehicle.name}/{section.name}",
+                sonar=_sonar(section.sonar),
+                mounting=_mounting(section.mounting),
+                ping_rate_hz=section.sonar.ping_rate_hz,
+                sonar_name=section.name,
+            )
+
+
+def _mounting(section: schema.MountingSection) -> Mounting:
+    return Mounting(**msgspec.structs.asdict(section))
+
+
+def _scene(
+    file: schema.SceneFile, materials: Mapping[str, Material], folder: Path, where: str
+) -> Scene:
     with _place(f"{where}: $.water"):
         water = _water(file.water)
     return Scene(
@@ -190,7 +228,7 @@ def _sonar(section: schema.SonarSection) -> SonarSettings:
     return sonar_preset(values.pop("model"), values.pop("mode"), **values)
 
 
-def _vehicle(section: schema.VehicleSection) -> Vehicle:
+def _vehicle(section: schema.VehicleSection, materials: Mapping[str, Material]) -> Vehicle:
     values = msgspec.structs.asdict(section.odometry)
     rate_hz = values.pop("rate_hz")
     return Vehicle(
@@ -199,6 +237,8 @@ def _vehicle(section: schema.VehicleSection) -> Vehicle:
         OdometryErrors(**values),
         section.latitude_deg,
         section.longitude_deg,
+        section.size_m,
+        named_material(section.material, materials),
     )
 
 

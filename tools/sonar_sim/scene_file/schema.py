@@ -544,7 +544,30 @@ class VehicleSection(Section, frozen=True):
     name: Annotated[str, field_info("For people.")] = "vehicle"
     latitude_deg: Annotated[float, field_info("Of the map's origin.", "°", ge=-90, le=90)] = 53.5
     longitude_deg: Annotated[float, field_info("Of the map's origin.", "°", ge=-180, le=180)] = 8.1
+    size_m: Annotated[
+        Size | None,
+        field_info("Length, width, height: the box that other vehicles' sonars see, if any.", "m"),
+    ] = None
+    material: Annotated[str, field_info("Name of the box's material.")] = "pvc"
     odometry: Annotated[OdometrySection, field_info("Its navigation.")] = OdometrySection()
+
+
+class FurtherSonarSection(Section, frozen=True):
+    """Another sonar on a vehicle."""
+
+    name: Annotated[str, field_info("Unlike others of the vehicle.", "", min_length=1)]
+    sonar: Annotated[SonarSection, field_info("The sonar.")] = SonarSection()
+    mounting: Annotated[MountingSection, field_info("How it sits.")] = MountingSection()
+
+
+class FurtherVehicleSection(Section, frozen=True):
+    """Another vehicle with its sonars."""
+
+    vehicle: Annotated[VehicleSection, field_info("Its name and odometry.")]
+    trajectory: Annotated[PathSection, field_info("Its true path.")]
+    sonars: Annotated[
+        tuple[FurtherSonarSection, ...], field_info("At least one.", "", min_length=1)
+    ]
 
 
 class SceneFile(Section, frozen=True):
@@ -567,3 +590,9 @@ class SceneFile(Section, frozen=True):
         MountingSection()
     )
     vehicle: Annotated[VehicleSection, field_info("What carries it.")] = VehicleSection()
+    sonars: Annotated[
+        tuple[FurtherSonarSection, ...], field_info("Further sonars on the vehicle.")
+    ] = ()
+    vehicles: Annotated[
+        tuple[FurtherVehicleSection, ...], field_info("Further vehicles with theirs.")
+    ] = ()
