@@ -13,9 +13,8 @@ from sonar_sim.device.fire_settings import (
     period_s,
     settings_for,
 )
-from sonar_sim.device.server import Route
 from sonar_sim.errors import SceneError
-from sonar_sim.geometry.trajectory import Motion, Trajectory, Waypoint
+from sonar_sim.geometry.trajectory import Motion, Route, Trajectory, Waypoint
 from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene.sonar import sonar_preset
 from sonar_sim.scene.water import Water

@@ -1,9 +1,11 @@
 """`sonar-sim serve`: a scene's sonar and its vehicle's odometry on the network, in real time."""
 
 import argparse
+import asyncio
+import itertools
 import sys
+from collections import Counter
 from dataclasses import replace
-from typing import Any
 
 from oculus_driver.cli.arguments import address, count, port, positive, share
 from oculus_driver.cli.output import run_until_stopped
@@ -28,6 +30,8 @@ HELP = "serve a scene as an Oculus sonar on the network, with its vehicle's odom
 
 DAEMON = "native@udp:127.0.0.1:52200"
 """The odometry that the daemon expects by default."""
+
+WATCH_S = 0.5
 
 _FAULT_HELP = {
     "cut": "pings that end in the middle, with the connection",
@@ -79,17 +83,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="back",
         help="what happens at the end of the path (default: %(default)s)",
     )
+    add(
+        "--follow",
+        metavar="[VEHICLE=]URL",
+        action="append",
+        default=[],
+        help="take the vehicle's pose from elsewhere instead of the scene's path: udp://HOST:PORT "
+        "receives native records, mavlink://HOST:PORT MAVLink from an autopilot or its simulator, "
+        "mavlink+tcp://HOST:PORT connects to one; may be repeated for further vehicles",
+    )
     add("--duration", metavar="S", type=positive, help="stop after S seconds")
     add("--seed", type=seed, default=0, help="seed of all random numbers")
     add("--effects", default=AUTO, help='auto, all, or a list, such as "auto,-noise"')
     odometry = parser.add_mutually_exclusive_group()
     odometry.add_argument(
         "--odometry",
-        metavar="FORMAT@LINK",
+        metavar="[VEHICLE=]FORMAT@LINK",
         action="append",
         default=[],
-        help=f"may be repeated (default: {DAEMON}, where the daemon listens); formats: "
-        f"{', '.join(FORMATS)}; links: udp:HOST:PORT, tcp:HOST:PORT, serial:PATH, pty",
+        help=f"may be repeated (default: {DAEMON}, where the daemon listens); VEHICLE is a further "
+        f"one of the scene; formats: {', '.join(FORMATS)}; links: udp:HOST:PORT, tcp:HOST:PORT, "
+        "serial:PATH, pty",
     )
     odometry.add_argument("--no-odometry", action="store_true", help="send no odometry")
     faults = parser.add_argument_group("faults; SHARE is 0 to 1 of all pings")
@@ -135,6 +149,8 @@ def with_model(scenario: Scenario, model: str | None) -> Scenario:
 
 async def _serve(scenario: Scenario, args: argparse.Namespace) -> None:
     target = args.status_to or broadcast_of(args.listen)
+    first = scenario.vehicle.name
+    outputs = _outputs(args, first)
     settings = ServeSettings(
         host=args.listen,
         port=args.port,
@@ -143,40 +159,73 @@ async def _serve(scenario: Scenario, args: argparse.Namespace) -> None:
         standby=args.standby,
         ends=args.ends,
         faults=_faults(args),
-        outputs=_outputs(args),
+        outputs=outputs.pop(first, []),
+        more_outputs=outputs,
+        follow={name or first: url for name, url in map(_named, args.follow)},
         seed=args.seed,
         effects=args.effects,
     )
     served = ServedScenario(scenario, settings)
     try:
         async with served:
-            sonar = served.sonar
-            name = model_of(part_number_of(scenario.sonar.model)).name
-            _report(f"an {name} in {scenario.name} at {sonar.host}:{sonar.port}")
+            for one, sonar in zip(served.scenarios, served.sonars, strict=True):
+                name = model_of(part_number_of(one.sonar.model)).name
+                _report(f"an {name} in {one.name} at {sonar.host}:{sonar.port}")
             _report(f"statuses to {target}:{args.status_port}")
-            for output in served.outputs:
+            for output in (*served.outputs, *itertools.chain(*settings.more_outputs.values())):
                 _report(f"odometry {output.name} at {output.link.name}")
-            await served.run()
+            await _run(served)
     finally:
         _report(f"served: {_counted(served)}")
 
 
-def _outputs(args: argparse.Namespace) -> list[OdometryOutput]:
-    texts = [] if args.no_odometry else args.odometry or [DAEMON]
-    return [output_named(text) for text in texts]
+async def _run(served: ServedScenario) -> None:
+    """Run to the end, and report where the poses of followed vehicles come from."""
+    watching = asyncio.create_task(_watch(served))
+    try:
+        await served.run()
+    finally:
+        watching.cancel()
+
+
+async def _watch(served: ServedScenario) -> None:
+    states: dict[str, str] = {}
+    while served.followers:
+        for name, follower in served.followers.items():
+            if follower.state != states.get(name):
+                states[name] = follower.state
+                _report(f"{name}: {follower.state} {follower.url}")
+        await asyncio.sleep(WATCH_S)
+
+
+def _outputs(args: argparse.Namespace, first: str) -> dict[str, list[OdometryOutput]]:
+    """Outputs by the vehicle's name."""
+    outputs: dict[str, list[OdometryOutput]] = {}
+    for text in [] if args.no_odometry else args.odometry or [DAEMON]:
+        name, form = _named(text)
+        outputs.setdefault(name or first, []).append(output_named(form))
+    return outputs
+
+
+def _named(text: str) -> tuple[str, str]:
+    """Split `[VEHICLE=]TEXT`; a link has no equals sign before its first colon."""
+    head, equals, rest = text.partition("=")
+    return (head, rest) if equals and ":" not in head and "@" not in head else ("", text)
 
 
 def _counted(served: ServedScenario) -> str:
-    device, counters = served.sonar.device, served.sonar.counters
-    counts: dict[str, Any] = {
-        "pings": counters.pings,
-        "damaged": counters.pings_damaged,
-        "late": device.late,
-        "fire messages": device.fires,
-        "clients": counters.clients,
-        "statuses": counters.statuses,
-    }
-    counts |= {output.name: output.sent for output in served.outputs}
+    counts: Counter[str] = Counter()
+    for sonar in served.sonars:
+        counts["pings"] += sonar.counters.pings
+        counts["damaged"] += sonar.counters.pings_damaged
+        counts["late"] += sonar.device.late
+        counts["fire messages"] += sonar.device.fires
+        counts["clients"] += sonar.counters.clients
+        counts["statuses"] += sonar.counters.statuses
+    counts.update({output.name: output.sent for output in served.outputs})
+    for name, follower in served.followers.items():
+        counts[f"poses of {name}"] += follower.records
+        counts["malformed"] += follower.malformed
     return ", ".join(f"{name} {value}" for name, value in counts.items() if value) or "nothing"
 
 

@@ -1,6 +1,7 @@
 """A sonar that simulates pings in real time while it is served."""
 
 import asyncio
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,6 +17,10 @@ from sonar_sim.scene.scenario import Scenario
 
 FIRST_ID = 1
 STALE_S = 0.1
+MAX_LEAD_S = 0.25
+"""So far a live pose is predicted at most."""
+SMOOTHED_PINGS = 3
+"""Whose durations predict that of the next one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +37,9 @@ class SimulatedDevice(VirtualDevice):
     """Obeys fire messages with pings simulated at the pose of transmission.
 
     Rate, two-way travel time and this computer limit the ping period. If a simulation takes longer,
-    the next ping is transmitted later, not sent late. Until a fire message arrives the sonar pings
-    with the scenario's settings or is in standby.
+    the next ping is transmitted later, not sent late. On a live route a simulation begins only as
+    long before the transmission as the last ones took: the pose is predicted over that time. Until
+    a fire message arrives the sonar pings with the scenario's settings or is in standby.
 
     Args:
         scenario: scene, sonar and mounting.
@@ -46,6 +52,8 @@ class SimulatedDevice(VirtualDevice):
         ignored_fire_version: version of fire messages that are ignored.
 
     Attributes:
+        on_ping: called in the event loop with each simulated message and the state at its
+            transmission; None calls nobody.
         simulated: number of simulated pings.
         late: number of pings whose simulation took longer than their echoes.
     """
@@ -82,6 +90,8 @@ class SimulatedDevice(VirtualDevice):
         self._transmit_s = 0.0  # earliest next ping, time on the route
         self._boot_s = -POWER_UP_S  # power-up, time on the route
         self._next_id = FIRST_ID
+        self._took_s = 0.0  # of a simulation, lately
+        self.on_ping: Callable[[bytes, TransmitState], None] | None = None
         self.simulated = 0
         self.late = 0
         self.temperature_c = self._water.temperature_c
@@ -109,9 +119,11 @@ class SimulatedDevice(VirtualDevice):
 
     async def warm_up(self) -> None:
         """Simulate a ping that is never sent: the first one also prepares the scene."""
-        loop = asyncio.get_running_loop()
-        when = self._state_at(0.0)
-        await loop.run_in_executor(self._thread, self._maker.make, self._first_demand, when)
+        await self._make(self._first_demand, self._state_at(0.0))
+
+    async def look(self) -> None:
+        """Simulate a ping now for `on_ping` alone; it is not sent."""
+        await self._make(self.request or self._first_demand, self._state_at(self._clock()))
 
     async def prepare(self) -> None:
         """Simulate the next ping, then wait until its last echo would be back."""
@@ -152,9 +164,11 @@ class SimulatedDevice(VirtualDevice):
     async def _simulate(self, demand: FireRequest) -> None:
         transmit_s = max(self._transmit_s, self._clock())
         sonar = self._maker.settings(demand)
+        if self._route.live:
+            lead_s = min(self._took_s, MAX_LEAD_S)
+            await asyncio.sleep(transmit_s - lead_s - self._clock())
         when = self._state_at(transmit_s)
-        loop = asyncio.get_running_loop()
-        message = await loop.run_in_executor(self._thread, self._maker.make, demand, when)
+        message = await self._make(demand, when)
         due_s = transmit_s + listening_s(sonar, self._water) + PROCESSING_S
         self.simulated += 1
         self.late += self._clock() > due_s
@@ -163,6 +177,15 @@ class SimulatedDevice(VirtualDevice):
         depth_m = max(0.0, -float(when.map_T_base.position_m[2]))
         self.pressure_bar = pressure_bar_at(depth_m, self._water.salinity_ppt)
         self._ready = _Ready(demand, message, when.ping_id, due_s)
+
+    async def _make(self, demand: FireRequest, when: TransmitState) -> bytes:
+        loop = asyncio.get_running_loop()
+        began_s = time.monotonic()
+        message = await loop.run_in_executor(self._thread, self._maker.make, demand, when)
+        self._took_s += (time.monotonic() - began_s - self._took_s) / SMOOTHED_PINGS
+        if self.on_ping is not None:
+            self.on_ping(message, when)
+        return message
 
     def _state_at(self, transmit_s: float) -> TransmitState:
         return TransmitState(

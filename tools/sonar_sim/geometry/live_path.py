@@ -67,7 +67,9 @@ class LivePath(Trajectory):
         velocity_mps: NDArray[np.float64] | None = None,
         turn_rates_rps: NDArray[np.float64] | None = None,
     ) -> None:
-        """Add what is known of the vehicle at a time; what is not later than the last is ignored.
+        """Add what is known of the vehicle at a time.
+
+        What is earlier than the last is ignored; at the same time it takes the last one's place.
 
         Args:
             time_s: on the path's clock.
@@ -78,7 +80,7 @@ class LivePath(Trajectory):
         with self._lock:
             before = self._points[-1]
             passed_s = time_s - before.time_s
-            if self.updates and passed_s <= 0.0:
+            if self.updates and passed_s < 0.0:
                 return
             known = self.updates > 0 and 0.0 < passed_s <= MAX_AHEAD_S
             if velocity_mps is None:
@@ -92,6 +94,8 @@ class LivePath(Trajectory):
             )
             if not self.updates:
                 self._points, self._times_s = [], []
+            elif passed_s == 0.0:
+                del self._points[-1], self._times_s[-1]
             self.updates += 1
             self._points.append(point)
             self._times_s.append(time_s)

@@ -1,0 +1,212 @@
+"""Poses that others send, on their way into a live path."""
+
+import json
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common
+from sonar_sim.geometry.live_path import LivePath
+from sonar_sim.geometry.pose import FramePose
+from sonar_sim.navigation.formats import format_named
+from sonar_sim.navigation.odometry_output import OdometrySender
+from sonar_sim.navigation.pose_records import (
+    MavlinkRecords,
+    NativeRecords,
+    PoseAssembler,
+    PoseDecoder,
+    PoseRecord,
+)
+from sonar_sim.scene.vehicle import SimulatedOdometry, Vehicle
+from sonar_sim.scene_file import load_scenario
+
+ORIGIN = Vehicle(latitude_deg=-33.8, longitude_deg=151.2)
+NATIVE = {"v": 1, "t": 5_000_000_000, "clk": "unix", "w": "enu", "b": "flu", "p": [1.0, 2.0, -3.0]}
+
+
+class Autopilot:
+    """Packs messages of a system."""
+
+    def __init__(self, system: int = 1, component: int = 1) -> None:
+        self._link = common.MAVLink(None, srcSystem=system, srcComponent=component)
+
+    def __call__(self, message: Any) -> bytes:
+        return bytes(message.pack(self._link))
+
+
+def only(decoder: PoseDecoder, data: bytes, arrival_s: float = 0.0) -> PoseRecord:
+    (record,) = decoder.decode(data, arrival_s)
+    assert record is not None
+    return record
+
+
+def test_native_records_of_both_axes_are_the_same_pose() -> None:
+    turned = {"q": [math.cos(0.4), 0.0, 0.0, math.sin(0.4)], "u": [1.0, 2.0, 3.0]}
+    enu = only(NativeRecords(), msgpack.packb(NATIVE | turned | {"r": [0.1, 0.2, 0.3]}))
+    # The nose 0.8 rad anticlockwise from east is pi/2 - 0.8 clockwise from north.
+    half = (math.pi / 2 - 0.8) / 2
+    ned_fields = {
+        "w": "ned",
+        "b": "frd",
+        "p": [2.0, 1.0, 3.0],
+        "q": [math.cos(half), 0.0, 0.0, math.sin(half)],
+        "u": [1.0, -2.0, -3.0],
+        "r": [0.1, -0.2, -0.3],
+    }
+    ned = only(NativeRecords(), json.dumps(NATIVE | ned_fields).encode())
+    for one in (enu, ned):
+        assert one.stamp_s == 5.0
+        assert one.position_m == pytest.approx([1.0, 2.0, -3.0])
+        assert one.rotation is not None
+        assert one.rotation[:, 0] == pytest.approx([math.cos(0.8), math.sin(0.8), 0.0])
+        assert one.rotation[:, 2] == pytest.approx([0.0, 0.0, 1.0], abs=1e-12)
+        assert one.body_mps == pytest.approx([1.0, 2.0, 3.0])
+        assert one.rates_rps == pytest.approx([0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"v": 2},
+        {"w": "esu"},
+        {"p": [1.0, math.nan, 0.0]},
+        {"p": [1e9, 0.0, 0.0]},
+        {"p": "abc"},
+        {"q": [0.0, 0.0, 0.0, 0.0]},
+        {"q": [1.0, 0.0, 0.0]},
+        {"t": "noon"},
+        {"unknown": 1},
+    ],
+)
+def test_what_is_no_native_record_is_malformed(change: dict[str, Any]) -> None:
+    assert list(NativeRecords().decode(msgpack.packb(NATIVE | change), 0.0)) == [None]
+
+
+@pytest.mark.parametrize("data", [b"", b"\xc1", b"{", b"[1]", b"\x93\x01", b"{}"])
+def test_what_is_no_record_at_all_is_malformed(data: bytes) -> None:
+    assert list(NativeRecords().decode(data, 0.0)) == [None]
+
+
+def test_mavlink_is_turned_from_north_east_down() -> None:
+    decoder, send = MavlinkRecords(ORIGIN), Autopilot()
+    place = only(
+        decoder,
+        send(common.MAVLink_local_position_ned_message(1500, 1.0, 2.0, 3.0, 0.1, 0.2, 0.3)),
+    )
+    assert place.stamp_s == 1.5
+    assert place.position_m == pytest.approx([2.0, 1.0, -3.0])
+    assert place.map_mps == pytest.approx([0.2, 0.1, -0.3])
+    # Heading east, nose 0.3 rad up, then rolled 0.2 rad to starboard.
+    attitude = common.MAVLink_attitude_message(1500, 0.2, 0.3, math.pi / 2, 0.1, 0.2, 0.3)
+    turned = only(decoder, send(attitude))
+    assert turned.rotation is not None
+    assert turned.rotation[:, 0] == pytest.approx([math.cos(0.3), 0.0, math.sin(0.3)], abs=1e-6)
+    port = turned.rotation[:, 1]
+    assert port[2] == pytest.approx(math.sin(0.2) * math.cos(0.3), abs=1e-6), "port side is up"
+    assert turned.rates_rps == pytest.approx([0.1, -0.2, -0.3])
+
+
+def test_geographic_positions_count_from_the_map_origin() -> None:
+    pyproj = pytest.importorskip("pyproj")
+    east, north = 120.0, -80.0
+    project = pyproj.Proj(proj="tmerc", lat_0=-33.8, lon_0=151.2, ellps="WGS84")
+    longitude, latitude = project(east, north, inverse=True)
+    message = common.MAVLink_global_position_int_message(
+        0, round(latitude * 1e7), round(longitude * 1e7), -4000, -4000, 10, 20, 30, 0
+    )
+    decoder = MavlinkRecords(ORIGIN)
+    place = only(decoder, Autopilot()(message))
+    assert place.position_m == pytest.approx([east, north, -4.0], abs=0.02)
+    assert place.map_mps == pytest.approx([0.2, 0.1, -0.3])
+    none_yet = common.MAVLink_global_position_int_message(0, 0, 0, 0, 0, 0, 0, 0, 0)
+    assert only(decoder, Autopilot()(none_yet)).position_m is None
+
+
+def test_a_local_position_goes_before_geographic_ones_until_it_is_silent() -> None:
+    decoder, send = MavlinkRecords(ORIGIN), Autopilot()
+    local = send(common.MAVLink_local_position_ned_message(0, 0, 0, 0, 0, 0, 0))
+    globe = send(common.MAVLink_global_position_int_message(0, 1, 1, 0, 0, 0, 0, 0, 0))
+    counts = [
+        len(list(decoder.decode(data, time_s)))
+        for data, time_s in ((globe, 0.0), (local, 1.0), (globe, 1.5), (globe, 4.0))
+    ]
+    assert counts == [1, 1, 0, 1]
+
+
+def test_only_the_first_autopilot_counts_and_noise_is_malformed() -> None:
+    decoder = MavlinkRecords(ORIGIN)
+    attitude = common.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0)
+    assert list(decoder.decode(Autopilot(1, 100)(attitude), 0.0)) == [], "a camera"
+    assert len(list(decoder.decode(Autopilot(7)(attitude), 0.0))) == 1
+    assert list(decoder.decode(Autopilot(1)(attitude), 0.0)) == []
+    assert decoder.autopilot == 7
+    assert set(decoder.decode(b"\x00garbage" * 4, 0.0)) == {None}
+    broken = common.MAVLink_attitude_message(0, math.nan, 0, 0, 0, 0, 0)
+    assert list(decoder.decode(Autopilot(7)(broken), 0.0)) == [None]
+    parser = common.MAVLink(None)
+    asked = parser.parse_buffer(decoder.interval_requests(20_000))
+    assert asked is not None
+    assert {(m.target_system, m.command, m.param1, m.param2) for m in asked} == {
+        (7, 511, 30.0, 20_000.0),
+        (7, 511, 32.0, 20_000.0),
+        (7, 511, 33.0, 20_000.0),
+    }
+
+
+def datagrams(form: str) -> Iterator[tuple[float, bytes]]:
+    """The harbour's vehicle in a format, with delays of 2 to 12 ms."""
+    scenario = load_scenario("harbour")
+    sender = OdometrySender(scenario, scenario.trajectory, [], lambda s: round(1e9 * s))
+    delay_s = np.random.default_rng(1)
+    encoder = format_named(form)
+    for sample in SimulatedOdometry(scenario.trajectory, scenario.vehicle).samples():
+        if sample.time_s > 20.0:
+            return
+        for data in encoder.encode(sender.fix(sample)):
+            yield sample.time_s + 0.002 + 0.01 * delay_s.random(), data
+
+
+@pytest.mark.parametrize("form", ["native", "mavlink-ardusub", "mavlink-odometry"])
+def test_a_path_told_over_a_link_is_the_true_one(form: str) -> None:
+    scenario = load_scenario("harbour")
+    truth = scenario.trajectory
+    decoder: PoseDecoder = NativeRecords() if form == "native" else MavlinkRecords(scenario.vehicle)
+    live = LivePath(FramePose(np.zeros(3), np.eye(3)))
+    assembler = PoseAssembler(live)
+    errors_m, errors_deg = [], []
+    for arrival_s, data in datagrams(form):
+        for record in decoder.decode(data, arrival_s):
+            assert record is not None
+            assembler.take(record, arrival_s)
+        if arrival_s > 2.0:
+            ahead_s = arrival_s + 0.05
+            pose, expected = live.pose(ahead_s), truth.pose(ahead_s)
+            errors_m.append(float(np.linalg.norm(pose.position_m - expected.position_m)))
+            cosine = 0.5 * (np.trace(pose.rotation.T @ expected.rotation) - 1.0)
+            errors_deg.append(math.degrees(math.acos(min(1.0, cosine))))
+    # Its noise is 5 mm and 0.1°, its stamps are carried over to some 2 ms, at 0.6 m/s and 30°/s.
+    assert np.sqrt(np.mean(np.square(errors_m))) < 0.015
+    assert np.sqrt(np.mean(np.square(errors_deg))) < 0.6
+    assert live.updates > 400
+
+
+def test_a_vehicle_that_is_put_elsewhere_does_not_fly_there() -> None:
+    live = LivePath(FramePose(np.zeros(3), np.eye(3)))
+    assembler = PoseAssembler(live)
+    for time_s, x_m in ((10.0, 0.0), (10.1, 0.1), (10.2, 50.0)):
+        place = PoseRecord(time_s, position_m=np.array([x_m, 0.0, -1.0]), rotation=np.eye(3))
+        assembler.take(place, time_s + 0.5)
+    assert live.pose(10.7).position_m[0] == pytest.approx(50.0)
+    assert np.linalg.norm(live.velocity_mps(10.65)) < 5.0
+
+
+def test_a_sender_that_begins_again_is_followed_on() -> None:
+    live = LivePath(FramePose(np.zeros(3), np.eye(3)))
+    assembler = PoseAssembler(live)
+    for arrival_s, stamp_s in ((5.0, 1000.0), (5.1, 1000.1), (5.2, 3.0), (5.3, 3.1)):
+        place = PoseRecord(stamp_s, position_m=np.array([arrival_s, 0, 0]), rotation=np.eye(3))
+        assembler.take(place, arrival_s)
+    assert live.pose(5.3).position_m[0] == pytest.approx(5.3)
