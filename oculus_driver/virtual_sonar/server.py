@@ -163,6 +163,11 @@ class VirtualSonar(Generic[DeviceT]):
         self._due_s = 0.0
         self._alive_s = 0.0
 
+    @property
+    def connected(self) -> bool:
+        """Whether a client is served now."""
+        return self._serving.locked()
+
     async def __aenter__(self) -> Self:
         try:
             self._server = await asyncio.start_server(self._connected, self.host, self.port)

@@ -18,9 +18,12 @@ from sonar_sim.command.arguments import seed
 from sonar_sim.device.fire_settings import part_number_of
 from sonar_sim.device.server import ServedScenario, ServeSettings
 from sonar_sim.effects.plan import AUTO
-from sonar_sim.geometry.trajectory import ROUTE_ENDS
+from sonar_sim.geometry.live_path import LivePath
+from sonar_sim.geometry.trajectory import ROUTE_ENDS, Route
 from sonar_sim.navigation.formats import FORMATS
 from sonar_sim.navigation.odometry_output import OdometryOutput, output_named
+from sonar_sim.page.app import ScenePage, open_scene_page
+from sonar_sim.page.helm import Helm
 from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene.sonar import sonar_preset
 from sonar_sim.scene_file import load_scenario
@@ -32,6 +35,7 @@ DAEMON = "native@udp:127.0.0.1:52200"
 """The odometry that the daemon expects by default."""
 
 WATCH_S = 0.5
+PAGE_PORT = 8090
 
 _FAULT_HELP = {
     "cut": "pings that end in the middle, with the connection",
@@ -92,6 +96,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "receives native records, mavlink://HOST:PORT MAVLink from an autopilot or its simulator, "
         "mavlink+tcp://HOST:PORT connects to one; may be repeated for further vehicles",
     )
+    add(
+        "--page",
+        metavar="PORT",
+        type=port,
+        nargs="?",
+        const=PAGE_PORT,
+        help="serve a page that shows the scene and its pings, and drives the first vehicle by "
+        "keys, at this port of the address (default: %(const)s)",
+    )
     add("--duration", metavar="S", type=positive, help="stop after S seconds")
     add("--seed", type=seed, default=0, help="seed of all random numbers")
     add("--effects", default=AUTO, help='auto, all, or a list, such as "auto,-noise"')
@@ -151,6 +164,10 @@ async def _serve(scenario: Scenario, args: argparse.Namespace) -> None:
     target = args.status_to or broadcast_of(args.listen)
     first = scenario.vehicle.name
     outputs = _outputs(args, first)
+    follow: dict[str, str | LivePath] = {n or first: url for n, url in map(_named, args.follow)}
+    driven = args.page is not None and first not in follow
+    if driven:
+        follow[first] = LivePath(scenario.trajectory.pose(0.0))
     settings = ServeSettings(
         host=args.listen,
         port=args.port,
@@ -161,7 +178,7 @@ async def _serve(scenario: Scenario, args: argparse.Namespace) -> None:
         faults=_faults(args),
         outputs=outputs.pop(first, []),
         more_outputs=outputs,
-        follow={name or first: url for name, url in map(_named, args.follow)},
+        follow=follow,
         seed=args.seed,
         effects=args.effects,
     )
@@ -174,18 +191,31 @@ async def _serve(scenario: Scenario, args: argparse.Namespace) -> None:
             _report(f"statuses to {target}:{args.status_port}")
             for output in (*served.outputs, *itertools.chain(*settings.more_outputs.values())):
                 _report(f"odometry {output.name} at {output.link.name}")
-            await _run(served)
+            helm = None
+            if driven:
+                route, path = Route(scenario.trajectory, args.ends), follow[first]
+                assert isinstance(path, LivePath)  # noqa: S101 made above
+                helm = Helm(route, path, served.route_s)
+            await _run(served, args, helm)
     finally:
         _report(f"served: {_counted(served)}")
 
 
-async def _run(served: ServedScenario) -> None:
-    """Run to the end, and report where the poses of followed vehicles come from."""
-    watching = asyncio.create_task(_watch(served))
+async def _run(served: ServedScenario, args: argparse.Namespace, helm: Helm | None) -> None:
+    """Run to the end, show the page, and report where followed poses come from."""
+    works = [asyncio.create_task(_watch(served))]
+    if args.page is not None:
+        server = open_scene_page(args.listen, args.page)
+        works.append(asyncio.create_task(ScenePage(server, served, helm).run()))
+        _report(f"page http://{args.listen}:{server.get_port()}")
     try:
         await served.run()
     finally:
-        watching.cancel()
+        for work in works:
+            work.cancel()
+        await asyncio.gather(*works, return_exceptions=True)
+        if args.page is not None:
+            server.stop()
 
 
 async def _watch(served: ServedScenario) -> None:
