@@ -9,11 +9,13 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oculus_driver.errors import missing_extra
 from sonar_sim.device.ping_generator import TransmitState
 from sonar_sim.device.server import ServedScenario
 from sonar_sim.errors import SonarSimError
+from sonar_sim.geometry.pose import rotation_of
 from sonar_sim.page.helm import KEYS, Helm
 from sonar_sim.page.pictures import PingPictures, ping_of
 from sonar_sim.page.scene_view import SceneView
@@ -27,6 +29,8 @@ IDLE_S = 1.0
 """Without a client that asks for pings the page asks for them itself."""
 BEHIND_M = np.array([-4.5, 0.0, 2.6])
 AHEAD_M = 3.0
+"""The camera's place, and what it looks at before the vehicle."""
+SETTLE_S = 5.0
 
 
 def open_scene_page(host: str, port: int) -> "ViserServer":
@@ -79,13 +83,13 @@ class ScenePage:
         self._latest: dict[str, tuple[bytes, TransmitState]] = {}
         self._heard_s = dict.fromkeys(self._pictures, -math.inf)
         self._times_s: list[float] = []
-        self._following: set[int] = set()
+        self._offsets: dict[int, tuple[float, NDArray[np.float64]]] = {}
         for one, sonar in zip(served.scenarios, served.sonars, strict=True):
             sonar.device.on_ping = partial(self._take, one.name)
         self._panel()
         server.on_client_connect(lambda client: self._post(lambda: self._welcome(client)))
         server.on_client_disconnect(
-            lambda client: self._post(lambda: self._following.discard(client.client_id))
+            lambda client: self._post(lambda: self._offsets.pop(client.client_id, None))
         )
 
     async def run(self) -> None:
@@ -105,7 +109,7 @@ class ScenePage:
         self._image = gui.add_image(blank)
         self._text = gui.add_markdown("")
         self._follow = gui.add_checkbox("Camera follows", initial_value=True)
-        self._follow.on_update(lambda _: self._post(self._following.clear))
+        self._follow.on_update(lambda _: self._post(self._offsets.clear))
         if self._helm is None:
             return
         helm = self._helm
@@ -214,15 +218,15 @@ class ScenePage:
     def _carry(self, client: "ClientHandle", here_m: Any, rotation: Any) -> None:  # noqa: ANN401
         """Move a browser's camera with the vehicle; it keeps the direction that its user chose."""
         target = here_m + AHEAD_M * rotation[:, 0] * (1.0, 1.0, 0.0)
+        now_s = time.monotonic()
+        if client.client_id not in self._offsets:
+            yaw = math.atan2(rotation[1, 0], rotation[0, 0])
+            level = rotation_of(0.0, 0.0, yaw)
+            self._offsets[client.client_id] = now_s, level @ (BEHIND_M - (AHEAD_M, 0.0, 0.0))
+        since_s, offset = self._offsets[client.client_id]
         with contextlib.suppress(RuntimeError), client.atomic():
-            if client.client_id in self._following:
+            if now_s - since_s > SETTLE_S:  # what a browser states before is its default
                 offset = np.asarray(client.camera.position) - np.asarray(client.camera.look_at)
-            else:
-                self._following.add(client.client_id)
-                yaw = math.atan2(rotation[1, 0], rotation[0, 0])
-                c, s = math.cos(yaw), math.sin(yaw)
-                level = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-                offset = level @ (BEHIND_M - (AHEAD_M, 0.0, 0.0))
             client.camera.position = target + offset
             client.camera.look_at = target
 
