@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from sonar_sim.capture import CaptureSettings, write_capture
     from sonar_sim.effects.image_difference import Tolerance
     from sonar_sim.effects.plan import EffectPlan, EffectWarning
+    from sonar_sim.geometry.driving import DriveCommand
+    from sonar_sim.geometry.live_path import LivePath
     from sonar_sim.geometry.pose import FramePose, Mounting, SonarMotion
     from sonar_sim.geometry.trajectory import (
         Drift,
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
         Trajectory,
         Waypoint,
     )
+    from sonar_sim.scanning import ScanningSonar
     from sonar_sim.scene.material import MATERIALS, Material
     from sonar_sim.scene.scenario import Scenario
     from sonar_sim.scene.scene import (
@@ -41,6 +44,7 @@ if TYPE_CHECKING:
     from sonar_sim.scene.water import Water
     from sonar_sim.scene_file import load_scenario, scene_names
     from sonar_sim.simulator import SimulatedPing, Simulator, simulate
+    from sonar_sim.world import World, WorldPing
 
 __all__ = [
     "MATERIALS",
@@ -48,10 +52,12 @@ __all__ = [
     "CaptureSettings",
     "CloudSpec",
     "Drift",
+    "DriveCommand",
     "EffectPlan",
     "EffectWarning",
     "Emitter",
     "FramePose",
+    "LivePath",
     "Material",
     "Motion",
     "Mounting",
@@ -59,6 +65,7 @@ __all__ = [
     "OdometryErrors",
     "OdometrySample",
     "PointTarget",
+    "ScanningSonar",
     "Scenario",
     "Scene",
     "Sea",
@@ -75,6 +82,8 @@ __all__ = [
     "Vehicle",
     "Water",
     "Waypoint",
+    "World",
+    "WorldPing",
     "__version__",
     "load_scenario",
     "scene_names",
@@ -88,10 +97,12 @@ _MODULES = {
     "CaptureSettings": "sonar_sim.capture",
     "CloudSpec": "sonar_sim.scene.scene",
     "Drift": "sonar_sim.geometry.trajectory",
+    "DriveCommand": "sonar_sim.geometry.driving",
     "EffectPlan": "sonar_sim.effects.plan",
     "EffectWarning": "sonar_sim.effects.plan",
     "Emitter": "sonar_sim.scene.scene",
     "FramePose": "sonar_sim.geometry.pose",
+    "LivePath": "sonar_sim.geometry.live_path",
     "MATERIALS": "sonar_sim.scene.material",
     "Material": "sonar_sim.scene.material",
     "Motion": "sonar_sim.geometry.trajectory",
@@ -100,6 +111,7 @@ _MODULES = {
     "OdometryErrors": "sonar_sim.scene.vehicle",
     "OdometrySample": "sonar_sim.scene.vehicle",
     "PointTarget": "sonar_sim.scene.scene",
+    "ScanningSonar": "sonar_sim.scanning",
     "Scenario": "sonar_sim.scene.scenario",
     "Scene": "sonar_sim.scene.scene",
     "Sea": "sonar_sim.scene.scene",
@@ -116,6 +128,8 @@ _MODULES = {
     "Vehicle": "sonar_sim.scene.vehicle",
     "Water": "sonar_sim.scene.water",
     "Waypoint": "sonar_sim.geometry.trajectory",
+    "World": "sonar_sim.world",
+    "WorldPing": "sonar_sim.world",
     "load_scenario": "sonar_sim.scene_file",
     "scene_names": "sonar_sim.scene_file",
     "simulate": "sonar_sim.simulator",

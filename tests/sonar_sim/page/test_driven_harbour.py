@@ -1,8 +1,8 @@
 """A BlueROV2 that a scripted pilot drives over MAVLink through the harbour.
 
-Its pose goes to the simulator and to the daemon, as two endpoints of BlueOS; the daemon maps what
-the simulated sonar hears, and both pages show it. With the environment variable MAPPERD_PICTURES
-pictures of both pages are written into that folder.
+The simulator is served as docs/guides/simulator.md has it. The pose goes to it and to the daemon,
+as to two endpoints of BlueOS; the daemon maps what the sonar hears, and both pages show it.
+With the environment variable MAPPERD_PICTURES pictures of both are written into that folder.
 """
 
 import math

@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 
-from oculus_driver.models import FAMILIES, MAX_RATE_HZ, MODELS
+from oculus_driver.models import MAX_RATE_HZ, MODELS
 from oculus_driver.virtual_sonar.device import FireRequest
 from oculus_driver.virtual_sonar.resample import requested_bits, requested_range_m
 from oculus_driver.wire import FireFlags, PingRate
@@ -44,9 +44,9 @@ def part_number_of(model: str) -> int:
     for number, known in MODELS.items():
         if known.name == model:
             return number
-    names = ", ".join(family.name for family in FAMILIES)
     raise SceneError(
-        f"sonar: {model} does not speak the Oculus protocol and cannot be served; known: {names}"
+        f"sonar: a {model} does not speak the Oculus protocol and cannot be served; render it, or "
+        "choose an Oculus, such as the M750d"
     )
 
 

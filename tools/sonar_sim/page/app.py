@@ -9,7 +9,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oculus_driver.errors import missing_extra
 from sonar_sim.device.ping_generator import TransmitState
@@ -21,6 +20,7 @@ from sonar_sim.page.pictures import PingPictures, ping_of
 from sonar_sim.page.scene_view import SceneView
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
     from viser import ClientHandle, ViserServer
 
 MOVE_S = 0.1
