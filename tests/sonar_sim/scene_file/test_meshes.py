@@ -113,6 +113,7 @@ def materials_of(made: Scenario) -> dict[str, tuple[str, int]]:
         ('"Steel*": rusty_steel', {"m: rusty_steel": ("rusty_steel", 2), "m: wood": ("wood", 1)}),
         ('"*": mud', {"m": ("mud", 3)}),
         ('"second*": pvc, "*": mud', {"m: pvc": ("pvc", 1), "m: mud": ("mud", 2)}),
+        ('"wood": null', {"m": ("rock", 2)}),
     ],
 )
 def test_faces_have_the_materials_of_their_file(
@@ -127,6 +128,8 @@ def test_a_material_that_the_file_lacks_is_refused(tmp_path: Path, load: Load) -
     (tmp_path / "m.obj").write_text(TWO_OF_STEEL)
     with pytest.raises(SceneError, match=r"nothing is named Stel; it has Steel\.001"):
         load(OBJECT.format("m.obj, materials: {Stel: pvc}", ", position_m: [0, 0, -5]"))
+    with pytest.raises(SceneError, match="nothing of it is between the floor"):
+        load(OBJECT.format('m.obj, materials: {"*": null}', ", position_m: [0, 0, -5]"))
     with pytest.raises(SceneError, match="no material is called gold"):
         load(OBJECT.format('m.obj, materials: {"*": gold}', ", position_m: [0, 0, -5]"))
 

@@ -126,8 +126,13 @@ def world(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_world_is_laid_out_by_its_frames(world: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("GZ_SIM_RESOURCE_PATH", str(world.parent / "models"))
+@pytest.mark.parametrize("folder", ["models", "elsewhere"])
+def test_a_world_is_laid_out_by_its_frames(
+    world: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    if folder != "models":
+        (world.parent / "models").rename(world.parent / folder)
+        monkeypatch.setenv("GZ_SIM_RESOURCE_PATH", str(world.parent / folder))
     parts = {part.name: part for part in read_parts(world)}
     assert parts["ground/link/visual"].material == "mud"
     expected = {

@@ -276,7 +276,9 @@ def _of_file(
             for pattern, name in shape.materials.items()
             if fnmatchcase(part.material, pattern) or fnmatchcase(part.name, pattern)
         )
-        yield next(given, own), part.mesh
+        chosen = next(given, own)
+        if chosen is not None:
+            yield chosen, part.mesh
 
 
 def _joined(meshes: Iterable[trimesh.Trimesh]) -> trimesh.Trimesh:

@@ -140,11 +140,15 @@ class _Sdf:
             yield from self._models(frame, np.eye(4), "")
 
     def one_model(self, transform: Transform, name: str) -> Iterator[Geometry]:
-        """Read a model's file as another file includes it: its own pose is replaced."""
+        """Read a model's file as another file includes it: its own pose is replaced.
+
+        Its own name stands where the given one is empty or ends in a slash.
+        """
         model = self._root.find("model")
         if model is None:
             raise SceneError(f"{self._path}: there is no model in it")
-        yield from self._model(model, transform, name or model.get("name") or "")
+        own = model.get("name", "") if not name or name.endswith("/") else ""
+        yield from self._model(model, transform, name + own)
 
     def _models(self, parent: ET.Element, transform: Transform, prefix: str) -> Iterator[Geometry]:
         """Read the models of a world, or those nested in a model."""
@@ -152,15 +156,13 @@ class _Sdf:
         for model in parent.findall("model"):
             name = model.get("name", "")
             yield from self._model(model, transform @ frames.pose(name), prefix + name)
-        for k, include in enumerate(parent.findall("include")):
-            file = self._included(include)
-            inner = _Sdf(file, self._depth + 1)
-            given = include.findtext("name")
+        for include in parent.findall("include"):
+            inner = _Sdf(self._included(include), self._depth + 1)
             pose = include.find("pose")
             own = inner._root.find("model/pose")
             at = frames.resolved(pose) if pose is not None else frames.resolved(own)
-            label = given or f"{file.parent.name}{k or ''}"
-            yield from inner.one_model(transform @ at, prefix + label)
+            name = prefix + include.findtext("name", "")
+            yield from inner.one_model(transform @ at, name)
 
     def _model(self, model: ET.Element, transform: Transform, name: str) -> Iterator[Geometry]:
         frames = _PoseFrames(model, f"{self._path}: model {name!r}")
@@ -320,7 +322,8 @@ def _plane(shape: ET.Element, where: str) -> trimesh.Trimesh:
 def _resolved(uri: str, path: Path) -> Path:
     """Return the file or folder of a URI: file://, package://, model://, or a path.
 
-    A package or model is looked for in the folders above the file and in Gazebo's.
+    A package or model is looked for in the folders above the file, in their `models`, and in
+    Gazebo's.
     """
     scheme, found, rest = uri.partition("://")
     if not found:
@@ -328,7 +331,8 @@ def _resolved(uri: str, path: Path) -> Path:
     if scheme == "file":
         return path.parent / rest
     named = [part for key in MODEL_PATHS for part in os.environ.get(key, "").split(os.pathsep)]
-    folders = [*path.resolve().parents, *(Path(part) for part in named if part)]
+    above = [*path.resolve().parents]
+    folders = [*above, *(one / "models" for one in above), *map(Path, filter(None, named))]
     places = [folder / rest for folder in folders]
     inside = rest.partition("/")[2]  # of a package whose folder has another name
     places += [folder / inside for folder in folders[:3] if inside]

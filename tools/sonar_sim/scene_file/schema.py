@@ -109,11 +109,11 @@ class Mesh(Section, frozen=True, tag="mesh", tag_field="kind"):
         field_info("The file's axis that points up; left out, what a DAE file declares, else z."),
     ] = None
     materials: Annotated[
-        dict[str, str],
+        dict[str, str | None],
         field_info(
             "Materials of the file's materials or parts, by their names; `*` and `?` stand for any "
-            "text, the first that fits counts. Others have the scene's material of their own "
-            "name, or else the object's."
+            "text, the first that fits counts, and `null` leaves the part out. Others have the "
+            "scene's material of their own name, or else the object's."
         ),
     ] = {}
 
