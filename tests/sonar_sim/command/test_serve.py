@@ -77,6 +77,51 @@ def test_serve_reports_where_it_is_and_stops_on_request(scene: Path) -> None:
     asyncio.run(limited())
 
 
+FLEET = """
+sonars: [{name: side, sonar: {range_m: 3}, mounting: {pitch_deg: 0, yaw_deg: 90}}]
+vehicles:
+  - vehicle: {name: second}
+    trajectory: {waypoints: [{position_m: [0, 2, -1.5]}, {position_m: [1, 2, -1.5]}]}
+    sonars: [{name: eye}]
+"""
+
+
+def test_serve_names_all_sonars_and_who_is_followed(scene: Path) -> None:
+    scene.write_text(SCENE + FLEET, encoding="utf-8")
+
+    async def work() -> None:
+        udp = socket.SOCK_DGRAM
+        port, follow, status_port = free_ports(socket.SOCK_STREAM, udp, udp)
+        words = ["--port", str(port), "--status-to", "127.0.0.1", "--status-port", str(status_port)]
+        url = f"udp://127.0.0.1:{follow}"
+        words += ["--follow", f"second={url}", "--odometry", "second=native@udp:127.0.0.1:9"]
+        process = await served(scene, *words)
+        assert process.stdout is not None
+        lines = [(await process.stdout.readline()).decode() for _ in range(6)]
+        assert lines == [
+            f"an M1200d in small at 127.0.0.1:{port}\n",
+            f"an M750d in vehicle/side at 127.0.0.1:{port + 1}\n",
+            f"an M750d in second/eye at 127.0.0.1:{port + 2}\n",
+            f"statuses to 127.0.0.1:{status_port}\n",
+            "odometry native@udp:127.0.0.1:9 at udp:127.0.0.1:9\n",
+            f"second: waiting {url}\n",
+        ]
+        with socket.socket(socket.AF_INET, udp) as out:
+            record = b'{"v":1,"clk":"arrival","w":"enu","b":"flu","p":[1,2,-3],"q":[1,0,0,0]}'
+            out.sendto(record, ("127.0.0.1", follow))
+        assert (await process.stdout.readline()).decode() == f"second: following {url}\n"
+        process.send_signal(signal.SIGTERM)
+        rest, _ = await process.communicate()
+        assert process.returncode == 0
+        assert "poses of second 1" in rest.decode()
+
+    async def limited() -> None:
+        async with asyncio.timeout(60.0):
+            await work()
+
+    asyncio.run(limited())
+
+
 def test_serve_ends_with_the_time(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
     port, status_port = free_ports(socket.SOCK_STREAM, socket.SOCK_DGRAM)
     words = ["--port", str(port), "--status-port", str(status_port), "--duration", "0.3"]

@@ -6,7 +6,7 @@ from sonar_sim.geometry.live_path import LivePath
 from sonar_sim.geometry.pose import FramePose
 from sonar_sim.geometry.trajectory import Motion, Route, Trajectory, Waypoint
 from sonar_sim.page.helm import KEYS, Helm
-from sonar_sim.page.pictures import PingPictures, ping_of
+from sonar_sim.page.scene_view import IMAGE_TURN, PingPictures, ping_of
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.scene.water import Water
 from sonar_sim.wire import ping_message
@@ -100,9 +100,8 @@ def test_a_message_that_is_no_ping_has_no_picture() -> None:
 
 
 def test_the_picture_lies_in_the_fans_plane() -> None:
-    view = pytest.importorskip("sonar_sim.page.scene_view")
     at = FramePose(np.zeros(3), np.eye(3))
-    turned = (at @ FramePose(np.zeros(3), view.IMAGE_TURN)).rotation
+    turned = (at @ FramePose(np.zeros(3), IMAGE_TURN)).rotation
     assert turned @ [1.0, 0.0, 0.0] == pytest.approx([0.0, -1.0, 0.0]), "right is starboard"
     assert turned @ [0.0, 1.0, 0.0] == pytest.approx([-1.0, 0.0, 0.0]), "down is astern"
-    assert np.linalg.det(view.IMAGE_TURN) == pytest.approx(1.0)
+    assert np.linalg.det(IMAGE_TURN) == pytest.approx(1.0)

@@ -10,9 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oculus_driver.sound_speed import pressure_bar_at
-from sonar_sim.geometry.geodesy import metres_per_degree
 from sonar_sim.geometry.pose import FramePose, quaternion_of
-from sonar_sim.scene.vehicle import OdometryErrors, OdometrySample, Vehicle
+from sonar_sim.scene.vehicle import (
+    OdometryErrors,
+    OdometrySample,
+    Vehicle,
+    metres_per_degree,
+)
 from sonar_sim.scene.water import Water
 
 NED_R_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])

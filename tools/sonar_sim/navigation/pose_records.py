@@ -14,11 +14,10 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.geometry.geodesy import metres_per_degree
 from sonar_sim.geometry.live_path import LivePath
 from sonar_sim.geometry.pose import FramePose, rotation_by, rotation_of, rotation_of_quaternion
 from sonar_sim.navigation.fix import FRD_R_FLU, NED_R_ENU
-from sonar_sim.scene.vehicle import Vehicle
+from sonar_sim.scene.vehicle import Vehicle, metres_per_degree
 
 Vector = NDArray[np.float64]
 NATIVE_KEYS = {"v", "t", "clk", "w", "b", "p", "q", "u", "r", "a", "pc", "uc", "rst", "src"}

@@ -16,8 +16,7 @@ from sonar_sim.device.server import ServedScenario
 from sonar_sim.errors import SonarSimError
 from sonar_sim.geometry.pose import rotation_of
 from sonar_sim.page.helm import KEYS, Helm
-from sonar_sim.page.pictures import PingPictures, ping_of
-from sonar_sim.page.scene_view import SceneView
+from sonar_sim.page.scene_view import PingPictures, SceneView, ping_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

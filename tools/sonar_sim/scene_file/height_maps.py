@@ -11,7 +11,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from oculus_driver.errors import missing_extra
 from sonar_sim.errors import SceneError
-from sonar_sim.geometry.geodesy import metres_per_degree
+from sonar_sim.scene.vehicle import metres_per_degree
 from sonar_sim.scene_file import schema
 
 Floats = NDArray[np.float64]
