@@ -63,6 +63,16 @@ def test_a_turning_vehicle_is_seen_line_by_line() -> None:
     assert best.bearing_rad == pytest.approx(2.0 * BEARING, abs=2 * PING360.step_rad)
 
 
+def test_a_target_astern_of_the_head_is_silent() -> None:
+    sonar = ScanningSonar(target_at(BEARING, RANGE_M), range_m=8.0, samples=400, effects=PATTERN)
+    ahead, astern = (
+        float(sonar.line(still(), bearing).amplitude.max())
+        for bearing in (BEARING, BEARING - math.pi)
+    )
+    assert ahead > 0.0
+    assert astern == 0.0
+
+
 def test_a_whole_turn_has_each_direction_once() -> None:
     sonar = ScanningSonar(Scene(), range_m=2.0, samples=10, effects="none")
     bearings = [line.bearing_rad for line in sonar.scan(lambda _: still(), steps=4)]

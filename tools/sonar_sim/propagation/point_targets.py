@@ -74,6 +74,8 @@ class _TargetPath:
             self.factor = float(np.prod(two_way)) ** 0.25
         if physics.spreading:
             self.factor /= max(out_m, MIN_SPREAD_M) * max(heard_m, MIN_SPREAD_M)
+        if out[0] <= 0.0 or heard[0] <= 0.0:
+            self.factor = 0.0  # a line array cannot tell ahead from astern: its housing does
 
 
 def _ways(
