@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import math
 import socket
 from collections.abc import Callable, Coroutine
 from dataclasses import replace
@@ -53,11 +54,13 @@ async def drive(send: Callable[[float], object], clock: Callable[[], float]) -> 
         await asyncio.sleep(0.05)
 
 
-async def seen(served: ServedScenario, count: int) -> list[TransmitState]:
+async def seen(
+    served: ServedScenario, count: int, settings: FireSettings = QUICK
+) -> list[TransmitState]:
     """States at the transmission of pings, after the first few."""
     states: list[TransmitState] = []
     served.sonar.device.on_ping = lambda _, when: states.append(when)
-    async with OculusSonar("127.0.0.1", port=served.sonar.port, settings=QUICK) as sonar:
+    async with OculusSonar("127.0.0.1", port=served.sonar.port, settings=settings) as sonar:
         pings = aiter(sonar.pings())
         while len(states) < count:
             await anext(pings)
@@ -111,6 +114,30 @@ def test_pings_are_where_a_library_call_puts_the_vehicle(floor_scenario: MakeSce
             if isinstance(one, Odometry) and one.position_m is not None
         ]
         assert np.diff(places) == pytest.approx([0.02] * 4, abs=0.03)
+
+    run(work())
+
+
+def test_a_pose_is_predicted_only_over_the_simulation(floor_scenario: MakeScenario) -> None:
+    """The vehicle swings; half a second ahead it would be somewhere else."""
+
+    def place_m(time_s: float) -> float:
+        return 0.5 * math.sin(math.pi * time_s)
+
+    async def work() -> None:
+        path = LivePath(FramePose(np.array([0.0, 0.0, -2.0]), np.eye(3)))
+
+        def put(time_s: float) -> None:
+            speed_mps = 0.5 * math.pi * math.cos(math.pi * time_s)
+            pose = FramePose(np.array([place_m(time_s), 0.0, -2.0]), np.eye(3))
+            path.update(time_s, pose, np.array([speed_mps, 0.0, 0.0]))
+
+        async with ServedScenario(floor_scenario(), ServeSettings(follow={"vehicle": path})) as one:
+            driving = asyncio.create_task(drive(put, one.route_s))
+            states = await seen(one, 8, replace(QUICK, ping_rate=PingRate.LOWEST))
+            driving.cancel()
+        errors_m = [abs(w.map_T_base.position_m[0] - place_m(w.time_s)) for w in states]
+        assert max(errors_m) < 0.2, errors_m
 
     run(work())
 

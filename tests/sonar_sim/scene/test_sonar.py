@@ -52,6 +52,7 @@ def test_rows_follow_the_range_as_an_oculus_chooses_them_unless_forced() -> None
     [
         ("M750d", 3, {}, "there are M370s mode 1"),
         ("M999", 1, {}, "no M999"),
+        ("Ping360", 1, {}, "a Ping360 is a sonar_sim.ScanningSonar"),
         ("M750d", 2, {"demanded_range_m": 41.0}, "0.1 to 40 m"),
         ("M750d", 1, {"demanded_range_m": 0.05}, "0.1 to 120 m"),
         ("M750d", 1, {"bits": 24}, "24 bits"),

@@ -22,12 +22,14 @@ ROBOT = """<?xml version="1.0"?>
   <link name="upper"><visual><origin xyz="0 0 0.4" rpy="0 -0.5 0"/>
     <geometry><mesh filename="package://arm_description/meshes/part.stl" scale="0.1 0.2 0.3"/>
     </geometry></visual></link>
-  <link name="tip"><collision><geometry><sphere radius="0.3"/></geometry></collision></link>
+  <link name="tip"><visual><geometry><box size="0.2 0.3 0.9"/></geometry></visual></link>
+  <link name="foot"><collision><geometry><sphere radius="0.3"/></geometry></collision></link>
   <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
     <origin xyz="1 2 3" rpy="0.4 0.5 0.6"/><axis xyz="0 0 1"/>
     <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
   <joint name="wrist" type="fixed"><parent link="upper"/><child link="tip"/>
-    <origin xyz="0 0.5 0" rpy="1 0 0"/></joint>
+    <origin xyz="0 5.5 0" rpy="1 0 0"/></joint>
+  <joint name="ankle" type="fixed"><parent link="base"/><child link="foot"/></joint>
 </robot>
 """
 
@@ -51,7 +53,7 @@ def bounds(parts: list[NamedMesh]) -> np.ndarray:
 
 def test_a_robot_stands_as_another_reader_has_it(robot: Path) -> None:
     yourdfpy = pytest.importorskip("yourdfpy")
-    parts = [part for part in read_parts(robot) if part.name != "tip"]
+    parts = [part for part in read_parts(robot) if part.name != "foot"]
 
     def located(fname: str, dir: str = "") -> str:  # noqa: A002, ARG001 names of the library
         return str(robot.parents[1] / fname.removeprefix("package://arm_description/"))
@@ -60,22 +62,27 @@ def test_a_robot_stands_as_another_reader_has_it(robot: Path) -> None:
     assert bounds(parts) == pytest.approx(np.asarray(theirs.scene.bounds), abs=0.01)
     assert [(part.name, part.material) for part in parts] == [
         ("base/pin", ""),
+        ("tip", ""),
         ("upper", ""),
         ("base/plate", "wood"),
     ]
 
 
 def test_a_link_without_visuals_has_its_collisions(robot: Path) -> None:
-    (tip,) = [part for part in read_parts(robot) if part.name == "tip"]
-    assert np.ptp(bounds([tip]), axis=0) == pytest.approx([0.6, 0.6, 0.6], abs=0.01)
+    (foot,) = [part for part in read_parts(robot) if part.name == "foot"]
+    assert np.ptp(bounds([foot]), axis=0) == pytest.approx([0.6, 0.6, 0.6], abs=0.01)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
-        ('<sphere radius="0.3"/>', "<torus/>", "link 'tip': no geometry 'torus'"),
-        ('radius="0.3"', 'radius="big"', "link 'tip': 'big' is not 1 numbers"),
-        ('<parent link="base"/>', '<parent link="tip"/>', "hangs on itself"),
+        ('<sphere radius="0.3"/>', "<torus/>", "link 'foot': no geometry 'torus'"),
+        ('radius="0.3"', 'radius="big"', "link 'foot': 'big' is not 1 numbers"),
+        (
+            '<parent link="base"/><child link="upper"/>',
+            '<parent link="tip"/><child link="upper"/>',
+            "hangs on itself",
+        ),
         ("part.stl", "none.stl", "no such file"),
         ("</robot>", "", "not XML"),
     ],

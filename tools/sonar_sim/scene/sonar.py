@@ -149,7 +149,9 @@ def sonar_preset(model: str = "M750d", mode: int = 1, **changes: Any) -> SonarSe
     except KeyError:
         known = [f"{name} mode {number}" for name, number in _BANDS]
         known += [f"{name} mode 1" for name in OTHERS]
-        raise SceneError(f"no {model} with mode {mode}; there are {', '.join(known)}") from None
+        scanned = "; a Ping360 is a sonar_sim.ScanningSonar" if model == "Ping360" else ""
+        text = f"no {model} with mode {mode}; there are {', '.join(known)}{scanned}"
+        raise SceneError(text) from None
     frequency_hz = band.frequency_hz or 0.0
     standard = SonarSettings(
         frequency_hz=frequency_hz,
