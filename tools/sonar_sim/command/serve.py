@@ -5,6 +5,7 @@ import asyncio
 import itertools
 import sys
 from collections import Counter
+from contextlib import ExitStack
 from dataclasses import replace
 
 from oculus_driver.cli.arguments import address, count, port, positive, share
@@ -203,19 +204,18 @@ async def _serve(scenario: Scenario, args: argparse.Namespace) -> None:
 
 async def _run(served: ServedScenario, args: argparse.Namespace, helm: Helm | None) -> None:
     """Run to the end, show the page, and report where followed poses come from."""
-    works = [asyncio.create_task(_watch(served))]
-    if args.page is not None:
-        server = open_scene_page(args.listen, args.page)
-        works.append(asyncio.create_task(ScenePage(server, served, helm).run()))
-        _report(f"page http://{args.listen}:{server.get_port()}")
-    try:
-        await served.run()
-    finally:
-        for work in works:
-            work.cancel()
-        await asyncio.gather(*works, return_exceptions=True)
+    with ExitStack() as stack:
+        works = [_watch(served)]
         if args.page is not None:
-            server.stop()
+            server = open_scene_page(args.listen, args.page)
+            stack.callback(server.stop)
+            works.append(ScenePage(server, served, helm).run())
+            _report(f"page http://{args.listen}:{server.get_port()}")
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(work) for work in works]
+            await served.run()
+            for task in tasks:
+                task.cancel()
 
 
 async def _watch(served: ServedScenario) -> None:

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 MOVE_S = 0.1
 PICTURE_S = 0.1
-IDLE_S = 1.0
-"""Without a client that asks for pings the page asks for them itself."""
 BEHIND_M = np.array([-4.5, 0.0, 2.6])
 AHEAD_M = 3.0
 """The camera's place, and what it looks at before the vehicle."""
@@ -80,7 +78,6 @@ class ScenePage:
         self._view = SceneView(server.scene, served.scenarios)
         self._pictures = {one.name: PingPictures() for one in served.scenarios}
         self._latest: dict[str, tuple[bytes, TransmitState]] = {}
-        self._heard_s = dict.fromkeys(self._pictures, -math.inf)
         self._times_s: list[float] = []
         self._offsets: dict[int, tuple[float, NDArray[np.float64]]] = {}
         for one, sonar in zip(served.scenarios, served.sonars, strict=True):
@@ -142,7 +139,6 @@ class ScenePage:
 
     def _take(self, name: str, message: bytes, when: TransmitState) -> None:
         self._latest[name] = message, when
-        self._heard_s[name] = time.monotonic()
         if name == self._shown.value:
             self._times_s = [*self._times_s[-9:], time.monotonic()]
 
@@ -185,10 +181,9 @@ class ScenePage:
     async def _look(self) -> None:
         """Ping for the page alone, where no client asks for pings."""
         while True:
-            for one, sonar in zip(self._served.scenarios, self._served.sonars, strict=True):
-                idle = time.monotonic() - self._heard_s[one.name] > IDLE_S
-                busy = sonar.device.pinging and sonar.connected
-                if self._server.get_clients() and not busy and (idle or not sonar.connected):
+            for sonar in self._served.sonars:
+                asked = sonar.connected and sonar.device.pinging
+                if self._server.get_clients() and not asked:
                     await sonar.device.look()
             await asyncio.sleep(1.0 / self._served.scenarios[0].true_ping_rate_hz)
 
