@@ -5,7 +5,7 @@ import asyncio
 import itertools
 import sys
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 
 from oculus_driver.cli.arguments import address, count, port, positive, share
@@ -148,7 +148,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve until stopped, or until the path ends."""
     scenario = with_model(load_scenario(args.scene), args.model)
-    run_until_stopped(_serve(scenario, args), args.duration)
+    run_until_stopped(_serve(scenario, args))
     return ExitCode.OK
 
 
@@ -213,7 +213,9 @@ async def _run(served: ServedScenario, args: argparse.Namespace, helm: Helm | No
             _report(f"page http://{args.listen}:{server.get_port()}")
         async with asyncio.TaskGroup() as group:
             tasks = [group.create_task(work) for work in works]
-            await served.run()
+            with suppress(TimeoutError):  # its time counts from here on, not from the loading
+                async with asyncio.timeout(args.duration):
+                    await served.run()
             for task in tasks:
                 task.cancel()
 
