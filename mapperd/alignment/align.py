@@ -58,27 +58,41 @@ PER_SUBMAP = 3
 JUMP_M, JUMP_RAD = 10.0, 1.0
 """Standard deviation of a step over a jump of the odometry."""
 
-STATED_SHARE = 0.05
-"""Growth of the odometry's own standard deviation by more than this share of the way loosens a
-step: velocity was missing."""
+STATED_SHARE = 0.02
+"""Growth of the odometry's own standard deviation by more than this share of the distance travelled
+loosens a step: velocity was missing."""
 
 NEIGHBOUR_NOISE = np.array([0.6, 0.6, math.radians(2.0)])
 AGAIN_NOISE = np.array([0.3, 0.3, math.radians(2.0)])
 """Standard deviations (m, m, rad) that predictions are widened by: of submaps that follow each
 other, where velocity may have failed unnoticed; of registrations that are repeated."""
 
+FIX_STEP_NS = 2_000_000_000
+"""Fixes within so long count as one: they err alike."""
+
+MAX_DRIFT, LEAST_REACH_M, MIN_AGREEING = 0.2, 3.0, 0.5
+"""What odometry may err by, as a share of the distance travelled and in all; the share of the fixes
+that one must agree with."""
+
 FRAME_STEPS, FRAME_SPREAD = 10, 3.0
 """Steps of the robust fit of a frame to fixes; the distance between them, in standard deviations,
 that gives a heading."""
 
 FREE_FRAME = np.array([1e3, 1e3, 10.0])
+FREE_PLACE = np.array([1e3, 1e3, 1e-6])
 FOUND_FRAME = np.array([0.5, 0.5, math.radians(2.0)])
-"""Standard deviations (m, m, rad) of a dive's first pose: held by position fixes alone; by the
-registration of whole dives."""
+"""Standard deviations (m, m, rad) of a dive's first pose: held by position fixes alone, with a
+heading or without; by the registration of whole dives."""
+
+MIN_FIXES = 3
+"""Accepted fixes that correct a dive without revisits."""
 
 FRAME_HALF_M, FRAME_HALF_RAD = 12.0, math.radians(45.0)
 FRAME_STEP_M, FRAME_STEP_RAD = 0.5, math.radians(3.0)
 FRAME_CANDIDATES = 8
+MAX_VOXELS, MARGIN_M = 3e7, 5.0
+"""Size of the map of a whole dive in voxels, with a margin."""
+
 MIN_FRAME_SCORE, MIN_FRAME_MATCHED, FRAME_RIVAL_SHARE = 0.6, 0.3, 0.9
 """What the registration of two whole dives must reach, and the share of its score that any other
 place must stay below."""
@@ -209,11 +223,15 @@ class _DiveNodes:
     of_submap: list[int]
     of_fragment: list[int]
     steps: list[OdometryStep | None]
+    unreachable: int
 
     @classmethod
     def of(cls, given: DiveInput, dive: DiveSubmaps) -> "_DiveNodes":
         """Place nodes at the submaps, between them where they are far apart, and at fixes."""
         track = dive.track
+        fixes = _fixes_within(given, track)
+        count, fixes = len(fixes), _reachable(fixes, track)
+        given = replace(given, fixes=fixes)
         anchors = [submap.anchor_ns for submap in dive.submaps]
         parts = [fragment.anchor_ns for fragment in dive.fragments]
         begin, end = int(track.t_ns[0]), int(track.t_ns[-1])
@@ -239,40 +257,94 @@ class _DiveNodes:
             of_submap,
             of_fragment,
             steps,
+            count - len(fixes),
         )
 
-    def frame_by_fixes(self) -> Floats:
-        """(3,) pose of the odometry's frame that fits the fixes best; zero without fixes.
+    def frame_by_fixes(self) -> tuple[Floats, bool]:
+        """Pose (3,) of the odometry's frame that fits the fixes best, and whether heading is known.
 
-        Its heading is fitted where the fixes are further apart than they are uncertain.
+        Its heading is fitted where the fixes are further apart than they are uncertain. Zero
+        without fixes.
         """
         fixes = self.fixes(0)
         if not fixes:
-            return np.zeros(3)
+            return np.zeros(3), False
         here_m = self.odometry[[fix.node for fix in fixes], :2] @ np.array([1, 1j])
         there_m = np.array([fix.position_m for fix in fixes]) @ np.array([1, 1j])
         deviation_m = np.array([fix.deviation_m for fix in fixes])
         weights = deviation_m**-2.0
-        turn = complex(1.0)
+        turn, is_known = complex(1.0), False
         for _ in range(FRAME_STEPS):
             here, there = (np.average(points, weights=weights) for points in (here_m, there_m))
             spread_m = math.sqrt(np.average(abs(here_m - here) ** 2, weights=weights))
-            if spread_m > FRAME_SPREAD * deviation_m.mean():
+            is_known = bool(spread_m > FRAME_SPREAD * deviation_m.mean())
+            if is_known:
                 product = complex(np.sum(weights * np.conj(here_m - here) * (there_m - there)))
                 turn = product / max(abs(product), 1e-12)
             away_m = abs(there_m - there - turn * (here_m - here))
             scale_m = max(1.5 * float(np.median(away_m)), float(deviation_m.mean()))
             weights = deviation_m**-2.0 / (1 + (away_m / scale_m) ** 2) ** 2
         shift = there - turn * here
-        return np.array([shift.real, shift.imag, math.atan2(turn.imag, turn.real)])
+        return np.array([shift.real, shift.imag, math.atan2(turn.imag, turn.real)]), is_known
 
     def fixes(self, first: int) -> list[PositionFix]:
         """Known positions, at nodes counted from `first`."""
-        inside = [fix for fix in self.given.fixes if self.t_ns[0] <= fix[0] <= self.t_ns[-1]]
         return [
             PositionFix(first + int(np.searchsorted(self.t_ns, t)), np.array([x, y]), deviation_m)
-            for t, x, y, deviation_m in inside
+            for t, x, y, deviation_m in self.given.fixes
         ]
+
+    @property
+    def own_frame(self) -> Floats:
+        """(3,) frame of its odometry where nothing else is known."""
+        return np.zeros(3) if self.given.frame is None else self.given.frame
+
+
+def _reachable(fixes: tuple[Fix, ...], track: OdometryTrack) -> tuple[Fix, ...]:
+    """Leave out fixes whose distances from most others contradict the odometry."""
+    if not fixes:
+        return fixes
+    t_ns = np.array([t for t, *_ in fixes], dtype=np.int64)
+    there_m = np.array([(x, y) for _, x, y, _ in fixes])
+    deviation_m = np.array([deviation_m for *_, deviation_m in fixes])
+    here_m = track.at(t_ns)[:, :2]
+    path_m = np.cumsum(np.hypot(*np.diff(track.position_m[:, :2], axis=0, prepend=0.0).T))
+    path_m = np.interp(t_ns, track.t_ns, path_m)
+
+    def between(points_m: Floats) -> Floats:
+        return np.asarray(np.hypot(*np.moveaxis(points_m[:, None] - points_m, 2, 0)))
+
+    allowed_m = MAX_DRIFT * abs(path_m[:, None] - path_m) + LEAST_REACH_M
+    allowed_m += 3 * (deviation_m[:, None] + deviation_m)
+    agree = abs(between(there_m) - between(here_m)) <= allowed_m
+    return tuple(
+        fix for fix, others in zip(fixes, agree, strict=True) if others.mean() >= MIN_AGREEING
+    )
+
+
+def _fixes_within(given: DiveInput, track: OdometryTrack) -> tuple[Fix, ...]:
+    """Return the fixes during a dive, close ones united.
+
+    Raises:
+        ReplayError: there are fixes, and none during the dive.
+    """
+    begin_ns, end_ns = int(track.t_ns[0]), int(track.t_ns[-1])
+    inside = sorted(fix for fix in given.fixes if begin_ns <= fix[0] <= end_ns)
+    if given.fixes and not inside:
+        raise ReplayError(
+            f"{given.name}: none of {len(given.fixes)} position fixes is within the dive, from "
+            f"{begin_ns / 1e9:.3f} to {end_ns / 1e9:.3f} s; check the clock of the fixes"
+        )
+    united = []
+    for _, group in itertools.groupby(inside, key=lambda fix: fix[0] // FIX_STEP_NS):
+        rows = list(group)
+        weights = np.array([deviation_m**-2.0 for *_, deviation_m in rows])
+        since_ns, x, y = np.average(
+            [(t - begin_ns, x, y) for t, x, y, _ in rows], axis=0, weights=weights
+        )
+        best_m = min(deviation_m for *_, deviation_m in rows)
+        united.append((begin_ns + round(since_ns), float(x), float(y), best_m))
+    return tuple(united)
 
 
 def odometry_step(track: OdometryTrack, begin_ns: int, end_ns: int) -> OdometryStep:
@@ -283,7 +355,8 @@ def odometry_step(track: OdometryTrack, begin_ns: int, end_ns: int) -> OdometryS
     path_m = float(np.hypot(*np.diff(way_m, axis=0).T).sum())
     ends = np.searchsorted(track.t_ns, [begin_ns, end_ns]).clip(0, len(track.t_ns) - 1)
     before, after = track.deviation_m[ends]
-    loose_m = max(0.0, float(after - before) - STATED_SHARE * path_m)
+    usual_m = float(before) + STATED_SHARE * path_m
+    loose_m = math.sqrt(max(0.0, float(after) ** 2 - usual_m**2))  # variances add
     jumped = track.segment[ends[1]] != track.segment[ends[0]]
     return OdometryStep(
         compose(inverse(both[0]), both[1]),
@@ -349,13 +422,18 @@ class _AloneDive:
         progress(0.0, "mapping")
         dive = _DiveNodes.of(given, given.read(None))
         start = dive.odometry
-        frame = given.frame if given.frame is not None else dive.frame_by_fixes()
+        frame, has_heading = dive.frame_by_fixes()
+        if given.frame is not None:
+            frame = given.frame
         graph = PoseGraph(compose(frame[None], start), dive.steps, options.drift)
+        graph.solve()
+        graph.prepare_covariances()
+        prior_m = _deviation_m(graph)
         graph.fixes = dive.fixes(0)
         if graph.fixes and given.frame is None:
-            graph.anchors = [PoseAnchor(0, graph.start[0], FREE_FRAME)]
+            free = FREE_FRAME if has_heading else FREE_PLACE
+            graph.anchors = [PoseAnchor(0, graph.start[0], free)]
         graph.solve()
-        prior_m = _deviation_m(graph.prepare_covariances())
         first = LoopFinder(dive.submaps, dive.of_submap, options.threads)
         motion = LoopFinder(dive.fragments, dive.of_fragment, options.threads)
         progress(0.3, "registering")
@@ -380,21 +458,26 @@ class _AloneDive:
     def result(self) -> Alignment:
         """Judge the alignment of this dive alone."""
         covariance = self.graph.prepare_covariances()
-        figures, reason = _judged(self.graph, _deviation_m(covariance), self.prior_m)
+        figures, reason = _judged(self.graph, self.prior_m)
+        if self.dive.unreachable:
+            figures["fixes_unreachable"] = float(self.dive.unreachable)
         if reason:
-            self.solution = _without_loops(self.graph)
-            covariance = self.graph.prepare_covariances()
-        aligned = _result_of(self.dive, self.solution.poses, covariance, self.solution.drift)
-        if reason:
-            aligned = _uncorrected(aligned)
+            aligned = self.refused()
+        else:
+            aligned = _result_of(self.dive, self.solution.poses, covariance, self.solution.drift)
         rejected = dict(sorted(self.finder.rejected.items()))
         return Alignment(
             [aligned], self.graph.loops, not reason, reason, self.tried, rejected, figures
         )
 
-
-def _uncorrected(dive: AlignedDive) -> AlignedDive:
-    return replace(dive, poses=compose(dive.frame[None], dive.odometry))
+    def refused(self) -> AlignedDive:
+        """The dive as its odometry has it, in its own frame; all registrations are refused."""
+        for loop in self.graph.loops:
+            loop.weight = 0.0
+        poses = compose(self.dive.own_frame[None], self.dive.odometry)
+        alone = PoseGraph(poses, self.dive.steps, self.graph.model)
+        solution = alone.solve()
+        return _result_of(self.dive, poses, alone.prepare_covariances(), solution.drift)
 
 
 def _result_of(dive: _DiveNodes, poses: Floats, covariance: Floats, drift: Floats) -> AlignedDive:
@@ -402,18 +485,6 @@ def _result_of(dive: _DiveNodes, poses: Floats, covariance: Floats, drift: Float
     return AlignedDive(
         dive.given.name, dive.t_ns, dive.odometry, poses, covariance, drift, frame, dive.track
     )
-
-
-def _without_loops(graph: PoseGraph) -> Solution:
-    """Solve again without revisits; the graph keeps them, refused."""
-    loops, graph.loops = graph.loops, []
-    graph.reset()
-    solution = graph.solve()
-    graph.prepare_covariances()
-    for loop in loops:
-        loop.weight = 0.0
-    graph.loops = loops
-    return solution
 
 
 def _close_loops(
@@ -445,19 +516,27 @@ def _predicted(
     return trials
 
 
-def _deviation_m(covariance: Floats) -> float:
-    """Mean horizontal standard deviation of the nodes."""
+def _deviation_m(graph: PoseGraph, first: int = 0, end: int | None = None) -> float:
+    """Mean horizontal standard deviation of a dive's nodes, relative to the first of them.
+
+    `prepare_covariances` must have been called since the last change.
+    """
+    nodes = range(first, len(graph.poses) if end is None else end)
+    covariance = graph.covariance_of(first, nodes)
     return float(np.sqrt(np.maximum(covariance[:, 0, 0] + covariance[:, 1, 1], 0)).mean())
 
 
-def _judged(graph: PoseGraph, deviation_m: float, prior_m: float) -> tuple[dict[str, float], str]:
+def _judged(graph: PoseGraph, prior_m: float) -> tuple[dict[str, float], str]:
     """Return what the verdict rests on, and why the result must not be used; empty if it may.
 
     Fixes correct a dive without revisits, too; but revisits must not contradict them.
     """
     loops = [loop for loop in graph.loops if not loop.neighbours]
     accepted = [loop for loop in loops if loop.accepted]
-    correction_m = _rms_m(graph.start, graph.poses)
+    fixes = sum(fix.accepted for fix in graph.fixes)
+    is_fixed = fixes >= MIN_FIXES
+    deviation_m = _deviation_m(graph)
+    correction_m = _apart_m(graph.start, graph.poses)
     split_m = _split_m(graph, accepted)
     figures = {
         "revisits_found": float(len(loops)),
@@ -466,26 +545,45 @@ def _judged(graph: PoseGraph, deviation_m: float, prior_m: float) -> tuple[dict[
         "deviation_m": deviation_m,
         "correction_m": correction_m,
         "split_m": split_m,
+        "registration_scale": float(graph.bias[0]),
+        "registration_turn": float(graph.bias[1]),
     }
-    if len(accepted) < MIN_LOOPS and not graph.fixes:
+    if graph.fixes:
+        figures |= {"fixes": float(len(graph.fixes)), "fixes_accepted": float(fixes)}
+    if len(accepted) < MIN_LOOPS and not is_fixed:
         found = f"{len(accepted)} revisits" if accepted else "no revisit"
         return figures, f"{found} could be registered, and {MIN_LOOPS} are needed"
     if len(accepted) < MIN_ACCEPTED_SHARE * len(loops):
         return figures, f"{len(loops) - len(accepted)} of {len(loops)} revisits contradict the rest"
-    if deviation_m > MAX_UNCERTAINTY_SHARE * prior_m and not graph.fixes:
-        share = deviation_m / max(prior_m, 1e-9)
-        return figures, f"the revisits leave {share:.0%} of the uncertainty of the odometry"
-    if correction_m < MIN_CORRECTION_DEVIATIONS * deviation_m:
+    if deviation_m > MAX_UNCERTAINTY_SHARE * prior_m and not is_fixed:
+        return figures, _uncertain(deviation_m, prior_m)
+    if correction_m < MIN_CORRECTION_DEVIATIONS * deviation_m and not fixes:
         return figures, (
             f"the correction is {correction_m:.2f} m, and its standard deviation "
             f"{deviation_m:.2f} m"
         )
-    if split_m > max(MAX_SPLIT_M, MAX_SPLIT_SHARE * correction_m):
-        return figures, (
-            f"two halves of the revisits give trajectories {split_m:.2f} m apart, and the "
-            f"correction is {correction_m:.2f} m"
-        )
-    return figures, ""
+    return figures, _divided(split_m, correction_m)
+
+
+def _uncertain(deviation_m: float, prior_m: float) -> str:
+    share = deviation_m / max(prior_m, 1e-9)
+    return f"the revisits leave {share:.0%} of the uncertainty of the odometry"
+
+
+def _divided(split_m: float, correction_m: float) -> str:
+    """Return that two halves of the revisits disagree; empty if they agree."""
+    if split_m <= max(MAX_SPLIT_M, MAX_SPLIT_SHARE * correction_m):
+        return ""
+    return (
+        f"two halves of the revisits give trajectories {split_m:.2f} m apart, and the correction "
+        f"is {correction_m:.2f} m"
+    )
+
+
+def _apart_m(a: Floats, b: Floats) -> float:
+    """RMS distance of two trajectories (N, 3) that begin at the same pose."""
+    a, b = (compose(inverse(one[0])[None], one) for one in (a, b))
+    return _rms_m(a, b)
 
 
 def _rms_m(a: Floats, b: Floats) -> float:
@@ -494,32 +592,31 @@ def _rms_m(a: Floats, b: Floats) -> float:
 
 def _split_m(graph: PoseGraph, accepted: Sequence[Loop]) -> float:
     """RMS distance of the trajectories by two halves of the revisits."""
-    saved, states = list(graph.loops), graph.save()
-    weights = [(loop, loop.weight, loop.chosen) for loop in saved]
+    loops, states = list(graph.loops), graph.save()
+    kept = [(loop, loop.weight, loop.chosen) for loop in loops]
+    fixes = [(fix, fix.weight) for fix in graph.fixes]
     halves = []
     for half in (0, 1):
         left = {id(loop) for loop in accepted[half::2]}
-        graph.loops = [loop for loop in saved if loop.neighbours or id(loop) in left]
+        graph.loops = [loop for loop in loops if loop.neighbours or id(loop) in left]
         halves.append(graph.solve().poses)
-    graph.loops = saved
+    graph.loops = loops
     graph.restore(states)
-    for loop, weight, chosen in weights:
+    for loop, weight, chosen in kept:
         loop.weight, loop.chosen = weight, chosen
+    for fix, weight in fixes:
+        fix.weight = weight
     return _rms_m(*halves)
 
 
 def _aligned_together(alone: list[_AloneDive], options: AlignOptions) -> Alignment:
     """Join dives that were aligned by themselves in one graph."""
-    results = [one.result() for one in alone]
     first = np.cumsum([0, *(len(one.dive.t_ns) for one in alone)])
     frames, reason = _frames_of(alone)
     tried = sum(one.tried for one in alone)
-    rejected: dict[str, int] = {}
     if reason:
-        dives = [_uncorrected(result.dives[0]) for result in results]
-        return Alignment(
-            dives, _shifted_loops(alone, first), corrected=False, reason=reason, tried=tried
-        )
+        dives = [one.refused() for one in alone]
+        return Alignment(dives, _shifted_loops(alone, first), False, reason, tried)  # noqa: FBT003
     start = np.vstack(
         [compose(frame[None], one.graph.start) for frame, one in zip(frames, alone, strict=True)]
     )
@@ -536,20 +633,18 @@ def _aligned_together(alone: list[_AloneDive], options: AlignOptions) -> Alignme
     solution = graph.solve()
     solution, _ = _close_loops(graph, finder, (), ROUNDS_BETWEEN)
     covariance = graph.prepare_covariances()
-    rejected = dict(sorted(finder.rejected.items()))
-    dive_of_node = np.repeat(np.arange(len(alone)), np.diff(first))
-    between = [loop for loop in graph.loops if dive_of_node[loop.i] != dive_of_node[loop.j]]
-    reason = _judged_together(alone, graph.loops, dive_of_node)
-    figures = {
-        "revisits_between_dives": float(len(between)),
-        "revisits_between_dives_accepted": float(sum(loop.accepted for loop in between)),
-        "deviation_m": _deviation_m(covariance),
-    }
+    figures, reason = _judged_together(alone, graph, first)
     dives = []
     for k, one in enumerate(alone):
         part = slice(int(first[k]), int(first[k + 1]))
-        aligned = _result_of(one.dive, solution.poses[part], covariance[part], solution.drift[part])
-        dives.append(_uncorrected(aligned) if reason else aligned)
+        poses_of, drift = solution.poses[part], solution.drift[part]
+        dives.append(
+            one.refused() if reason else _result_of(one.dive, poses_of, covariance[part], drift)
+        )
+    if reason:
+        for loop in graph.loops:
+            loop.weight = 0.0
+    rejected = dict(sorted(finder.rejected.items()))
     tried += finder.tried
     return Alignment(dives, graph.loops, not reason, reason, tried, rejected, figures)
 
@@ -563,65 +658,99 @@ def _shifted_loops(alone: list[_AloneDive], first: NDArray[np.int64]) -> list[Lo
     ]
 
 
+def _known(alone: Sequence[_AloneDive]) -> list[bool]:
+    """Whether the frame of each dive is known, by itself or by fixes; if of none, the first's."""
+    known = [one.dive.given.frame is not None or bool(one.graph.fixes) for one in alone]
+    return known if any(known) else [True] + [False] * (len(known) - 1)
+
+
 def _anchors_of(
     alone: list[_AloneDive], frames: list[Floats], first: NDArray[np.int64]
 ) -> list[PoseAnchor]:
-    """First poses: exact of the first dive and where a frame is given, else as they were found."""
+    """First poses: their own where the frame is known, else as they were found."""
     anchors = []
-    for k, one in enumerate(alone):
+    for k, (one, known) in enumerate(zip(alone, _known(alone), strict=True)):
         [own] = one.graph.anchors
-        given = one.dive.given.frame is not None
-        deviation = own.deviation if k == 0 or given else FOUND_FRAME
+        deviation = own.deviation if known else FOUND_FRAME
         anchors.append(PoseAnchor(int(first[k]), compose(frames[k], own.pose), deviation))
     return anchors
 
 
 def _judged_together(
-    alone: list[_AloneDive], loops: Sequence[Loop], dive_of_node: NDArray[np.intp]
+    alone: list[_AloneDive], graph: PoseGraph, first: NDArray[np.int64]
+) -> tuple[dict[str, float], str]:
+    """Return what the verdict rests on, and why the result must not be used; empty if it may."""
+    dive_of_node = np.repeat(np.arange(len(alone)), np.diff(first))
+    revisits = [loop for loop in graph.loops if not loop.neighbours]
+    between = [loop for loop in revisits if dive_of_node[loop.i] != dive_of_node[loop.j]]
+    accepted = [loop for loop in revisits if loop.accepted]
+    split_m = _split_m(graph, accepted)
+    corrections_m, reason = [], ""
+    for k, (one, known) in enumerate(zip(alone, _known(alone), strict=True)):
+        begin, end = int(first[k]), int(first[k + 1])
+        corrections_m.append(_apart_m(graph.start[begin:end], graph.poses[begin:end]))
+        reason = reason or _unusable(one, k, revisits, dive_of_node, known=known)
+        deviation_m = _deviation_m(graph, begin, end)
+        fixes = sum(fix.accepted for fix in graph.fixes if begin <= fix.node < end)
+        if not reason and deviation_m > MAX_UNCERTAINTY_SHARE * one.prior_m and fixes < MIN_FIXES:
+            reason = f"{one.dive.given.name}: {_uncertain(deviation_m, one.prior_m)}"
+    figures = {
+        "revisits_between_dives": float(len(between)),
+        "revisits_between_dives_accepted": float(sum(loop.accepted for loop in between)),
+        "correction_m": max(corrections_m),
+        "split_m": split_m,
+        "registration_scale": float(graph.bias[0]),
+        "registration_turn": float(graph.bias[1]),
+    }
+    return figures, reason or _divided(split_m, max(corrections_m))
+
+
+def _unusable(
+    one: _AloneDive,
+    k: int,
+    revisits: Sequence[Loop],
+    dive_of_node: NDArray[np.intp],
+    *,
+    known: bool,
 ) -> str:
-    """Return why the result of several dives must not be used; empty if it may."""
-    revisits = [loop for loop in loops if not loop.neighbours]
-    for k, one in enumerate(alone):
-        name = one.dive.given.name
-        own = [loop for loop in revisits if k in (dive_of_node[loop.i], dive_of_node[loop.j])]
-        accepted = sum(loop.accepted for loop in own)
-        if accepted < MIN_LOOPS and not one.graph.fixes:
-            return f"{name}: {accepted} revisits could be registered, and {MIN_LOOPS} are needed"
-        if accepted < MIN_ACCEPTED_SHARE * len(own):
-            contrary = len(own) - accepted
-            return f"{name}: {contrary} of {len(own)} revisits contradict the rest"
-        if k == 0 or one.dive.given.frame is not None or one.graph.fixes:
-            continue
-        accepted = sum(
-            loop.accepted and dive_of_node[loop.i] != dive_of_node[loop.j] for loop in own
-        )
-        if accepted < MIN_BETWEEN_DIVES:
-            return (
-                f"{name}: {accepted} of its submaps could be registered to other dives, and "
-                f"{MIN_BETWEEN_DIVES} are needed"
-            )
-    return ""
+    """Return why the revisits of a dive do not hold it; empty if they do."""
+    name = one.dive.given.name
+    own = [loop for loop in revisits if k in (dive_of_node[loop.i], dive_of_node[loop.j])]
+    accepted = [loop for loop in own if loop.accepted]
+    is_fixed = sum(fix.accepted for fix in one.graph.fixes) >= MIN_FIXES
+    if len(accepted) < MIN_LOOPS and not is_fixed:
+        return f"{name}: {len(accepted)} revisits could be registered, and {MIN_LOOPS} are needed"
+    if len(accepted) < MIN_ACCEPTED_SHARE * len(own):
+        return f"{name}: {len(own) - len(accepted)} of {len(own)} revisits contradict the rest"
+    count = sum(dive_of_node[loop.i] != dive_of_node[loop.j] for loop in accepted)
+    if known or count >= MIN_BETWEEN_DIVES:
+        return ""
+    return (
+        f"{name}: {count} of its submaps could be registered to other dives, and "
+        f"{MIN_BETWEEN_DIVES} are needed"
+    )
 
 
 def _frames_of(alone: list[_AloneDive]) -> tuple[list[Floats], str]:
     """Find how each dive must be moved into the common frame, or why one cannot be placed."""
-    frames: list[Floats] = []
-    placed: list[Submap] = []
+    frames = [np.zeros(3) for _ in alone]
+    known = _known(alone)
+    placed = [
+        _whole_map(one, np.zeros(3)) for one, is_known in zip(alone, known, strict=True) if is_known
+    ]
+    targets = [whole for whole in placed if whole is not None]
     for k, one in enumerate(alone):
+        if known[k]:
+            continue
         whole = _whole_map(one, np.zeros(3))
-        if k == 0 or one.dive.given.frame is not None or one.graph.fixes:
-            frames.append(np.zeros(3))
-        elif whole is None or not placed:
+        if whole is None or not targets:
             return [], f"{one.dive.given.name}: too few echoes to register it to other dives"
-        else:
-            found = [_placed(target, whole) for target in placed]
-            best = max(found, key=lambda one: one[1])
-            if isinstance(best[0], str):
-                return [], f"{one.dive.given.name}: {best[0]}"
-            frames.append(best[0])
-        if whole is not None:
-            at = frames[k]
-            placed.append(whole if not at.any() else _whole_map(one, at) or whole)
+        found = [_placed(target, whole) for target in targets]
+        best = max(found, key=lambda one: one[1])
+        if isinstance(best[0], str):
+            return [], f"{one.dive.given.name}: {best[0]}"
+        frames[k] = best[0]
+        targets.append(_whole_map(one, best[0]) or whole)
     return frames, ""
 
 
@@ -639,6 +768,9 @@ def _whole_map(one: _AloneDive, frame: Floats) -> Submap | None:
     if not sum(map(len, occupied)):
         return None
     resolution_m = one.dive.submaps[0].resolution_m
+    extent_m = np.ptp(np.vstack(occupied + free), axis=0) + MARGIN_M
+    while (extent_m / resolution_m).prod() > MAX_VOXELS:  # a large site
+        resolution_m *= 1.5
     solid, empty = (_thinned(np.vstack(points), resolution_m) for points in (occupied, free))
     return Submap(solid, empty, resolution_m)
 

@@ -8,7 +8,7 @@ alternatives, of which the most likely counts (max-mixture: Olson and Agarwal 20
 
 Registrations err, too: echoes of unknown elevation are placed too near or too far, alike in all
 submaps. Two errors, common to all loops, are estimated: a scale of the way between the submaps, and
-a turn about the middle of what they share, proportional to the turn between them.
+a turn about the middle of the second, proportional to the sine of the turn between them.
 """
 
 import math
@@ -40,6 +40,9 @@ STATES = 6
 GATE = 11.34
 """Squared Mahalanobis distance of 3 degrees of freedom that 99 % of right loops stay below."""
 
+FIX_GATE = 9.21
+"""The same of a position fix, 2 degrees of freedom."""
+
 STEP_GATE = 16.0
 """The same of a step of the odometry: where velocity fails it errs by far more than it drifts."""
 
@@ -60,8 +63,8 @@ class DriftModel:
         memory_s: time over which these errors stay alike.
         noise_m: of a step, for each square root of a metre travelled.
         noise_rad: of a step, for each square root of a second.
-        registration_scale: error of the way between registered submaps, as a share.
-        registration_turn: error of the turn between them, as a share.
+        registration_scale: error of the distance between registered submaps, as a share.
+        registration_turn: error of the turn between them, as a share of its sine.
     """
 
     scale: float = 0.03
@@ -102,7 +105,7 @@ class Loop:
         poses: (K, 3) alternatives of i_T_j, the best first.
         information: (K, 3, 3) of x, y in the axes of i, and yaw.
         neighbours: whether the nodes follow each other closely, so that this is no revisit.
-        centre: (2,) middle of what the submaps share, in the frame of j.
+        centre: (2,) middle of the submap at j, in its frame.
         scores: (K,) agreement of the submaps, 0..1.
         weight: 0..1 after solving; below `ACCEPTED_WEIGHT` the loop is refused.
         chosen: index of the alternative that counts.
@@ -139,7 +142,7 @@ class PoseAnchor:
     deviation: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(eq=False)
 class PositionFix:
     """A known position of a node, such as by GPS at the surface.
 
@@ -147,11 +150,18 @@ class PositionFix:
         node: index.
         position_m: (2,) in the frame of the result.
         deviation_m: one standard deviation.
+        weight: 0..1 after solving; below `ACCEPTED_WEIGHT` the fix is refused.
     """
 
     node: int
     position_m: Floats
     deviation_m: float
+    weight: float = 1.0
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the solution uses it."""
+        return self.weight >= ACCEPTED_WEIGHT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,8 +195,8 @@ class PoseGraph:
         loops: registrations.
         fixes: known positions.
         anchors: known poses: at first that of node 0.
-        bias: (2,) common errors of the registrations: scale of the way, and turn about the middle
-            of what the submaps share by the sine of the turn between them.
+        bias: (2,) common errors of the registrations: scale of the distance, and turn about the
+            middle of the second submap by the sine of the turn between them.
     """
 
     start: Floats
@@ -233,8 +243,9 @@ class PoseGraph:
             loop.weight = 1.0
         self._trust[:] = 1.0
         # Graduated non-convexity: the kernel starts wide enough to be convex.
-        worst = max((self._distance(loop)[0] for loop in self.loops), default=0.0)
-        control = max(1.0, 2 * worst / GATE)
+        squared = [self._distance(loop)[0] / GATE for loop in self.loops]
+        squared += [self._distance_of_fix(fix) / FIX_GATE for fix in self.fixes]
+        control = max(1.0, 2 * max(squared, default=0.0))
         while True:
             last = control <= 1.0
             for _ in range(MAX_STEPS if last else 4):
@@ -251,6 +262,9 @@ class PoseGraph:
         for loop in self.loops:
             squared, loop.chosen = self._distance(loop)
             loop.weight = (control * GATE / (control * GATE + squared)) ** 2
+        for fix in self.fixes:
+            limit = control * FIX_GATE
+            fix.weight = (limit / (limit + self._distance_of_fix(fix))) ** 2
         for k, step in enumerate(self.steps):
             if step is not None:
                 _, residual, information = self._of_step(k, step)
@@ -265,6 +279,10 @@ class PoseGraph:
         squared = np.einsum("ki,kij,kj->k", residual, loop.information, residual)
         best = int(squared.argmin())
         return float(squared[best]), best
+
+    def _distance_of_fix(self, fix: PositionFix) -> float:
+        residual = self.poses[fix.node, :2] - fix.position_m
+        return float(residual @ residual) / fix.deviation_m**2
 
     def measured_by(self, loop: Loop, relative: Floats) -> tuple[Floats, Floats, Floats]:
         """Return what a loop measures of i_T_j (3,), and its derivatives by i_T_j and the bias."""
@@ -325,9 +343,8 @@ class PoseGraph:
             normal.add([loop.i, loop.j, bias_node], jacobians, residual, information)
         for fix in self.fixes:
             residual = self._states[fix.node, :2] - fix.position_m
-            squared = float(residual @ residual) / fix.deviation_m**2
-            weight = (GATE / (GATE + squared)) ** 2 / fix.deviation_m**2
-            normal.add([fix.node], [np.eye(2, STATES)], residual, weight * np.eye(2))
+            information = fix.weight / fix.deviation_m**2 * np.eye(2)
+            normal.add([fix.node], [np.eye(2, STATES)], residual, information)
         return normal
 
     def _of_step(self, k: int, step: OdometryStep) -> tuple[list[Floats], Floats, Floats]:

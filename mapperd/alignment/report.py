@@ -254,7 +254,8 @@ def maps_of(alignment: Alignment, readers: Sequence[DiveReader]) -> MapPair | No
         if reader.submaps:
             odometry = dive.track.at(_anchors(reader.drifted))
             before += _placed(reader.drifted, compose(dive.frame, odometry))
-            after += _placed(reader.submaps, dive.poses_at(_anchors(reader.submaps)))
+            submaps = reader.submaps if alignment.corrected else reader.drifted
+            after += _placed(submaps, dive.poses_at(_anchors(submaps)))
     return MapPair(_united(before, resolution_m), _united(after, resolution_m), resolution_m)
 
 

@@ -182,12 +182,22 @@ class SonarSubmap:
         self.radius_m = float(np.sqrt((spread_m**2).sum(axis=1).mean())) if len(points_m) else 0.0
 
     def build(self) -> Submap:
-        """Return its distances and distributions, for registration."""
+        """Return its distances and distributions, for registration.
+
+        Raises:
+            ReplayError: it extends too far for its voxels.
+        """
         occupied, free = (
             np.multiply(voxels + 0.5, self.resolution_m, dtype=np.float64)
             for voxels in (self.occupied, self.free)
         )
-        return Submap(occupied, free, self.resolution_m)
+        try:
+            return Submap(occupied, free, self.resolution_m)
+        except ValueError as error:
+            raise ReplayError(
+                f"a submap cannot be registered: {error}; raise octree.voxel_resolution, which is "
+                f"{self.resolution_m:g} m"
+            ) from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -295,8 +305,12 @@ class _SubmapMapper(SonarMap):
         corrected_T_anchor = compose(bends[len(held) // 2], anchor.base)  # noqa: N806 frames
         for ping, bend in zip(held, bends, strict=True):
             anchor_T_map = matrix_of(compose(inverse(corrected_T_anchor), bend))  # noqa: N806
+            motion = ping.motion
+            if motion is not None:
+                turned_mps = anchor_T_map[:3, :3] @ motion.linear_mps
+                motion = replace(motion, linear_mps=turned_mps)
             try:
-                super().integrate(ping.image, anchor_T_map @ ping.map_T_sonar, ping.motion)
+                super().integrate(ping.image, anchor_T_map @ ping.map_T_sonar, motion)
             except MapError:  # it was checked at a pose nearby
                 continue
         kinds = (self.voxels(kind).centres_m for kind in ("occupied", "free"))

@@ -119,14 +119,13 @@ def map_recordings(
     else:
         sonar_map = SonarMap(settings())
         sessions, runs = _runs_as_asked(sessions, arguments, sonar_map, damaged)
+    fixes = () if arguments.fixes is None else FixFile(arguments.fixes).fixes(sonar_map.config)
     ready()
     if arguments.store is not None:
         return _stored(sessions, sonar_map.config, arguments.pose, arguments.store, trajectory)
     facts: dict[str, Any] = {}
     if arguments.align:
-        odometry, facts["alignment"] = _aligned(
-            sessions[0], sonar_map.config, arguments.out, arguments.fixes
-        )
+        odometry, facts["alignment"] = _aligned(sessions[0], sonar_map.config, arguments.out, fixes)
         aligned = sessions_of(paths, damaged, odometry)
         runs = [as_asked(session, None, sonar_map.config) for session in aligned]
     window = Window(arguments.start_s, arguments.duration_s)
@@ -176,7 +175,10 @@ def _require_alignable(runs: Sequence[Run]) -> None:
 
 
 def _aligned(
-    session: RecordedSession, config: Config, out: Path, fixes: Path | None
+    session: RecordedSession,
+    config: Config,
+    out: Path,
+    fixes: tuple[tuple[int, float, float, float], ...],
 ) -> tuple[OdometryFiles | None, dict[str, Any]]:
     """Align a session and write the results; return the odometry to map with, and the verdict."""
     from mapperd.alignment.align import DiveInput, align  # noqa: PLC0415 needs an extra
@@ -188,8 +190,7 @@ def _aligned(
     def progress(share: float, _: str) -> None:
         bar.show(share, len(reader.submaps))
 
-    known = () if fixes is None else FixFile(fixes).fixes(config)
-    dive = DiveInput(session.paths[0].stem, reader, fixes=known)
+    dive = DiveInput(session.paths[0].stem, reader, fixes=fixes)
     alignment = align([dive], progress=progress)
     bar.close(len(reader.submaps))
     folder = out / ALIGNMENT_FOLDER

@@ -1,6 +1,6 @@
 """Trajectories in text files: TUM, and CSV with a header.
 
-Each pose becomes a chunk with a native record, like recorded odometry.
+Each pose becomes a chunk with a native record, like recorded odometry. Position fixes are CSV, too.
 """
 
 import csv
@@ -18,7 +18,7 @@ from mapperd.odometry.records import MAX_DISTANCE_M, bad_numbers, bad_quaternion
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording import ODOMETRY_NATIVE, Chunk
 
-__all__ = ["FINISHED", "POSES_LINK", "CsvFile", "TumFile", "pose_chunk"]
+__all__ = ["FINISHED", "POSES_LINK", "CsvFile", "FixFile", "TumFile", "pose_chunk"]
 
 POSES_LINK = "file:poses"
 """Link of finished poses; no configured source can have this name."""
@@ -272,7 +272,7 @@ FIX_POSITIONS = tuple(
     )
     for names in ((*place, DEVIATION), place)
 )
-DEFAULT_DEVIATION_M = 1.0
+MIN_DEVIATION_M, DEFAULT_DEVIATION_M = 0.001, 1.0
 
 
 class FixFile(CsvFile):
@@ -308,8 +308,9 @@ class FixFile(CsvFile):
                         x, y = self._east_north(line, x, y, origin)
                     if not (abs(x) <= MAX_DISTANCE_M and abs(y) <= MAX_DISTANCE_M):
                         raise self._bad(line, f"position ({x:g}, {y:g}) m is out of range")
-                    if not 0 < deviation_m <= MAX_DISTANCE_M:
-                        raise self._bad(line, f"{DEVIATION} is {deviation_m:g}; above 0 m")
+                    if not MIN_DEVIATION_M <= deviation_m <= MAX_DISTANCE_M:
+                        text = f"{DEVIATION} is {deviation_m:g}; at least {MIN_DEVIATION_M:g} m"
+                        raise self._bad(line, text)
                     found.append((stamp_ns + self._offset_ns, x, y, deviation_m))
         except UnicodeDecodeError as error:
             raise RecordingError(f"{self.path}: not UTF-8 text (byte {error.start})") from error

@@ -168,6 +168,11 @@ def _check_files(dive: SurveyDive, folder: Path, here: str) -> None:
             )
     if dive.fixes is not None and not (folder / dive.fixes).is_file():
         raise SurveyMissingError(f"{here}.fixes: {dive.fixes}: there is no such file")
+    if dive.fixes is not None and dive.transform is not None:
+        raise SurveySettingsError(
+            f"{here}: has a transform and fixes; allowed: one of them, for either determines where "
+            "the dive lies in the survey"
+        )
     if dive.transform is not None and dive.localization is not None:
         raise SurveySettingsError(
             f"{here}: has a transform and localization; allowed: one of them, for either "

@@ -1,0 +1,154 @@
+"""Alignment by position fixes alone: a long drifting line without sonar data."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mapperd.alignment.align import Alignment, DiveInput, align, odometry_step
+from mapperd.alignment.submaps import DiveSubmaps, OdometryTrack, compose, inverse
+from mapperd.errors import ReplayError
+
+Floats = NDArray[np.float64]
+
+COUNT = 1050
+"""At 1 m/s and 2.5 records a second: 420 m."""
+
+SITE_T_LINE = np.array([100.0, 200.0, 0.7])
+T_NS = np.arange(COUNT, dtype=np.int64) * 400_000_000
+
+
+def line() -> Floats:
+    return np.column_stack([0.4 * np.arange(COUNT), np.zeros((COUNT, 2))])
+
+
+def drifting(truth: Floats) -> Floats:
+    """4 % too long, 0.02 rad aside, turning by two degrees a minute."""
+    turn = math.radians(2.0) / 60 * 0.4
+    odometry = [truth[0]]
+    for a, b in itertools.pairwise(truth):
+        x, y, yaw = compose(inverse(a), b)
+        step = np.array([1.04 * x - 0.02 * y, 0.02 * x + 1.04 * y, yaw + turn])
+        odometry.append(compose(odometry[-1], step))
+    return np.array(odometry)
+
+
+def track_of(odometry: Floats, deviation_m: Floats | None = None) -> OdometryTrack:
+    half = odometry[:, 2] / 2
+    zero = np.zeros(COUNT)
+    return OdometryTrack(
+        T_NS,
+        np.column_stack([odometry[:, :2], zero]),
+        np.column_stack([np.cos(half), zero, zero, np.sin(half)]),
+        np.zeros(COUNT, dtype=np.int64),
+        zero if deviation_m is None else deviation_m,
+    )
+
+
+def known() -> Floats:
+    return compose(np.broadcast_to(SITE_T_LINE, (COUNT, 3)), line())
+
+
+def fixes_at(
+    shares: tuple[float, ...], deviation_m: float
+) -> list[tuple[int, float, float, float]]:
+    rows = [round(share * (COUNT - 1)) for share in shares]
+    return [(int(T_NS[k]), *known()[k, :2].tolist(), deviation_m) for k in rows]
+
+
+def aligned(
+    fixes: list[tuple[int, float, float, float]], odometry: Floats, name: str = "dive"
+) -> Alignment:
+    return align([given(fixes, odometry, name)])
+
+
+def given(fixes: list[tuple[int, float, float, float]], odometry: Floats, name: str) -> DiveInput:
+    track = track_of(odometry)
+    return DiveInput(name, lambda _: DiveSubmaps(track, [], [], 0), fixes=tuple(fixes))
+
+
+def rms_m(a: Floats, b: Floats) -> float:
+    return float(np.sqrt(((a - b)[:, :2] ** 2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize("deviation_m", [0.02, 0.3, 1.0])
+def test_fixes_bend_a_long_line_whatever_their_deviation(deviation_m: float) -> None:
+    odometry = drifting(line())
+    found = aligned(fixes_at((0.0, 0.3, 0.6, 0.8, 1.0), deviation_m), odometry)
+    assert found.corrected, found.reason
+    drift_m = rms_m(odometry, line())
+    assert rms_m(found.dives[0].poses_at(T_NS), known()) < 0.05 * drift_m
+    assert found.figures["fixes_accepted"] == 5
+
+
+def test_a_wrong_fix_is_refused() -> None:
+    fixes = fixes_at((0.0, 0.2, 0.4, 0.6, 0.8, 1.0), 0.3)
+    fixes.append((int(T_NS[500]), 900.0, -300.0, 0.3))
+    found = aligned(fixes, drifting(line()))
+    assert found.corrected
+    assert found.figures["fixes_accepted"] == 6
+    assert found.figures["fixes_unreachable"] == 1
+    assert rms_m(found.dives[0].poses_at(T_NS), known()) < 2.0
+
+
+def test_good_odometry_is_placed_as_it_is() -> None:
+    found = aligned(fixes_at((0.0, 0.3, 0.6, 1.0), 0.3), line())
+    assert found.corrected
+    assert rms_m(found.dives[0].poses_at(T_NS), known()) < 0.05
+
+
+@pytest.mark.parametrize("shares", [(0.5,), (0.0, 0.002, 0.004)])
+def test_fixes_at_one_place_correct_nothing_and_leave_the_frame(shares: tuple[float, ...]) -> None:
+    odometry = drifting(line())
+    found = aligned(fixes_at(shares, 0.3), odometry)
+    assert not found.corrected
+    assert rms_m(found.dives[0].poses_at(T_NS), odometry) < 1e-6
+    # The heading is the odometry's: no fix tells it. Uncertainty counts from the first pose.
+    assert found.figures["deviation_m"] < 1.1 * found.figures["odometry_deviation_m"]
+
+
+def test_the_covariance_of_what_was_refused_is_that_of_the_odometry() -> None:
+    odometry = drifting(line())
+    alone, fixed = (aligned(some, odometry) for some in ([], fixes_at((0.0, 1.0), 0.3)))
+    assert not fixed.corrected
+    last = (one.dives[0].covariance[-1, :2, :2].trace() for one in (alone, fixed))
+    assert next(last) == pytest.approx(next(last), rel=1e-3)
+
+
+def test_fixes_of_another_time_are_an_error() -> None:
+    fixes = [(int(T_NS[-1]) + 10**12, 1.0, 2.0, 1.0)]
+    with pytest.raises(ReplayError, match="within the dive"):
+        aligned(fixes, line())
+
+
+def test_dives_with_fixes_of_their_own_share_the_frame_of_the_fixes() -> None:
+    shares = (0.0, 0.3, 0.6, 0.8, 1.0)
+    turned = compose(np.broadcast_to(np.array([-30.0, 5.0, 2.0]), (COUNT, 3)), drifting(line()))
+    dives = [
+        given(fixes_at(shares, 0.3), drifting(line()), "one"),
+        given(fixes_at(shares, 0.3), turned, "two"),
+    ]
+    found = align(dives)
+    assert found.corrected, found.reason
+    for dive in found.dives:
+        assert rms_m(dive.poses_at(T_NS), known()) < 1.0
+
+
+def test_a_dive_that_nothing_joins_to_the_fixed_one_is_refused() -> None:
+    dives = [
+        given([], drifting(line()), "loose"),
+        given(fixes_at((0.0, 0.3, 0.6, 1.0), 0.3), drifting(line()), "fixed"),
+    ]
+    found = align(dives)
+    assert not found.corrected
+    assert "loose" in found.reason
+
+
+@pytest.mark.parametrize("before_m", [0.0, 3.0, 8.0])
+def test_missing_velocity_counts_whatever_was_unsure_before(before_m: float) -> None:
+    # Variances add: an outage of 2 m late in a dive adds little to the standard deviation.
+    grown = np.where(np.arange(COUNT) > 500, math.hypot(before_m, 2.0), before_m)
+    step = odometry_step(track_of(line(), grown), int(T_NS[490]), int(T_NS[510]))
+    assert 1.0 < step.loose_m <= 2.0
