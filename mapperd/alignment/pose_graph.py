@@ -73,7 +73,7 @@ class DriftModel:
     memory_s: float = 60.0
     noise_m: float = 0.02
     noise_rad: float = math.radians(0.05)
-    registration_scale: float = 0.01
+    registration_scale: float = 0.007
     registration_turn: float = 0.02
 
 
