@@ -6,7 +6,6 @@ leaves in the original direction.
 """
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +14,9 @@ from sonar_sim import _core
 from sonar_sim.propagation.clouds import cloud_gain
 from sonar_sim.propagation.physics import SoundSpeedProfile
 from sonar_sim.propagation.propagation_path import LEG_SIZE, PingGeometry
-from sonar_sim.raycast.fan import RayFan, refined_fan
+from sonar_sim.raycast.fan import RayFan
 from sonar_sim.raycast.meshes import NOTHING, Hits
-from sonar_sim.raycast.tracing import BEHIND, Trace, edges_of, joined_fan, spans
-
-Number = TypeVar("Number", np.float32, np.float64, np.int32)
+from sonar_sim.raycast.tracing import BEHIND, Trace, edges_of, merged, refined_fan, spans
 
 SEGMENTS = 16
 """Straight pieces of a bent ray."""
@@ -41,24 +38,39 @@ def refracted_paths(
     Returns:
         The rays, with ranges by time along the directions in which they left; and the ways.
     """
-    start, found = _followed(here, layers, fan, reach_m, speed_mps)
-    edges = edges_of(here.meshes, fan, start.astype(np.float32), found[0].met)
-    if len(edges):
-        more = refined_fan(fan, edges)
-        fan = joined_fan(fan, edges, more)
-        more_start, more_found = _followed(here, layers, more, reach_m, speed_mps)
-        start = _core.inserted(start, edges, more_start)
-        found = [a.with_more(edges, b) for a, b in zip(found, more_found, strict=True)]
+    start, found = _followed(here, layers, fan.directions, reach_m, speed_mps)
+    met = found[0].met
+    edges = edges_of(here.meshes, fan, start.astype(np.float32), met)
+    bending = np.stack([layers.depth_m, layers.speed_mps], axis=1).astype(np.float64)
+    fan, source = refined_fan(
+        here.meshes,
+        fan,
+        met,
+        edges,
+        map_T_sonar=here.pose,
+        time_s=here.time_s,
+        reach_m=reach_m,
+        layers=bending,
+    )
+    new = source < 0
+    if new.any():
+        more_start, more = _followed(here, layers, fan.directions[new], reach_m, speed_mps)
+        start = merged(start, source, more_start)
+        found = [a.with_more(source, b) for a, b in zip(found, more, strict=True)]
     mets = tuple(layer.met for layer in found)
     trace = Trace(fan, start.astype(np.float32), here.pose.position_m, mets)
     return trace, [_ways(here, fan, start, layer) for layer in found]
 
 
 def _followed(
-    here: PingGeometry, layers: SoundSpeedProfile, fan: RayFan, reach_m: float, speed_mps: float
+    here: PingGeometry,
+    layers: SoundSpeedProfile,
+    directions: NDArray[np.float32],
+    reach_m: float,
+    speed_mps: float,
 ) -> tuple[NDArray[np.float64], list["_Found"]]:
     """Directions in which rays leave, map frame, (N, 3), and what they meet, first and behind."""
-    start = fan.directions.astype(np.float64) @ here.pose.rotation.T
+    start = directions.astype(np.float64) @ here.pose.rotation.T
     point = np.broadcast_to(here.pose.position_m, start.shape).copy()
     direction, step_m = start.copy(), reach_m / SEGMENTS
     found = [_Found.nothing(start) for _ in range(1 if here.physics.shadows else 1 + BEHIND)]
@@ -101,18 +113,14 @@ class _Found:
         group = np.zeros(count, dtype=np.int32)
         return cls(np.full(count, np.inf), face, group, start.copy(), np.zeros_like(start))
 
-    def with_more(self, after: NDArray[np.int64], more: "_Found") -> "_Found":
-        """With others between them, as many after each place."""
-
-        def both(own: NDArray[Number], others: NDArray[Number]) -> NDArray[Number]:
-            return _core.inserted(np.ascontiguousarray(own), after, np.ascontiguousarray(others))
-
+    def with_more(self, source: NDArray[np.int32], more: "_Found") -> "_Found":
+        """Of a finer fan's rays; see `merged`."""
         return _Found(
-            both(self.range_m, more.range_m),
-            both(self.face, more.face),
-            both(self.group, more.group),
-            both(self.arrival, more.arrival),
-            both(self.place_m, more.place_m),
+            merged(self.range_m, source, more.range_m),
+            merged(self.face, source, more.face),
+            merged(self.group, source, more.group),
+            merged(self.arrival, source, more.arrival),
+            merged(self.place_m, source, more.place_m),
         )
 
     @property
