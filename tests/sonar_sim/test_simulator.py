@@ -117,9 +117,9 @@ def test_seen_surface_is_what_lies_in_the_aperture_and_is_not_hidden(
 def test_rays_and_scatterers_are_as_asked_for(plate: Plate, level_pose: FramePose) -> None:
     scene = plate((4.0, 0.0, 0.0), (0.0, 30.0, 0.0), (0.0, 0.0, 8.0))
     usual = Simulator(scene, SONAR).ping(level_pose)
-    fewer_rays = Simulator(scene, SONAR, elevations=32).ping(level_pose)
+    fewer_rays = Simulator(scene, SONAR, elevations=16).ping(level_pose)
     fewer_scatterers = Simulator(scene, SONAR, nodes_per_beam=2.0).ping(level_pose)
     # As many points in sight as rays meet the plate.
-    assert len(fewer_rays.seen_m) == pytest.approx(len(usual.seen_m) / 4, rel=0.1)
+    assert len(fewer_rays.seen_m) == pytest.approx(len(usual.seen_m) / 4, rel=0.2)
     assert np.array_equal(fewer_scatterers.seen_m, usual.seen_m)
     assert not np.array_equal(fewer_scatterers.image, usual.image)

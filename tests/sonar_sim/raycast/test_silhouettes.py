@@ -68,7 +68,7 @@ def test_cut_cells_cover_what_they_did_before() -> None:
     cell, direction = fan.cell, fan.directions
     assert (cell[:, 1] > cell[:, 0]).all()
     assert (cell[:, 3] > cell[:, 2]).all()
-    inside = np.abs(direction[:, 1]) < 0.8
+    inside = np.abs(direction[:, 1]) < 0.7
     assert (-direction[inside, 1] > cell[inside, 0] - 1e-6).all()
     assert (-direction[inside, 1] < cell[inside, 1] + 1e-6).all()
 

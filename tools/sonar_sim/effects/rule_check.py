@@ -16,6 +16,7 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
+from sonar_sim.effects.effect import Cost
 from sonar_sim.effects.image_difference import (
     Tolerance,
     expected_clipped,
@@ -80,7 +81,12 @@ class RuleCheck:
     def faults(self) -> tuple[str, ...]:
         """What is wrong, a line each."""
         wrong = [] if self.left_out.within(self.tolerance) else [f"left out: {self.left_out}"]
-        idle = [f"{n}: {c}" for n, c in self.without.items() if c.within(self.tolerance)]
+        # What costs next to nothing is decided by bounds.
+        idle = [
+            f"{n}: {c}"
+            for n, c in self.without.items()
+            if c.within(self.tolerance) and EFFECTS[n].cost not in (Cost.FREE, Cost.ROW)
+        ]
         return (*wrong, *idle)
 
 

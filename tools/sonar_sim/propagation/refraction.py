@@ -5,6 +5,7 @@ follows from the travel time, its direction is that of arrival, and it is turned
 leaves in the original direction.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +19,9 @@ from sonar_sim.raycast.fan import RayFan
 from sonar_sim.raycast.meshes import NOTHING, Hits
 from sonar_sim.raycast.tracing import BEHIND, Trace, edges_of, merged, refined_fan, spans
 
-SEGMENTS = 16
-"""Straight pieces of a bent ray."""
+SEGMENTS = (2, 16)
+"""Straight pieces of a bent ray: as few as keep each within `SAGITTA_M` of its arc."""
+SAGITTA_M = 1e-3
 STEEP = 1e-6
 
 
@@ -71,11 +73,14 @@ def _followed(
 ) -> tuple[NDArray[np.float64], list["_Found"]]:
     """Directions in which rays leave, map frame, (N, 3), and what they meet, first and behind."""
     start = directions.astype(np.float64) @ here.pose.rotation.T
-    point = np.broadcast_to(here.pose.position_m, start.shape).copy()
-    direction, step_m = start.copy(), reach_m / SEGMENTS
     found = [_Found.nothing(start) for _ in range(1 if here.physics.shadows else 1 + BEHIND)]
-    passed_m = np.zeros(len(start))
-    for segment in range(SEGMENTS):
+    segments = _segments(layers, reach_m)
+    step_m = reach_m / segments
+    # Rays that are still on their way.
+    ray = np.arange(len(start))
+    point = np.broadcast_to(here.pose.position_m, start.shape).copy()
+    direction, passed_m = start.copy(), np.zeros(len(start))
+    for segment in range(segments):
         speed, direction = _turned(layers, point, direction, step_m)
         # From the sonar, and not from points of its own, rays leave the face that it may lie in.
         start_m = point if segment else here.pose.position_m
@@ -84,16 +89,27 @@ def _followed(
         )
         new = np.flatnonzero(met.face >= 0)
         for layer in found:
-            rays = new[layer.face[new] == NOTHING]
-            way_m = met.range_m[rays].astype(np.float64)
-            layer.face[rays], layer.group[rays] = met.face[rays], met.group[rays]
-            layer.arrival[rays] = direction[rays]
-            layer.place_m[rays] = point[rays] + way_m[:, None] * direction[rays]
-            layer.range_m[rays] = passed_m[rays] + way_m * speed_mps / speed[rays]
-            new = np.setdiff1d(new, rays, assume_unique=True)
-        point += step_m * direction
-        passed_m += step_m * speed_mps / speed
+            own = new[layer.face[ray[new]] == NOTHING]
+            way_m, its = met.range_m[own].astype(np.float64), ray[own]
+            layer.face[its], layer.group[its] = met.face[own], met.group[own]
+            layer.arrival[its] = direction[own]
+            layer.place_m[its] = point[own] + way_m[:, None] * direction[own]
+            layer.range_m[its] = passed_m[own] + way_m * speed_mps / speed[own]
+            new = np.setdiff1d(new, own, assume_unique=True)
+        going = found[-1].face[ray] == NOTHING
+        ray, direction = ray[going], direction[going]
+        point = point[going] + step_m * direction
+        passed_m = passed_m[going] + step_m * speed_mps / speed[going]
     return start, found
+
+
+def _segments(layers: SoundSpeedProfile, reach_m: float) -> int:
+    """Pieces of a ray: over a length L, an arc of curvature k leaves its chord by k L² / 8."""
+    depth_m, speed_mps = np.asarray(layers.depth_m), np.asarray(layers.speed_mps)
+    slope = np.abs(np.diff(speed_mps) / np.maximum(np.diff(depth_m), 1e-9))
+    curvature = float(slope.max(initial=0.0) / speed_mps.min())
+    wanted = math.ceil(reach_m * math.sqrt(curvature / (8.0 * SAGITTA_M)))
+    return min(max(wanted, SEGMENTS[0]), SEGMENTS[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
