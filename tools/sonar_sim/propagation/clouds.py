@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.physics import Cloud, Physics
+from sonar_sim.raycast.fan import solid_angle_sr
 from sonar_sim.raycast.tracing import Trace
 from sonar_sim.scene.sonar import SonarSettings
 
@@ -70,16 +71,15 @@ def cloud_power(
     end = np.where(first.face >= 0, first.range_m, np.inf).astype(np.float64)
     row_m = sonar.range_resolution_m / physics.range_scale
     power = np.zeros((sonar.rows, trace.fan.columns))
-    weight = trace.fan.solid_angle_sr
-    if physics.vertical_width_rad is not None:
-        up = trace.fan.directions[:, 2].astype(np.float64)
-        weight = weight * vertical_two_way_power(up, physics.vertical_width_rad)
     middle_m = sonar.row_centres_m[:, None] / physics.range_scale
     for cloud in physics.clouds:
         enter, leave = box_crossing(cloud, trace.origin_m, trace.direction, end)
         inside = np.flatnonzero(leave > enter)
         column = trace.fan.column[inside]
-        share = weight[inside]
+        share = solid_angle_sr(*trace.fan.cell[inside].T.astype(np.float64))
+        if physics.vertical_width_rad is not None:
+            up = trace.fan.directions[inside, 2].astype(np.float64)
+            share *= vertical_two_way_power(up, physics.vertical_width_rad)
         filled = _filled(enter[inside] / row_m, leave[inside] / row_m, column, share, power.shape)
         total = np.maximum(np.bincount(column, share, trace.fan.columns), 1e-30)
         mean_enter = np.bincount(column, share * enter[inside], trace.fan.columns) / total
