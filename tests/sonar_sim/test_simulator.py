@@ -50,9 +50,10 @@ def test_echo_off_the_plane_shows_at_the_bearing_of_its_cone(
     )
     across = (0.1 * math.sin(azimuth), 0.1 * math.cos(azimuth), 0.0)
     small = plate(tuple(at), across, (0.0, 0.0, 0.1))
-    image = Simulator(small, SONAR, effects="auto,-speckle,-noise").ping(level_pose, 0).image
+    images = [Simulator(small, SONAR, seed).ping(level_pose, 0).image for seed in range(5)]
     table_deg = bearing_table_cdeg(SONAR.beams, SONAR.half_aperture_rad) / 100.0
-    assert table_deg[brightest(image)[1]] == pytest.approx(39.27, abs=0.5)
+    found = [table_deg[brightest(image)[1]] for image in images]
+    assert np.median(found) == pytest.approx(39.27, abs=0.5)
 
 
 def test_mounting_looks_down_with_the_fan_across_and_roll_turns_it_to_port(plate: Plate) -> None:

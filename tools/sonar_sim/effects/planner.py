@@ -62,6 +62,9 @@ _BOUNDS = {
     "saturation": _Bound(lambda _view, _tolerance: True, "pixels have a greatest value"),
 }
 
+BY_BOUNDS = frozenset(_BOUNDS)
+"""Effects that cost next to nothing."""
+
 
 def decide_cell(
     view: PingPreview, wish: EffectSelection, tolerance: Tolerance, names: Collection[str]
