@@ -17,7 +17,7 @@ EFFECT, TOLERANCE = "sim.effect.", "sim.tolerance."
 
 ELEVATIONS = 128
 NODES_PER_BEAM = 8.0
-"""Rays of a column and scatterers in a row of a beam's width with which the figures are recorded."""
+"""Rays of a column and scatterers in a row of a beam with which the figures are recorded."""
 
 
 @dataclass(frozen=True, slots=True)
