@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from mapperd.compat.flat_config import SonarMapperConfig
-    from mapperd.compat.octree_mapper import OctreeMapper
+    from mapperd.compat.octree_mapper import OctreeMapper, ProbabilityUpdater
     from mapperd.compat.parameters import (
         CROSSTALK_PARAMS,
         MAPPER_PARAMS,
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
         ParameterManager,
         ParameterNode,
     )
-    from mapperd.compat.probability_updater import ProbabilityUpdater
     from mapperd.compat.sonar_to_3d import SonarTo3DMapper
     from mapperd.geometry.gaussian import PlanarGaussian
     from mapperd.imaging.filter_chain import CrosstalkFilter
@@ -62,7 +61,7 @@ _MODULES = {
     "PlanarGaussian": "mapperd.geometry.gaussian",
     "scan_of_ranges": "mapperd.localization.scan",
     "OctreeMapper": "mapperd.compat.octree_mapper",
-    "ProbabilityUpdater": "mapperd.compat.probability_updater",
+    "ProbabilityUpdater": "mapperd.compat.octree_mapper",
     "SonarTo3DMapper": "mapperd.compat.sonar_to_3d",
     "CrosstalkFilter": "mapperd.imaging.filter_chain",
     "MemoryStats": "mapperd.mapping.queries",

@@ -13,8 +13,7 @@ from mapperd.errors import ExportError
 from mapperd.export.calibration import ProbabilityCalibration
 from mapperd.export.cells import NO_TOP, GridLayer, GridWindow, Heights, Tops, known_cells
 from mapperd.export.clouds import write_pcd, write_ply, write_xyz
-from mapperd.export.geotiff import write_geotiff
-from mapperd.export.las import write_las
+from mapperd.export.geotiff import write_geotiff, write_las
 from mapperd.geometry.geodesy import Origin, local_projection, utm_zone
 from mapperd.io import atomic_file
 from mapperd.mapping.queries import MapContent, VoxelCloud

@@ -14,10 +14,9 @@ from mapperd.client.changes import (
     MapReset,
 )
 from mapperd.foxglove.channels import ChannelMessage, Channels
-from mapperd.foxglove.geometry import stamp
+from mapperd.foxglove.geometry import PathDrawing, stamp
 from mapperd.foxglove.map_publisher import MapPublisher, PublishPace
 from mapperd.foxglove.messages import Follows, StateMessages, values_of
-from mapperd.foxglove.scene import PathDrawing
 from mapperd.wire.messages import (
     EventMessage,
     FanMessage,

@@ -24,15 +24,17 @@ from mapperd.client.mirror import MapMirror
 from mapperd.client.validation import image_of
 from mapperd.foxglove.geometry import (
     Frames,
+    covariance_scene,
+    fan_scene,
     odometry,
     particle_poses,
     planar_fix,
     pose_in_frame,
+    robots_scene,
     stamp,
     transforms,
 )
 from mapperd.foxglove.map_publisher import returns_cloud, scan_cloud
-from mapperd.foxglove.scene import covariance_scene, fan_scene, robots_scene
 from mapperd.wire.messages import (
     FanMessage,
     ImageMessage,

@@ -9,7 +9,7 @@ import msgspec
 from mapperd.api import DaemonApi
 from mapperd.config.tree import Config, FramesConfig
 from mapperd.geometry.frames import pose_from_rpy
-from mapperd.telemetry.outbox import Kind, Outbox, QueuedMessage
+from mapperd.telemetry.broker import Kind, Outbox, QueuedMessage
 from mapperd.telemetry.topics import Topics
 
 __all__ = [

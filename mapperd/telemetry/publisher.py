@@ -12,7 +12,7 @@ from mapperd.config.catalog import parameters, value_of
 from mapperd.config.tree import Config
 from mapperd.events import Severity
 from mapperd.telemetry import payloads
-from mapperd.telemetry.outbox import Kind, Outbox, QueuedMessage
+from mapperd.telemetry.broker import Kind, Outbox, QueuedMessage
 from mapperd.telemetry.payloads import LocalizationReporter, Throttle
 from mapperd.telemetry.topics import Topics
 

@@ -16,10 +16,9 @@ from mapperd.viewer.camera import CameraMode, Cameras, whole_view
 from mapperd.viewer.health import Health
 from mapperd.viewer.map_layer import MapLayer
 from mapperd.viewer.panel import Panel
-from mapperd.viewer.save import MapRecorder, SaveControls
 from mapperd.viewer.settings import SettingsPanel
 from mapperd.viewer.sonar_panel import IMAGE_S, SonarPanel
-from mapperd.viewer.tools import Tools, pick
+from mapperd.viewer.tools import MapRecorder, SaveControls, Tools, pick
 from mapperd.wire.messages import (
     ImageMessage,
     PoseMessage,

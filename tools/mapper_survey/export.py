@@ -16,8 +16,7 @@ from mapper_survey.windows import WINDOW_BRICKS, ColumnWindow, Tiling, WindowedM
 from mapperd.config.tree import Config
 from mapperd.export.cells import Heights
 from mapperd.export.clouds import write_points
-from mapperd.export.geotiff import NO_DATA, GridPlace, RasterBand, write_tiles
-from mapperd.export.las import las_cloud
+from mapperd.export.geotiff import NO_DATA, GridPlace, RasterBand, las_cloud, write_tiles
 from mapperd.geometry.geodesy import Origin, local_projection, utm_zone
 from mapperd.io import atomic_file, make_folder
 from mapperd.mapping.sonar_map import SonarMap, Voxels

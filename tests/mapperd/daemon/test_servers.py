@@ -20,7 +20,7 @@ from mapperd.imaging.ping_image import PingImage
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import FixedPose
 from mapperd.pipeline.worker import snapshot_reader
-from mapperd.telemetry.outbox import Outbox
+from mapperd.telemetry.broker import Outbox
 from mapperd.telemetry.publisher import Reporter
 from mapperd.telemetry.topics import Topics
 from tests.mapperd.telemetry.conftest import drained

@@ -10,8 +10,7 @@ import pytest
 import rasterio
 from numpy.typing import NDArray
 
-from mapperd.export.geotiff import NO_DATA, GridPlace, RasterBand, write_tiles
-from mapperd.export.las import las_cloud, write_las
+from mapperd.export.geotiff import NO_DATA, GridPlace, RasterBand, las_cloud, write_las, write_tiles
 from mapperd.geometry.geodesy import Origin
 from mapperd.mapping.sonar_map import SonarMap, Voxels
 

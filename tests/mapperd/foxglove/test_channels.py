@@ -9,10 +9,16 @@ import pytest
 import zstandard
 
 from mapperd.client.mirror import Cells
-from mapperd.foxglove.geometry import Frames, transforms
+from mapperd.foxglove.geometry import (
+    Frames,
+    PathDrawing,
+    covariance_scene,
+    fan_scene,
+    robots_scene,
+    transforms,
+)
 from mapperd.foxglove.map_publisher import map_cloud, map_rows
 from mapperd.foxglove.messages import COLOURS, FanShape, StateMessages, annotations, colour_image
-from mapperd.foxglove.scene import PathDrawing, covariance_scene, fan_scene, robots_scene
 from mapperd.wire.messages import ImageMessage, ReturnsMessage, RobotsMessage
 from tests.mapperd.foxglove.foxglove_fakes import (
     FAN,

@@ -11,7 +11,7 @@ from mapperd.config.live import ConfigStore
 from mapperd.config.loader import config_of
 from mapperd.events import EventLog
 from mapperd.localization.report import localization_report, localization_summary
-from mapperd.telemetry.outbox import Kind, Outbox, QueuedMessage
+from mapperd.telemetry.broker import Kind, Outbox, QueuedMessage
 
 if TYPE_CHECKING:
     from mapperd.localization.status import LocalizationSnapshot

@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapperd.telemetry.outbox import Kind, Outbox, QueuedMessage
+from mapperd.telemetry.broker import Kind, Outbox, QueuedMessage
 from tests.mapperd.telemetry.conftest import message
 
 LIMIT = 10

@@ -6,7 +6,7 @@ import pytest
 from mapperd.config.catalog import parameters, value_of
 from mapperd.config.live import Applied
 from mapperd.events import Severity
-from mapperd.telemetry.outbox import Kind, Outbox
+from mapperd.telemetry.broker import Kind, Outbox
 from mapperd.telemetry.publisher import Reporter
 from mapperd.telemetry.topics import Topics
 from tests.mapperd.telemetry.conftest import POSE, ROBOT, T0_S, FakeVehicle, below, drained

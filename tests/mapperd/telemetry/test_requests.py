@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapperd.config.tree import AmclConfig
-from mapperd.telemetry.outbox import Kind, Outbox
-from mapperd.telemetry.requests import TelemetryRequests
+from mapperd.telemetry.broker import Kind, Outbox
+from mapperd.telemetry.telemetry import TelemetryRequests
 from mapperd.telemetry.topics import Topics
 from tests.mapperd.telemetry.conftest import ROOT, FakeVehicle, drained
 

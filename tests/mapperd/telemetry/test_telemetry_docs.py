@@ -5,11 +5,16 @@ from pathlib import Path
 
 from mapperd.config.loader import config_from_text
 from mapperd.events import Severity
-from mapperd.telemetry.broker import TIMEOUT_S
-from mapperd.telemetry.outbox import Kind, Outbox
+from mapperd.telemetry.broker import TIMEOUT_S, Kind, Outbox
 from mapperd.telemetry.publisher import Reporter
-from mapperd.telemetry.requests import MAX_BYTES, MAX_ID, MAX_WAITING, REMEMBERED
-from mapperd.telemetry.telemetry import MAX_RETRY_DELAY_S, RETRY_DELAY_S
+from mapperd.telemetry.telemetry import (
+    MAX_BYTES,
+    MAX_ID,
+    MAX_RETRY_DELAY_S,
+    MAX_WAITING,
+    REMEMBERED,
+    RETRY_DELAY_S,
+)
 from mapperd.telemetry.topics import MAX_NAME, Topics
 from tests.mapperd.localization.believed import snapshot
 from tests.mapperd.telemetry.conftest import POSE, ROBOT, T0_S, FakeVehicle, below

@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from mapperd.cli.mapperctl import view
 from mapperd.errors import ExportError
 from mapperd.foxglove.recording import FoxgloveRecording
-from mapperd.viewer.save import SaveControls
+from mapperd.viewer.tools import SaveControls
 from tests.mapperd.foxglove import foxglove_fakes as fakes
 from tests.support.waiting import until
 

@@ -19,7 +19,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
     "`mapping.Voxels`, `map_queries`, the client's mirror, LAS": _in(
         "mapperd/",
         "client/mirror.py compat/sonar_to_3d.py "
-        "export/calibration.py export/clouds.py export/las.py mapping/queries.py "
+        "export/calibration.py export/clouds.py mapping/queries.py "
         "mapping/sonar_map.py",
     ),
     "`echo`": _in("mapperd/", "imaging/ping_image.py"),
