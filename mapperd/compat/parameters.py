@@ -71,10 +71,6 @@ class SetParametersResult:
 FIXED: dict[str, Any] = {
     "octree.dynamic_expansion": True,
     "octree.use_cpp_backend": True,
-    "topics.sonar": "/sensor/sonar/oculus/m750d/image",
-    "topics.odometry": "/fast_lio/odometry",
-    "topics.pointcloud": "/sonar_3d_map",
-    "topics.marker": "/sonar_3d_map_markers",
     "visualization.pointcloud_publish_rate": 10.0,
     "visualization.show_opencv_visualization": False,
 }

@@ -87,10 +87,6 @@ IGNORED = MappingProxyType(
         "amcl.map_service": "maps come from localization.map_path and `mapperctl set_map`",
         "amcl.laser_z_max": NO_MAX_RANGE,
         "amcl.z_max": NO_MAX_RANGE,
-        "topics.sonar": "set device.address",
-        "topics.odometry": "set odometry.sources",
-        "topics.pointcloud": "the map stream and `mapperctl export` give the map",
-        "topics.marker": "the map stream shows the map",
         "visualization.pointcloud_publish_rate": "set stream.rate",
         "visualization.show_opencv_visualization": "`mapperctl view` shows the sonar's image",
     }

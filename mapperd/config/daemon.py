@@ -1,25 +1,30 @@
-"""Settings of the daemon: its service, the map on disk, exports, names of frames.
+"""Settings of the daemon and of the bridges: service, map on disk, exports, names, outputs.
 
 The sections `frames` and `visualization` come from a ROS node. Here they name frames in telemetry
 and bags, and pace the saves of the map.
 """
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Struct
 
 from mapperd.config.field import rule
+from mapperd.config.odometry import parse_address
 
 __all__ = [
     "BacklogConfig",
+    "ChangesConfig",
     "ExportConfig",
     "FramesConfig",
+    "MavlinkConfig",
     "MqttConfig",
     "OutOfCoreConfig",
     "RecordingConfig",
+    "Ros2Config",
     "ServerConfig",
     "ServiceConfig",
     "StreamConfig",
+    "TopicsConfig",
     "VisualizationConfig",
 ]
 
@@ -248,3 +253,146 @@ class VisualizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
         float,
         rule("Interval between saves of the map on disk.", "s", live=True, gt=0, le=3600),
     ] = 5.0
+
+
+TOPIC_PATTERN = "^/?[A-Za-z_][A-Za-z0-9_]{0,63}(/[A-Za-z_][A-Za-z0-9_]{0,63}){0,15}$"
+NO_OR_TOPIC_PATTERN = TOPIC_PATTERN.replace("^", "^(", 1)[:-1] + ")?$"
+
+
+class TopicsConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """Names of topics of `mapperctl ros2`; one without a leading / lies in `ros2.namespace`."""
+
+    sonar: Annotated[
+        str, rule("Image of each ping, published.", "a topic", pattern=TOPIC_PATTERN)
+    ] = "/sensor/sonar/oculus/m750d/image"
+    odometry: Annotated[
+        str,
+        rule(
+            "Odometry of others, subscribed and passed to `ros2.odometry_link`.",
+            "a topic",
+            pattern=TOPIC_PATTERN,
+        ),
+    ] = "/fast_lio/odometry"
+    pointcloud: Annotated[
+        str, rule("Occupied voxels, published.", "a topic", pattern=TOPIC_PATTERN)
+    ] = "/sonar_3d_map"
+    marker: Annotated[
+        str,
+        rule(
+            "Markers of other robots and of changes of the map, published.",
+            "a topic",
+            pattern=TOPIC_PATTERN,
+        ),
+    ] = "/sonar_3d_map_markers"
+
+
+class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True):
+    """The bridge `mapperctl ros2`; the daemon itself speaks no ROS."""
+
+    domain: Annotated[
+        int, rule("DDS domain, as ROS_DOMAIN_ID; -1 takes that variable, else 0.", ge=-1, le=232)
+    ] = -1
+    namespace: Annotated[
+        str,
+        rule("Namespace of relative topics and services.", "a name", pattern=NO_OR_TOPIC_PATTERN),
+    ] = "mapperd"
+    cloud_period: Annotated[
+        float, rule("Shortest time between two clouds or grids.", "s", ge=0.1, le=3600)
+    ] = 2.0
+    slice_height: Annotated[
+        float,
+        rule(
+            "Thickness of the horizontal slice around the vehicle that the grid shows; 0 shows "
+            "export.min_z to export.max_z.",
+            "m",
+            ge=0,
+            le=1000,
+        ),
+    ] = 0.0
+    odometry_link: Annotated[
+        str,
+        rule(
+            "Where subscribed odometry goes: the link of a source of format native, such as "
+            "udp://127.0.0.1:52200. Empty: odometry is not subscribed.",
+            "a link or nothing",
+            pattern="^(udp://.{1,300})?$",
+        ),
+    ] = ""
+    commands: Annotated[bool, rule("Accept initial poses, services and changes of parameters.")] = (
+        False
+    )
+
+
+class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """The bridge `mapperctl mavlink` to an autopilot; off until it has an address."""
+
+    address: Annotated[
+        str,
+        rule(
+            "Where the autopilot, or its router, listens: udp://HOST:PORT.",
+            "a link or nothing",
+            pattern="^(udp://.{1,300})?$",
+        ),
+    ] = ""
+    message: Annotated[
+        Literal["vision", "odometry"],
+        rule("Message of poses: VISION_POSITION_ESTIMATE, or ODOMETRY with the velocity."),
+    ] = "vision"
+    frame: Annotated[
+        Literal["ned", "frd"],
+        rule(
+            "Axes of poses: ned if the map's x is east and y north; frd if the map is turned by "
+            "an unknown heading, which gives its x as forward."
+        ),
+    ] = "ned"
+    poses: Annotated[
+        Literal["localization", "all"],
+        rule(
+            "localization: only poses by localization, while it is sure; all: those of the "
+            "odometry too, if it is a SLAM of its own and not this autopilot's."
+        ),
+    ] = "localization"
+    pose_rate: Annotated[float, rule("Maximum rate of poses; 0: none.", "Hz", ge=0, le=50)] = 10.0
+    obstacle_rate: Annotated[
+        float, rule("Maximum rate of OBSTACLE_DISTANCE; 0: none.", "Hz", ge=0, le=20)
+    ] = 5.0
+    obstacle_range: Annotated[
+        float, rule("Obstacles farther away are not reported.", "m", ge=1, le=100)
+    ] = 20.0
+    obstacle_height: Annotated[
+        float,
+        rule(
+            "Thickness of the horizontal slice around the vehicle that has obstacles.",
+            "m",
+            gt=0,
+            le=100,
+        ),
+    ] = 1.0
+    text_rate: Annotated[float, rule("Maximum rate of STATUSTEXT; 0: none.", "Hz", ge=0, le=10)] = (
+        1.0
+    )
+    system_id: Annotated[int, rule("System of the vehicle, as SYSID_THISMAV.", ge=1, le=255)] = 1
+    component_id: Annotated[int, rule("Component that messages come from.", ge=1, le=255)] = 197
+
+    def __post_init__(self) -> None:
+        """Check what no single field can.
+
+        Raises:
+            ValueError: the address has no host or port.
+        """
+        if self.address:
+            parse_address(self.address)
+
+
+class ChangesConfig(Struct, frozen=True, forbid_unknown_fields=True):
+    """What `mapperctl changes` reports of a live map against a known one."""
+
+    period: Annotated[float, rule("Time between two comparisons.", "s", ge=0.5, le=3600)] = 5.0
+    tolerance: Annotated[
+        float,
+        rule("Voxels within this distance are the same; 0: two voxels.", "m", ge=0, le=100),
+    ] = 0.0
+    min_voxels: Annotated[
+        int,
+        rule("Changes of fewer voxels that touch are not reported.", "voxels", ge=1, le=1_000_000),
+    ] = 20

@@ -14,14 +14,18 @@ from msgspec import Struct
 from mapperd.config.amcl import AmclConfig
 from mapperd.config.daemon import (
     BacklogConfig,
+    ChangesConfig,
     ExportConfig,
     FramesConfig,
+    MavlinkConfig,
     MqttConfig,
     OutOfCoreConfig,
     RecordingConfig,
+    Ros2Config,
     ServerConfig,
     ServiceConfig,
     StreamConfig,
+    TopicsConfig,
     VisualizationConfig,
 )
 from mapperd.config.device import DeviceConfig, WaterConfig
@@ -40,6 +44,7 @@ __all__ = [
     "AmclConfig",
     "ArcConfig",
     "BacklogConfig",
+    "ChangesConfig",
     "Config",
     "CrosstalkConfig",
     "DeviceConfig",
@@ -49,6 +54,7 @@ __all__ = [
     "IwloConfig",
     "LocalizationConfig",
     "MappingConfig",
+    "MavlinkConfig",
     "MountingConfig",
     "MqttConfig",
     "OctreeConfig",
@@ -59,6 +65,7 @@ __all__ = [
     "ProcessingConfig",
     "RecordingConfig",
     "RobotDetectionConfig",
+    "Ros2Config",
     "ScanExtractionConfig",
     "ServerConfig",
     "ServiceConfig",
@@ -66,6 +73,7 @@ __all__ = [
     "SonarConfig",
     "TerrainDetectionConfig",
     "TimeSyncConfig",
+    "TopicsConfig",
     "VisualizationConfig",
     "WaterConfig",
     "WorldInitConfig",
@@ -440,6 +448,10 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     server: ServerConfig = ServerConfig()
     stream: StreamConfig = StreamConfig()
     mqtt: MqttConfig = MqttConfig()
+    topics: TopicsConfig = TopicsConfig()
+    ros2: Ros2Config = Ros2Config()
+    mavlink: MavlinkConfig = MavlinkConfig()
+    changes: ChangesConfig = ChangesConfig()
     export: ExportConfig = ExportConfig()
     frames: FramesConfig = FramesConfig()
     visualization: VisualizationConfig = VisualizationConfig()

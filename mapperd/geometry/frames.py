@@ -18,8 +18,10 @@ __all__ = [
     "Body",
     "Pose",
     "World",
+    "angles_of",
     "compass_quaternion",
     "compass_to_map",
+    "orientation_from_map",
     "orientation_to_map",
     "pose_from_rpy",
     "quaternion_between",
@@ -141,6 +143,22 @@ def orientation_to_map(quaternion: ArrayLike, world: World, body: Body) -> Float
     """A sender's world_q_body as our map_q_base: q_enu_world, then its own, then q_body_flu."""
     turned = quaternion_product(_ENU_Q_WORLD[world], np.asarray(quaternion, dtype=np.float64))
     return quaternion_product(turned, _BODY_Q_FLU[body])
+
+
+def orientation_from_map(map_q_base: ArrayLike, world: World, body: Body) -> Floats:
+    """Our map_q_base as a receiver's world_q_body; the same turns, which are their own inverse."""
+    return orientation_to_map(map_q_base, world, body)
+
+
+def angles_of(quaternion: ArrayLike) -> tuple[float, float, float]:
+    """Roll, pitch and yaw in radians of a unit quaternion (w, x, y, z): Rz(yaw) Ry(pitch) Rx(roll).
+
+    Roll and yaw in -pi to pi, pitch in -pi/2 to pi/2.
+    """
+    w, x, y, z = np.asarray(quaternion, dtype=np.float64).tolist()
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = math.asin(min(max(2 * (w * y - x * z), -1.0), 1.0))
+    return roll, pitch, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def compass_quaternion(roll_deg: float, pitch_deg: float, heading_deg: float) -> Floats:

@@ -13,6 +13,7 @@ from mapperd.cli.mapperctl.connection import CtlError
 from mapperd.cli.mapperctl.sonar import add_sonar
 from mapperd.config.catalog import parameters
 from mapperd.config.loader import YamlProblem, parse_yaml
+from mapperd.config.odometry import parse_address
 from mapperd.errors import ConfigError
 from mapperd.wire.messages import MAX_LEVEL, WANTS
 from oculus_driver.command_line import CommandParser, ExitCode, GroupedHelp, did_you_mean
@@ -24,6 +25,7 @@ __all__ = [
     "add_export",
     "add_foxglove",
     "add_localization",
+    "add_mavlink",
     "add_record",
     "add_view",
     "parser",
@@ -259,6 +261,16 @@ def add_foxglove(command: argparse.ArgumentParser) -> None:
     _add_interest(command)
 
 
+def add_mavlink(command: argparse.ArgumentParser) -> None:
+    """Add the arguments of `mavlink`."""
+    command.add_argument(
+        "--to",
+        metavar="LINK",
+        type=_datagram_link,
+        help="where the autopilot listens, udp://HOST:PORT; default: mavlink.address",
+    )
+
+
 def add_record(command: argparse.ArgumentParser) -> None:
     """Add the arguments of `record`."""
     add = command.add_argument
@@ -310,6 +322,16 @@ def _port(text: str) -> int:
     if not (text.isascii() and text.isdigit() and int(text) < 1 << 16):
         raise argparse.ArgumentTypeError(f"{text!r}: a port was expected")
     return int(text)
+
+
+def _datagram_link(text: str) -> str:
+    try:
+        is_udp = parse_address(text).kind == "udp"
+    except ValueError:
+        is_udp = False
+    if not is_udp:
+        raise argparse.ArgumentTypeError(f"{text!r}: udp://HOST:PORT was expected")
+    return text
 
 
 def _page_origin(text: str) -> str:
@@ -524,7 +546,7 @@ EPILOG = f"""examples:
 
 GROUPS = MappingProxyType(
     {
-        "look": ("status", "view", "events", "foxglove"),
+        "look": ("status", "view", "events", "foxglove", "mavlink"),
         "settings": ("params", "get", "set", "reload", "sonar"),
         "map": ("save", "export", "record", "snapshot", "reset"),
         "localization": (
@@ -583,6 +605,8 @@ def parser() -> CommandParser:
     add_view(_command(commands, "view", "show the live map, or a map file, in the browser"))
     about = "serve Foxglove and Lichtblick"
     add_foxglove(_command(commands, "foxglove", about, "Serve Foxglove and Lichtblick."))
+    about = "send poses and obstacles to an autopilot"
+    add_mavlink(_command(commands, "mavlink", about))
     add_record(_command(commands, "record", "record the map stream"))
     add_export(_command(commands, "export", "save the live map as a file on this computer"))
     add_convert(_offline(commands, "convert", "convert a map file to another format"))

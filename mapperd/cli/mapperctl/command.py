@@ -27,6 +27,9 @@ __all__ = ["main"]
 OFFLINE = ("bag", "convert", "diff")
 """Commands that need no daemon."""
 
+BRIDGES = ("foxglove", "mavlink")
+"""Commands that serve other programs until they are stopped."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; what is wrong is one line and an exit code."""
@@ -41,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # `mapperctl params | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
-        endless = args.command in ("status", "foxglove", "view") or any(
+        endless = args.command in ("status", "view", *BRIDGES) or any(
             getattr(args, name, False) for name in ("follow", "watch")
         )
         return ExitCode.OK if endless else ExitCode.INTERRUPTED
@@ -57,10 +60,10 @@ def _lines(args: argparse.Namespace) -> Iterator[str]:
         else:
             yield from view.run_file_view(args, _settings(args).config)
         return
-    if args.command == "foxglove":
-        from mapperd.cli.mapperctl.foxglove import run_foxglove  # noqa: PLC0415 needs numpy
+    if args.command in BRIDGES:
+        from mapperd.cli.mapperctl.bridges import run_bridge  # noqa: PLC0415 needs numpy
 
-        run_foxglove(args, *_stream(args))
+        run_bridge(args, _settings(args).config, *_stream(args))
         return
     if args.command == "record":
         from mapperd.cli.mapperctl.record import run_record  # noqa: PLC0415 needs numpy

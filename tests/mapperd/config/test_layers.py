@@ -85,7 +85,6 @@ def test_ignored_settings_load_with_any_value_and_are_reported(tmp_path: Path) -
         path,
         "octree: {use_cpp_backend: false, dynamic_expansion: 3}\n"
         "amcl: {scan_topic: /scan, map_service: [1], laser_z_max: 0.1, z_max: 0.1}\n"
-        "topics: {sonar: 1, odometry: /o, pointcloud: /p, marker: /m}\n"
         "visualization: {pointcloud_publish_rate: 2, show_opencv_visualization: true}\n",
     )
     layered = load_files([path])
