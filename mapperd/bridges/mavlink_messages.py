@@ -68,6 +68,7 @@ def autopilot_pose(located: VehiclePose, world: World) -> AutopilotPose:
     """
     to_world = WORLD_TO_ENU[world]  # its own inverse
     turn = orientation_from_map(located.pose.map_q_base, world, "frd")
+    turn = turn if turn[0] >= 0 else -turn  # the same orientation
     angles = angles_of(turn)
     velocity = np.full(3, np.nan)
     if located.velocity_mps is not None:
