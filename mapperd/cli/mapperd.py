@@ -22,11 +22,10 @@ from mapperd.cli.surroundings import listen, odometry_lines, sonar_lines
 from mapperd.config.layers import Layered, load_settings, settings_files
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
-from mapperd.daemon.journal import goes_to_journal
 from mapperd.daemon.map_folder import lost_bricks, write_results
 from mapperd.daemon.run import LiveRun, map_live
 from mapperd.daemon.supervisor import graceful_stop
-from mapperd.daemon.systemd import Notifier
+from mapperd.daemon.systemd import Notifier, goes_to_journal
 from mapperd.errors import (
     CheckpointError,
     ConfigError,

@@ -32,6 +32,7 @@ from mapperd.wire.messages import (
 __all__ = [
     "AskError",
     "EndedError",
+    "bearings_of",
     "check_blocks",
     "check_map_info",
     "check_message",
@@ -144,6 +145,11 @@ def image_of(message: ImageMessage) -> NDArray[np.uint8]:
     except zstandard.ZstdError as error:
         raise StreamError(f"an image that cannot be unpacked: {error}", "bad_value") from error
     return np.frombuffer(samples, np.uint8).reshape(message.rows, message.beams)
+
+
+def bearings_of(message: ImageMessage) -> NDArray[np.float64]:
+    """Return the bearings (beams,) of an image, positive to starboard."""
+    return np.frombuffer(message.bearings_rad, "<f4").astype(np.float64)
 
 
 def size_of(value: Any) -> int:  # noqa: ANN401 plain values

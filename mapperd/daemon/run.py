@@ -20,13 +20,12 @@ from mapperd.config.live import ConfigStore
 from mapperd.config.paths import map_path, pose_path, recordings_folder, state_folder
 from mapperd.config.tree import Config
 from mapperd.daemon.daemon import Daemon
-from mapperd.daemon.journal import Journal, goes_to_journal
 from mapperd.daemon.localization_service import PoseKeeper
 from mapperd.daemon.map_folder import localization_summary, summary_of
 from mapperd.daemon.servers import serving, stream_server
 from mapperd.daemon.session import Live, host_clock
 from mapperd.daemon.supervisor import is_main_thread, supervised
-from mapperd.daemon.systemd import Notifier, inherited_sockets, watchdog_s
+from mapperd.daemon.systemd import Journal, Notifier, goes_to_journal, inherited_sockets, watchdog_s
 from mapperd.errors import ConfigError, MapError, StoreError
 from mapperd.events import EventLog, Severity
 from mapperd.export.trajectory import TrajectoryWriter

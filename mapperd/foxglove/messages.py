@@ -5,7 +5,7 @@ The sonar's image is polar, and a fan with range rings and detections over it.
 
 import math
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from foxglove.messages import (
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from mapperd.client.changes import ConnectionStatus
 from mapperd.client.mirror import MapMirror
-from mapperd.client.validation import image_of
+from mapperd.client.validation import bearings_of, image_of
 from mapperd.foxglove.geometry import (
     Frames,
     covariance_scene,
@@ -35,6 +35,7 @@ from mapperd.foxglove.geometry import (
     transforms,
 )
 from mapperd.foxglove.map_publisher import returns_cloud, scan_cloud
+from mapperd.imaging.ping_image import COLOURS, FanShape, fan_edges, fan_half_width
 from mapperd.wire.messages import (
     FanMessage,
     ImageMessage,
@@ -48,7 +49,6 @@ from mapperd.wire.messages import (
 from oculus_driver.fan import ring_ranges_m
 
 __all__ = [
-    "FanShape",
     "Follows",
     "StateMessages",
     "annotations",
@@ -56,11 +56,6 @@ __all__ = [
     "polar_image",
     "values_of",
 ]
-
-GAMMA = 0.6
-_LEVELS = 3.0 * (np.arange(256) / 255) ** GAMMA
-COLOURS: Final = (np.clip(_LEVELS[:, None] - np.arange(3), 0.0, 1.0) * 255).astype(np.uint8)
-"""Colours of the samples 0 to 255, (256, 3): black, red, yellow, white."""
 
 RING = Color(r=0.6, g=0.7, b=0.8, a=0.6)
 INK = Color(r=0.9, g=0.95, b=1.0, a=1.0)
@@ -85,59 +80,6 @@ def polar_image(pixels: NDArray[np.uint8], frame: str, stamp_ns: int) -> RawImag
     )
 
 
-class FanShape:
-    """Converts polar images to fan images; caches the lookup table of one shape."""
-
-    def __init__(self) -> None:
-        self._shape: tuple[int, int, bytes] | None = None
-        self._source = np.zeros((0, 0), np.intp)
-
-    def fan_image(self, image: ImageMessage, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return the image seen from above: sonar at the bottom centre, port left, black outside.
-
-        Args:
-            image: gives the bearings.
-            pixels: (rows, beams).
-        """
-        shape = (image.rows, image.beams, image.bearings_rad)
-        if shape != self._shape:
-            self._source = _source(image)
-            self._shape = shape
-        return np.append(pixels.ravel(), np.uint8(0))[self._source]
-
-
-def _source(image: ImageMessage) -> NDArray[np.intp]:
-    """Index of the polar value of each pixel; one past the last is outside."""
-    rows, beams = image.rows, image.beams
-    bearings = np.frombuffer(image.bearings_rad, "<f4").astype(np.float64)
-    low, high = _edges(bearings)
-    half_width = _half_width(image)
-    across = np.arange(-half_width, half_width) + 0.5
-    ahead = (np.arange(rows) + 0.5)[::-1, None]
-    row = np.floor(np.hypot(across, ahead)).astype(np.intp)
-    bearing = np.arctan2(across, ahead)
-    between = (bearings[1:] + bearings[:-1]) / 2
-    beam = np.searchsorted(between, bearing)
-    seen = (row < rows) & (bearing >= low) & (bearing <= high)
-    return np.where(seen, row * beams + beam, rows * beams)
-
-
-def _edges(bearings: NDArray[np.float64]) -> tuple[float, float]:
-    """Bearings of the image's edges: half a beam spacing beyond the outer beams."""
-    if len(bearings) == 1:
-        return float(bearings[0]) - 0.01, float(bearings[0]) + 0.01
-    low = bearings[0] - (bearings[1] - bearings[0]) / 2
-    high = bearings[-1] + (bearings[-1] - bearings[-2]) / 2
-    return float(low), float(high)
-
-
-def _half_width(image: ImageMessage) -> int:
-    """Half the width of the fan image, pixels; its height is the number of rows."""
-    bearings = np.frombuffer(image.bearings_rad, "<f4").astype(np.float64)
-    widest = min(max(map(abs, _edges(bearings))), math.pi / 2)
-    return max(math.ceil(image.rows * math.sin(widest)), 1)
-
-
 def colour_image(pixels: NDArray[np.uint8], frame: str, stamp_ns: int) -> RawImage:
     """Image message in the colours of `COLOURS`."""
     height, width = pixels.shape
@@ -159,7 +101,7 @@ def annotations(image: ImageMessage, returns: ReturnsMessage) -> ImageAnnotation
         image: gives the geometry.
         returns: detections, in the sonar's frame.
     """
-    low, high = _edges(np.frombuffer(image.bearings_rad, "<f4").astype(np.float64))
+    low, high = fan_edges(bearings_of(image))
     bearings = np.linspace(low, high, RING_POINTS)
     rings, texts = [], []
     for range_m in ring_ranges_m(image.rows * image.range_resolution_m):
@@ -185,7 +127,7 @@ def _pixels(
     image: ImageMessage, forward_m: NDArray[np.float64], port_m: NDArray[np.float64]
 ) -> list[Point2]:
     """Places in the fan image."""
-    across = _half_width(image) - port_m / image.range_resolution_m
+    across = fan_half_width(bearings_of(image), image.rows) - port_m / image.range_resolution_m
     down = image.rows - forward_m / image.range_resolution_m
     return [Point2(x=x, y=y) for x, y in zip(across.tolist(), down.tolist(), strict=True)]
 
@@ -303,7 +245,7 @@ class StateMessages:
         image = self._client.image
         if image is None:
             return None
-        pixels = self._shape.fan_image(image, image_of(image))
+        pixels = self._shape.fan_image(bearings_of(image), image_of(image))
         return colour_image(pixels, self.frames().sonar, image.stamp_ns)
 
     def _annotations(self, _: int) -> Any:  # noqa: ANN401 as above

@@ -7,11 +7,13 @@ the threshold is what the operator sees on the sonar's display. They are scaled 
 `corrected_ranges` is for pings that were made with a wrong speed of sound. A sonar measures times
 and multiplies them by a speed of sound; with a wrong one all ranges are wrong by the same factor.
 Times stay: those of the echoes, too.
+
+`FanShape` draws a polar image as a fan, for people.
 """
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,10 +25,14 @@ from oculus_driver.ping import Ping
 from oculus_driver.sound_speed import SALINITY_LIMITS_PPT, TEMPERATURE_LIMITS_C, speed_of_sound_mps
 
 __all__ = [
+    "COLOURS",
+    "FanShape",
     "PingImage",
     "beams_in_view",
     "corrected_ranges",
     "display_units",
+    "fan_edges",
+    "fan_half_width",
     "ping_image_of",
     "ping_image_of_array",
     "true_speed_mps",
@@ -223,3 +229,63 @@ def _temperature_c(speed_mps: float, salinity_ppt: float) -> float:
         else:
             high_c = middle_c
     return (low_c + high_c) / 2
+
+
+GAMMA = 0.6
+_LEVELS = 3.0 * (np.arange(256) / 255) ** GAMMA
+COLOURS: Final = (np.clip(_LEVELS[:, None] - np.arange(3), 0.0, 1.0) * 255).astype(np.uint8)
+"""Colours of the samples 0 to 255, (256, 3): black, red, yellow, white."""
+
+
+class FanShape:
+    """Converts polar images to fan images; caches the lookup table of one shape."""
+
+    def __init__(self) -> None:
+        self._shape: tuple[int, int, bytes] | None = None
+        self._source = np.zeros((0, 0), np.intp)
+
+    def fan_image(
+        self, bearings_rad: NDArray[np.float64], pixels: NDArray[np.uint8]
+    ) -> NDArray[np.uint8]:
+        """Return the image seen from above: sonar at the bottom centre, port left, black outside.
+
+        Args:
+            bearings_rad: (beams,), positive to starboard.
+            pixels: (rows, beams).
+        """
+        rows, beams = pixels.shape
+        shape = (rows, beams, bearings_rad.tobytes())
+        if shape != self._shape:
+            self._source = _source(bearings_rad, rows)
+            self._shape = shape
+        return np.append(pixels.ravel(), np.uint8(0))[self._source]
+
+
+def _source(bearings: NDArray[np.float64], rows: int) -> NDArray[np.intp]:
+    """Index of the polar value of each pixel; one past the last is outside."""
+    beams = len(bearings)
+    low, high = fan_edges(bearings)
+    half_width = fan_half_width(bearings, rows)
+    across = np.arange(-half_width, half_width) + 0.5
+    ahead = (np.arange(rows) + 0.5)[::-1, None]
+    row = np.floor(np.hypot(across, ahead)).astype(np.intp)
+    bearing = np.arctan2(across, ahead)
+    between = (bearings[1:] + bearings[:-1]) / 2
+    beam = np.searchsorted(between, bearing)
+    seen = (row < rows) & (bearing >= low) & (bearing <= high)
+    return np.where(seen, row * beams + beam, rows * beams)
+
+
+def fan_edges(bearings: NDArray[np.float64]) -> tuple[float, float]:
+    """Bearings of a fan image's edges: half a beam spacing beyond the outer beams, (beams,)."""
+    if len(bearings) == 1:
+        return float(bearings[0]) - 0.01, float(bearings[0]) + 0.01
+    low = bearings[0] - (bearings[1] - bearings[0]) / 2
+    high = bearings[-1] + (bearings[-1] - bearings[-2]) / 2
+    return float(low), float(high)
+
+
+def fan_half_width(bearings: NDArray[np.float64], rows: int) -> int:
+    """Half the width of a fan image, pixels; its height is the number of rows."""
+    widest = min(max(map(abs, fan_edges(bearings))), math.pi / 2)
+    return max(math.ceil(rows * math.sin(widest)), 1)

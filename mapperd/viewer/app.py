@@ -12,13 +12,20 @@ from numpy.typing import NDArray
 
 from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapReset
 from mapperd.viewer.actors import Actors
-from mapperd.viewer.camera import CameraMode, Cameras, whole_view
 from mapperd.viewer.health import Health
 from mapperd.viewer.map_layer import MapLayer
 from mapperd.viewer.panel import Panel
 from mapperd.viewer.settings import SettingsPanel
 from mapperd.viewer.sonar_panel import IMAGE_S, SonarPanel
-from mapperd.viewer.tools import MapRecorder, SaveControls, Tools, pick
+from mapperd.viewer.tools import (
+    CameraMode,
+    Cameras,
+    MapRecorder,
+    SaveControls,
+    Tools,
+    pick,
+    whole_view,
+)
 from mapperd.wire.messages import (
     ImageMessage,
     PoseMessage,

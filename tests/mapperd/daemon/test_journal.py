@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from mapperd.daemon.journal import Journal, goes_to_journal
+from mapperd.daemon.systemd import Journal, goes_to_journal
 from mapperd.events import SEPARATE, Event, EventLog, Severity
 from tests.support.clocks import StandingClock
 

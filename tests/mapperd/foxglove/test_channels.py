@@ -9,6 +9,7 @@ import pytest
 import zstandard
 
 from mapperd.client.mirror import Cells
+from mapperd.client.validation import bearings_of
 from mapperd.foxglove.geometry import (
     Frames,
     PathDrawing,
@@ -18,7 +19,8 @@ from mapperd.foxglove.geometry import (
     transforms,
 )
 from mapperd.foxglove.map_publisher import map_cloud, map_rows
-from mapperd.foxglove.messages import COLOURS, FanShape, StateMessages, annotations, colour_image
+from mapperd.foxglove.messages import StateMessages, annotations, colour_image
+from mapperd.imaging.ping_image import COLOURS, FanShape
 from mapperd.wire.messages import ImageMessage, ReturnsMessage, RobotsMessage
 from tests.mapperd.foxglove.foxglove_fakes import (
     FAN,
@@ -171,7 +173,7 @@ def test_polar_image_becomes_a_fan_image() -> None:
         bearings_rad=bearings.tobytes(),
         body=zstandard.ZstdCompressor().compress(pixels.tobytes()),
     )
-    bent = FanShape().fan_image(image, pixels)
+    bent = FanShape().fan_image(bearings_of(image), pixels)
     height, width = bent.shape
     for (row, beam), value in targets.items():
         there = np.argwhere(bent == value).mean(axis=0)
@@ -199,7 +201,7 @@ def test_rings_and_detections_lie_over_the_fan_image() -> None:
     points = np.array([[range_m * math.cos(bearing), -range_m * math.sin(bearing), 0.0]], "<f4")
     returns = ReturnsMessage(stamp_ns=T0, ping_id=1, points=points.tobytes(), intensities=b"x")
     drawn = decoded(annotations(image, returns))
-    fan = FanShape().fan_image(image, pixels)
+    fan = FanShape().fan_image(bearings_of(image), pixels)
     height, width = fan.shape
     *rings, detections = drawn.points
     y, x = np.argwhere(fan == 255).mean(axis=0) + 0.5
@@ -228,9 +230,9 @@ def test_another_shape_gets_another_lookup_table() -> None:
         bearings_rad=np.array([-0.1, 0.1], "<f4").tobytes(),
         body=b"",
     )
-    narrow = shape.fan_image(one, np.ones((4, 2), np.uint8))
+    narrow = shape.fan_image(bearings_of(one), np.ones((4, 2), np.uint8))
     wide = msgspec.structs.replace(one, bearings_rad=np.array([-1.0, 1.0], "<f4").tobytes())
-    assert shape.fan_image(wide, np.ones((4, 2), np.uint8)).shape != narrow.shape
+    assert shape.fan_image(bearings_of(wide), np.ones((4, 2), np.uint8)).shape != narrow.shape
 
 
 @pytest.mark.parametrize(

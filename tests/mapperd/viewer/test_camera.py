@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.viewer.camera import BEHIND_M, Cameras
+from mapperd.viewer.tools import BEHIND_M, Cameras
 
 Floats = NDArray[np.float64]
 
