@@ -1,7 +1,8 @@
 """What bridges take from the state of a client: the pose that is sure, and a slice of the map."""
 
 import math
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections import OrderedDict
+from collections.abc import AsyncIterator, Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -9,15 +10,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.client.changes import ClientChange, ConnectionStatus
-from mapperd.client.mirror import MapMirror
+from mapperd.client.mirror import MapMirror, keys_of, names_of
 from mapperd.errors import ExportError
 from mapperd.export.cells import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, GridLayer, GridWindow
+from mapperd.export.clouds import POINT
 from mapperd.geometry.frames import Pose, quaternion_product, quaternion_to_matrix
 from mapperd.wire.blocks import UNKNOWN as UNKNOWN_CELL
-from mapperd.wire.messages import BLOCK_EDGE, LocalizationMessage, PoseMessage, WelcomeMessage
+from mapperd.wire.messages import (
+    BLOCK_EDGE,
+    FanMessage,
+    LocalizationMessage,
+    PoseMessage,
+    RobotsMessage,
+    StatusMessage,
+    WelcomeMessage,
+)
 
 __all__ = [
     "BridgeClient",
+    "CloudCache",
     "LinkReporter",
     "MapFrames",
     "RateLimit",
@@ -45,6 +56,16 @@ class BridgeClient(Protocol):
     def welcome(self) -> WelcomeMessage | None: ...  # noqa: D102
     @property
     def settings(self) -> Mapping[str, Any]: ...  # noqa: D102
+    @property
+    def pose(self) -> PoseMessage | None: ...  # noqa: D102
+    @property
+    def fan(self) -> FanMessage | None: ...  # noqa: D102
+    @property
+    def robots(self) -> RobotsMessage | None: ...  # noqa: D102
+    @property
+    def localization(self) -> LocalizationMessage | None: ...  # noqa: D102
+    @property
+    def status(self) -> StatusMessage | None: ...  # noqa: D102
     def changes(self) -> AsyncIterator[ClientChange]: ...  # noqa: D102
     async def ask(self, do: str, **fields: Any) -> dict[str, Any]: ...  # noqa: ANN401, D102
 
@@ -303,3 +324,38 @@ def map_slice(
         int(low[0]) * BLOCK_EDGE, int(low[1]) * BLOCK_EDGE, width * BLOCK_EDGE, height * BLOCK_EDGE
     )
     return GridLayer(values, window)
+
+
+class CloudCache:
+    """Points of the occupied cells by block, so that only changed blocks are read again."""
+
+    def __init__(self) -> None:
+        self._rows: OrderedDict[bytes, NDArray[np.void]] = OrderedDict()
+
+    def clear(self) -> None:
+        """Forget all blocks."""
+        self._rows.clear()
+
+    def update(self, mirror: MapMirror, names: Collection[bytes]) -> None:
+        """Read changed blocks."""
+        with mirror.lock:
+            cell_m = mirror.cell_m
+            cells = mirror.cells(keys=keys_of(names))
+        for name in names:
+            self._rows.pop(name, None)
+        if not len(cells):
+            return
+        owner = np.floor(cells.centres_m / (BLOCK_EDGE * cell_m)).astype(np.int32)
+        begins = np.flatnonzero(np.r_[True, (owner[1:] != owner[:-1]).any(axis=1)])
+        rows = np.empty(len(cells), POINT)
+        rows["x"], rows["y"], rows["z"] = cells.centres_m.T
+        rows["intensity"] = cells.probability
+        rows["count"] = cells.count
+        for name, part in zip(names_of(owner[begins]), np.split(rows, begins[1:]), strict=True):
+            self._rows[name] = part
+
+    def rows(self) -> NDArray[np.void]:
+        """Return all points."""
+        if not self._rows:
+            return np.empty(0, POINT)
+        return np.concatenate(list(self._rows.values()))

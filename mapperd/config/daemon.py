@@ -12,6 +12,7 @@ from mapperd.config.field import rule
 from mapperd.config.odometry import parse_address
 
 __all__ = [
+    "NO_OR_TOPIC_PATTERN",
     "BacklogConfig",
     "ChangesConfig",
     "ExportConfig",
@@ -294,8 +295,12 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True):
     ] = -1
     namespace: Annotated[
         str,
-        rule("Namespace of relative topics and services.", "a name", pattern=NO_OR_TOPIC_PATTERN),
-    ] = "mapperd"
+        rule(
+            "Namespace of relative topics and services, such as that of the robot.",
+            "a name or nothing",
+            pattern=NO_OR_TOPIC_PATTERN,
+        ),
+    ] = ""
     cloud_period: Annotated[
         float, rule("Shortest time between two clouds or grids.", "s", ge=0.1, le=3600)
     ] = 2.0

@@ -28,9 +28,14 @@ from mapperd.config.daemon import (
     TopicsConfig,
     VisualizationConfig,
 )
-from mapperd.config.device import DeviceConfig, WaterConfig
+from mapperd.config.device import (
+    CrosstalkConfig,
+    DeviceConfig,
+    RobotDetectionConfig,
+    TerrainDetectionConfig,
+    WaterConfig,
+)
 from mapperd.config.field import rule
-from mapperd.config.filters import CrosstalkConfig, RobotDetectionConfig, TerrainDetectionConfig
 from mapperd.config.localization import LocalizationConfig, ScanExtractionConfig
 from mapperd.config.odometry import (
     OdometryFusionConfig,

@@ -32,7 +32,7 @@ NOBODY_KNOWS = 1e6
 ENCODINGS = {1: "mono8", 2: "mono16", 4: "32SC1"}
 """Encoding of an image by the bytes of a sample."""
 
-FLOAT32, UINT16 = 7, 4
+POINT_TYPES = {"u1": 2, "u2": 4, "f4": 7}
 """Datatypes of PointField."""
 
 _OCCUPANCY = np.zeros(3, np.int8)
@@ -128,26 +128,31 @@ class Messages:
             part["intensity"] = some.probability
             part["count"] = some.count
             begin += len(some)
+        return self.points(stamp_ns, frame, points)
+
+    def points(self, stamp_ns: int, frame: str, rows: NDArray[np.void]) -> Any:  # noqa: ANN401
+        """sensor_msgs/PointCloud2 of a packed structured array, little endian."""
+        kind = rows.dtype
         fields = [
             self._of(
                 "sensor_msgs/msg/PointField",
                 name=name,
                 offset=offset,
-                datatype=FLOAT32 if kind.kind == "f" else UINT16,
+                datatype=POINT_TYPES[field.str[1:]],
                 count=1,
             )
-            for name, (kind, offset, *_) in (POINT.fields or {}).items()
+            for name, (field, offset, *_) in (kind.fields or {}).items()
         ]
         return self._of(
             "sensor_msgs/msg/PointCloud2",
             header=self._header(stamp_ns, frame),
             height=1,
-            width=len(points),
+            width=len(rows),
             fields=fields,
             is_bigendian=False,
-            point_step=POINT.itemsize,
-            row_step=POINT.itemsize * len(points),
-            data=points.view(np.uint8),
+            point_step=kind.itemsize,
+            row_step=kind.itemsize * len(rows),
+            data=rows.view(np.uint8),
             is_dense=True,
         )
 

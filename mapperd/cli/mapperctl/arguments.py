@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from types import MappingProxyType
@@ -12,6 +13,7 @@ from mapperd.api import STD_XY_M, STD_YAW_RAD
 from mapperd.cli.mapperctl.connection import CtlError
 from mapperd.cli.mapperctl.sonar import add_sonar
 from mapperd.config.catalog import parameters
+from mapperd.config.daemon import NO_OR_TOPIC_PATTERN
 from mapperd.config.loader import YamlProblem, parse_yaml
 from mapperd.config.odometry import parse_address
 from mapperd.errors import ConfigError
@@ -27,6 +29,7 @@ __all__ = [
     "add_localization",
     "add_mavlink",
     "add_record",
+    "add_ros2",
     "add_view",
     "parser",
     "pose_from_args",
@@ -271,6 +274,24 @@ def add_mavlink(command: argparse.ArgumentParser) -> None:
     )
 
 
+def add_ros2(command: argparse.ArgumentParser) -> None:
+    """Add the arguments of `ros2`."""
+    add = command.add_argument
+    add(
+        "--domain",
+        metavar="N",
+        type=_domain,
+        help="DDS domain; default: ros2.domain, else ROS_DOMAIN_ID, else 0",
+    )
+    add(
+        "--namespace",
+        metavar="NAME",
+        type=_ros_namespace,
+        help="of topics and services; default: ros2.namespace",
+    )
+    _add_interest(command)
+
+
 def add_record(command: argparse.ArgumentParser) -> None:
     """Add the arguments of `record`."""
     add = command.add_argument
@@ -331,6 +352,18 @@ def _datagram_link(text: str) -> str:
         is_udp = False
     if not is_udp:
         raise argparse.ArgumentTypeError(f"{text!r}: udp://HOST:PORT was expected")
+    return text
+
+
+def _domain(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text[:9]) <= 232):  # noqa: PLR2004 of DDS
+        raise argparse.ArgumentTypeError(f"{text!r}: a domain from 0 to 232 was expected")
+    return int(text)
+
+
+def _ros_namespace(text: str) -> str:
+    if not re.fullmatch(NO_OR_TOPIC_PATTERN, text):
+        raise argparse.ArgumentTypeError(f"{text!r}: a namespace was expected, such as rov1")
     return text
 
 
@@ -546,7 +579,7 @@ EPILOG = f"""examples:
 
 GROUPS = MappingProxyType(
     {
-        "look": ("status", "view", "events", "foxglove", "mavlink"),
+        "look": ("status", "view", "events", "foxglove", "mavlink", "ros2"),
         "settings": ("params", "get", "set", "reload", "sonar"),
         "map": ("save", "export", "record", "snapshot", "reset"),
         "localization": (
@@ -607,6 +640,8 @@ def parser() -> CommandParser:
     add_foxglove(_command(commands, "foxglove", about, "Serve Foxglove and Lichtblick."))
     about = "send poses and obstacles to an autopilot"
     add_mavlink(_command(commands, "mavlink", about))
+    about = "publish to ROS 2 over DDS, without ROS"
+    add_ros2(_command(commands, "ros2", about))
     add_record(_command(commands, "record", "record the map stream"))
     add_export(_command(commands, "export", "save the live map as a file on this computer"))
     add_convert(_offline(commands, "convert", "convert a map file to another format"))

@@ -1,4 +1,4 @@
-"""`mapperctl foxglove` and `mavlink`: serve other programs until stopped."""
+"""`mapperctl foxglove`, `ros2` and `mavlink`: serve other programs until stopped."""
 
 import argparse
 import asyncio
@@ -26,6 +26,7 @@ __all__ = ["run_bridge"]
 EXTRAS = {
     "foxglove": ("foxglove", "foxglove-sdk", "foxglove"),
     "mavlink": ("pymavlink", "pymavlink", "mavlink"),
+    "ros2": ("cyclonedds", "cyclonedds", "ros2"),
 }
 """Module, library and extra of each bridge."""
 
@@ -170,6 +171,30 @@ async def _mavlink(
     await _until_stopped(client, serve(client, settings, _reporter(json_lines=args.json)))
 
 
+async def _ros2(
+    args: argparse.Namespace,
+    config: Config,
+    address: str,
+    token: bytes | None,
+    tls: ssl.SSLContext | None,
+) -> None:
+    from mapperd.bridges.ros2 import FIRST_WANTS, serve  # noqa: PLC0415 an extra
+
+    given = {"domain": args.domain, "namespace": args.namespace}
+    changes = {name: value for name, value in given.items() if value is not None}
+    settings = msgspec.structs.replace(config.ros2, **changes)
+    client = MapClient(
+        address,
+        token=token,
+        tls=tls,
+        wants=FIRST_WANTS,
+        interest=Interest(level=args.level, radius_m=args.radius),
+        name="mapperctl ros2",
+    )
+    config = msgspec.structs.replace(config, ros2=settings)
+    await _until_stopped(client, serve(client, config, _reporter(json_lines=args.json)))
+
+
 def _reporter(*, json_lines: bool) -> Callable[[str], None]:
     """Return what prints the lines of a bridge."""
 
@@ -186,4 +211,6 @@ Bridge = Callable[
     Coroutine[Any, Any, None],
 ]
 
-_BRIDGES: Mapping[str, Bridge] = MappingProxyType({"foxglove": _foxglove, "mavlink": _mavlink})
+_BRIDGES: Mapping[str, Bridge] = MappingProxyType(
+    {"foxglove": _foxglove, "mavlink": _mavlink, "ros2": _ros2}
+)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from mapperd.client.validation import places_of
-from mapperd.config.filters import CrosstalkConfig
+from mapperd.config.device import CrosstalkConfig
 from mapperd.config.tree import Config
 from mapperd.imaging.crosstalk import notched
 from mapperd.imaging.ping_image import PingImage
