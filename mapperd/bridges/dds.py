@@ -99,7 +99,7 @@ SERVICES = {
 }
 """Fields of request and response by the name of the service's type."""
 
-CALL_HEADER = "uint64 client_guid\nint64 sequence_number\n"
+CALL_HEADER = "uint64 guid\nint64 seq\n"
 
 
 class RosTypes:
@@ -320,7 +320,7 @@ class DdsService:
     def take(self, most: int) -> Iterator[Any]:
         """Yield at most so many requests that have arrived.
 
-        They have `client_guid` and `sequence_number` before their own fields.
+        They have `guid` and `seq` before their own fields.
         """
         for sample in self._reader.take(most):
             cdr = getattr(sample, "cdr", None)
@@ -334,8 +334,8 @@ class DdsService:
     def answer(self, request: Any, **fields: object) -> None:  # noqa: ANN401 of `take`
         """Answer a request with the fields of the response."""
         response = self._types.classes[self._response](
-            client_guid=request.client_guid,
-            sequence_number=request.sequence_number,
+            guid=request.guid,
+            seq=request.seq,
             **fields,
         )
         sample = _sample(self._response_type, self._types.encoded(response))

@@ -1,0 +1,577 @@
+"""The bridge to ROS 2, heard by a process that has nothing but cyclonedds."""
+
+import asyncio
+import contextlib
+import json
+import os
+import socket
+import sys
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial.transform import Rotation
+
+from mapperd.bridges.dds import MARINE
+from mapperd.bridges.ros2 import serve
+from mapperd.client.changes import MapChanged
+from mapperd.client.validation import AskError
+from mapperd.config.tree import Config, Ros2Config, TopicsConfig
+from mapperd.imaging.ping_image import COLOURS
+from mapperd.odometry.native import decode_native
+from mapperd.odometry.records import Odometry
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
+from mapperd.wire.messages import EventMessage, RobotsMessage, SettingsMessage
+from tests.mapperd.bridges.bridge_fakes import (
+    T0,
+    BridgeStream,
+    S,
+    a_ping,
+    a_pose,
+    a_status,
+    began,
+    linked,
+    sure,
+)
+from tests.mapperd.foxglove.foxglove_fakes import FAN, IMAGE, PIXELS
+from tests.support.waiting import until
+
+pytestmark = pytest.mark.net
+
+DOMAIN = 20 + os.getpid() % 200
+LOOPBACK = (
+    "<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast>"
+    '<Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces></General>'
+    "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
+    "<MaxAutoParticipantIndex>20</MaxAutoParticipantIndex>"
+    '<Peers><Peer Address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
+)
+PEER = Path(__file__).with_name("ros_peer.py")
+
+Act = Callable[[BridgeStream, "Heard"], Awaitable[None]]
+
+
+@pytest.fixture(autouse=True)
+def _loopback(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+
+
+class Heard:
+    """What the peer has heard, and the lines of the bridge."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.messages: dict[str, list[dict[str, Any]]] = {}
+        self.cdr: list[tuple[str, bytes]] = []
+        self._process: asyncio.subprocess.Process | None = None
+
+    def __getitem__(self, topic: str) -> list[dict[str, Any]]:
+        return self.messages.get(topic, [])
+
+    def ask(self, do: str, **fields: Any) -> None:
+        assert self._process is not None
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps({"do": do, **fields}).encode() + b"\n")
+
+    @asynccontextmanager
+    async def listening(self, domain: int) -> AsyncIterator[None]:
+        self._process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            str(PEER),
+            str(domain),
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            limit=1 << 26,
+        )
+        reading = asyncio.create_task(self._read(self._process))
+        try:
+            yield
+        finally:
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+            await self._process.wait()
+            await reading
+
+    async def _read(self, process: asyncio.subprocess.Process) -> None:
+        assert process.stdout is not None
+        async for line in process.stdout:
+            heard = json.loads(line)
+            self.messages.setdefault(heard["topic"], []).append(heard["fields"])
+            self.cdr.append((heard["topic"], bytes.fromhex(heard["cdr"])))
+
+
+def beside_ros(
+    act: Act,
+    config: Config | None = None,
+    *,
+    peer_domain: int = DOMAIN,
+    stream: BridgeStream | None = None,
+) -> Heard:
+    """Run a bridge and a peer, and `act` beside them."""
+    heard, client = Heard(), stream or BridgeStream()
+    config = config or of_rov()
+
+    async def run() -> None:
+        serving = asyncio.create_task(serve(client, config, heard.lines.append))
+        async with asyncio.timeout(60), heard.listening(peer_domain):
+            try:
+                await act(client, heard)
+            finally:
+                serving.cancel()
+                await asyncio.wait((serving,))
+
+    asyncio.run(run())
+    return heard
+
+
+def of_rov(**ros2: Any) -> Config:
+    fields = {"domain": DOMAIN, "namespace": "rov", "cloud_period": 0.1} | ros2
+    return Config(
+        ros2=Ros2Config(**fields),
+        topics=TopicsConfig(pointcloud="my_cloud", odometry="/slam/odometry"),
+    )
+
+
+SETTINGS = SettingsMessage(
+    facts={
+        "frames.sonar": {"value": "oculus", "dynamic": False},
+        "filtering.min_range": {"value": 1.5, "dynamic": True, "unit": "m"},
+        "processing.frame_skip": {"value": 2, "dynamic": True},
+        "mqtt.host": {"value": "", "dynamic": False},
+    }
+)
+ROBOTS = RobotsMessage(seen=[(T0, 1.0, 2.0, 3.0)])
+APPEARED = EventMessage(
+    event={
+        "number": 3,
+        "t_s": T0 / S,
+        "severity": "warning",
+        "code": "appeared",
+        "text": "something new",
+        "facts": {"id": "a1", "low_m": [1.0, 1.0, -3.0], "high_m": [2.0, 3.0, -2.0], "voxels": 9},
+    }
+)
+CORRECTION = {
+    "position_m": [3.0, -2.0, 0.0],
+    "orientation_wxyz": [0.8, 0.0, 0.0, 0.6],
+    "t_s": (T0 + 2 * S) / S,
+}
+
+
+def feed_map(stream: BridgeStream) -> None:
+    cells = np.full((1, CELLS), UNKNOWN, np.int8)
+    cells[0, 0], cells[0, 9], cells[0, 130] = 40, -20, 90
+    assert stream.mirror is not None
+    key = np.array([[1, -1, 0]], np.int32)
+    stream.mirror.put(BlockSet(key, np.zeros(1, np.uint32), cells), T0)
+    stream.feed(MapChanged(key, T0 + 3 * S, 0))
+
+
+def feed_everything(stream: BridgeStream) -> None:
+    stream.feed(linked("connected"))
+    stream.feed(began())
+    stream.feed(SETTINGS)
+    stream.feed(msgspec.structs.replace(FAN))
+    feed_map(stream)
+
+
+async def everything(stream: BridgeStream, heard: Heard) -> None:
+    """Feed the state of a daemon again and again until all topics have been heard."""
+    feed_everything(stream)
+    topics = 15
+
+    def feed() -> bool:
+        stream.feed(sure(map_odom=CORRECTION))
+        stream.feed(a_pose(0.5, (1.0, 2.0, -5.0), 0.3, sonar_position_m=(1.0, 2.0, -5.5)))
+        stream.feed(IMAGE)
+        stream.feed(a_ping())
+        stream.feed(ROBOTS)
+        stream.feed(a_status("no_sonar", sonar={"state": "x", "speed_of_sound_mps": 1480.0}))
+        stream.feed(APPEARED)
+        return len(heard.messages) == topics
+
+    for _ in range(300):
+        if feed():
+            return
+        await asyncio.sleep(0.1)
+    pytest.fail(f"heard only {sorted(heard.messages)}")
+
+
+@pytest.fixture(scope="module")
+def heard() -> Heard:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CYCLONEDDS_URI", LOOPBACK)
+        return beside_ros(everything)
+
+
+def stamp(message: dict[str, Any]) -> int:
+    found = message["header"]["stamp"]
+    return int(found["sec"] * S + found["nanosec"])
+
+
+def pose_of(pose: dict[str, Any]) -> tuple[list[float], Rotation]:
+    place = pose.get("position") or pose["translation"]
+    turn = pose.get("orientation") or pose["rotation"]
+    return [place[k] for k in "xyz"], Rotation.from_quat([turn[k] for k in "xyzw"])
+
+
+def rows_of(cloud: dict[str, Any]) -> np.ndarray:
+    kinds = {2: "u1", 4: "<u2", 7: "<f4"}
+    kind = np.dtype(
+        {
+            "names": [one["name"] for one in cloud["fields"]],
+            "formats": [kinds[one["datatype"]] for one in cloud["fields"]],
+            "offsets": [one["offset"] for one in cloud["fields"]],
+            "itemsize": cloud["point_step"],
+        }
+    )
+    return np.frombuffer(bytes(cloud["data"]), kind)
+
+
+def test_transforms_are_the_tree_of_rep_105(heard: Heard) -> None:
+    transforms = {
+        (one["header"]["frame_id"], one["child_frame_id"]): one
+        for message in heard["/tf"][-2:]
+        for one in message["transforms"]
+    }
+    assert set(transforms) == {("map", "odom"), ("odom", "base_link")}
+    map_odom, odom_base = transforms[("map", "odom")], transforms[("odom", "base_link")]
+    assert stamp(map_odom) == T0 + 2 * S  # ahead, as the daemon stamps it
+    assert stamp(odom_base) == T0 + S // 2
+    shift, turn = pose_of(map_odom["transform"])
+    assert shift == pytest.approx(CORRECTION["position_m"])
+    place, own = pose_of(odom_base["transform"])
+    assert turn.apply(place) + shift == pytest.approx([1.0, 2.0, -5.0])
+    assert (turn * own).as_euler("ZYX") == pytest.approx([0.3, 0.0, 0.0], abs=1e-9)
+
+
+def test_the_mounting_is_latched_once(heard: Heard) -> None:
+    (message,) = heard["/tf_static"]
+    (one,) = message["transforms"]
+    assert (one["header"]["frame_id"], one["child_frame_id"]) == ("base_link", "oculus")
+    assert pose_of(one["transform"])[0] == pytest.approx([0.0, 0.0, -0.5])
+
+
+def test_odometry_has_pose_twist_and_covariance(heard: Heard) -> None:
+    message = heard["/rov/mapperd/odometry"][-1]
+    assert (message["header"]["frame_id"], message["child_frame_id"]) == ("odom", "base_link")
+    assert stamp(message) == T0 + S // 2
+    linear = message["twist"]["twist"]["linear"]
+    assert [linear[k] for k in "xyz"] == pytest.approx([1.0, 0.0, 0.0])
+    covariance = np.reshape(message["pose"]["covariance"], (6, 6))
+    # The map's axes are turned by 73.7 degrees to the odometry's: cos 0.28, sin 0.96.
+    turn = np.array([[0.28, 0.96], [-0.96, 0.28]])
+    assert covariance[:2, :2] == pytest.approx(turn @ np.diag([0.04, 0.09]) @ turn.T)
+
+
+def test_the_estimate_of_localization_is_that_of_amcl(heard: Heard) -> None:
+    message = heard["/rov/amcl_pose"][-1]
+    assert (message["header"]["frame_id"], stamp(message)) == ("map", T0)
+    place, turn = pose_of(message["pose"]["pose"])
+    assert place == pytest.approx([1.0, 2.0, -5.0])
+    assert turn.as_euler("ZYX") == pytest.approx([0.0, 0.0, 0.0])
+    covariance = np.reshape(message["pose"]["covariance"], (6, 6))
+    assert np.diag(covariance) == pytest.approx([0.04, 0.09, 0, 0, 0, 0.003])
+
+
+def test_particles_come_in_both_forms(heard: Heard) -> None:
+    cloud = heard["/rov/particle_cloud"][-1]
+    assert [one["weight"] for one in cloud["particles"]] == pytest.approx([0.7, 0.3])
+    poses = heard["/rov/particlecloud"][-1]["poses"]
+    assert [pose_of(one["pose"])[0] for one in cloud["particles"]] == [
+        pose_of(one)[0] for one in poses
+    ]
+    place, turn = pose_of(poses[1])
+    assert place == pytest.approx([3.0, 4.0, -5.0])
+    assert turn.as_euler("ZYX")[0] == pytest.approx(1.5)
+
+
+def test_the_image_is_that_of_the_daemon(heard: Heard) -> None:
+    image = heard["/sensor/sonar/oculus/m750d/image"][-1]
+    assert (image["header"]["frame_id"], stamp(image)) == ("oculus", IMAGE.stamp_ns)
+    assert (image["encoding"], image["width"], image["height"]) == ("mono8", 3, 4)
+    assert np.reshape(image["data"], (4, 3)).tolist() == PIXELS.tolist()
+
+
+def test_the_ping_has_its_geometry(heard: Heard) -> None:
+    ping = heard["/rov/mapperd/ping"][-1]
+    assert (ping["header"]["frame_id"], stamp(ping)) == ("oculus", IMAGE.stamp_ns)
+    assert ping["ranges"] == pytest.approx([0.25, 0.75, 1.25, 1.75])
+    bearings = [-0.5, 0.0, 0.5]
+    directions = [[one[k] for k in "xyz"] for one in ping["beam_directions"]]
+    for direction, bearing in zip(directions, bearings, strict=True):
+        assert direction == pytest.approx([np.cos(bearing), -np.sin(bearing), 0.0])
+    assert (ping["image"]["dtype"], ping["image"]["beam_count"]) == (0, 3)
+    assert ping["image"]["data"] == PIXELS.ravel().tolist()  # range by range
+    assert ping["ping_info"]["sound_speed"] == 1480.0
+    assert ping["ping_info"]["tx_beamwidths"] == pytest.approx([0.35] * 3)
+
+
+def test_the_fan_image_is_seen_from_above(heard: Heard) -> None:
+    fan = heard["/rov/mapperd/fan_image"][-1]
+    assert (fan["encoding"], fan["height"], fan["step"]) == ("rgb8", 4, 3 * fan["width"])
+    pixels = np.reshape(fan["data"], (4, fan["width"], 3))
+    middle = fan["width"] // 2
+    assert pixels[0, middle].tolist() == COLOURS[PIXELS[3, 1]].tolist()  # far ahead: at the top
+
+
+def test_returns_are_in_the_frame_of_the_sonar(heard: Heard) -> None:
+    cloud = heard["/rov/mapperd/returns"][-1]
+    assert (cloud["header"]["frame_id"], stamp(cloud)) == ("oculus", T0)
+    (row,) = rows_of(cloud).tolist()
+    assert row == pytest.approx((3.0, -1.0, 0.0, 0))
+
+
+def test_the_cloud_has_the_occupied_cells(heard: Heard) -> None:
+    cloud = heard["/rov/my_cloud"][-1]
+    assert (cloud["header"]["frame_id"], stamp(cloud)) == ("map", T0 + 3 * S)
+    rows = rows_of(cloud)
+    found = {(row["x"], row["y"], row["z"]): row["intensity"] for row in rows}
+    assert set(found) == {(4.25, -3.75, 0.25), (5.25, -3.75, 1.25)}
+    assert found[(4.25, -3.75, 0.25)] == pytest.approx(1 / (1 + np.exp(-10.0)))
+
+
+def test_the_grid_is_the_map_from_above(heard: Heard) -> None:
+    grid = heard["/map"][-1]
+    info = grid["info"]
+    assert (grid["header"]["frame_id"], stamp(grid)) == ("map", T0 + 3 * S)
+    assert info["resolution"] == 0.5
+    corner, _ = pose_of(info["origin"])
+    assert corner == pytest.approx([4.0, -4.0, 0.0])
+    cells = np.reshape(grid["data"], (info["height"], info["width"]))
+    assert cells[0, 0] == 100
+    assert cells[1, 1] == 0
+    assert cells[0, 2] == 100
+    assert (cells == -1).sum() == cells.size - 3
+
+
+def test_markers_show_robots_and_changes(heard: Heard) -> None:
+    markers = heard["/sonar_3d_map_markers"][-1]["markers"]
+    assert [(one["ns"], one["action"]) for one in markers] == [
+        ("", 3),
+        ("robots", 0),
+        ("appeared", 0),
+    ]
+    _, robot, change = markers
+    assert pose_of(robot["pose"])[0] == [1.0, 2.0, 3.0]
+    assert pose_of(change["pose"])[0] == [1.5, 2.0, -2.5]
+    assert [change["scale"][k] for k in "xyz"] == [1.0, 2.0, 1.0]
+
+
+def test_diagnostics_name_the_problem_and_localization(heard: Heard) -> None:
+    message = heard["/diagnostics"][-1]
+    assert stamp(message) == T0
+    daemon, localization = message["status"]
+    assert (daemon["name"], daemon["level"], daemon["hardware_id"]) == (
+        "mapperd: daemon",
+        2,
+        "diver",
+    )
+    assert daemon["message"].startswith("no_sonar")
+    assert (localization["name"], localization["level"]) == ("mapperd: localization", 0)
+
+
+def test_events_are_in_the_log(heard: Heard) -> None:
+    message = heard["/rosout"][-1]
+    assert (message["level"], message["name"], message["msg"]) == (
+        30,
+        "mapperd",
+        "appeared: something new",
+    )
+    assert message["stamp"] == {"sec": T0 // S, "nanosec": 0}
+
+
+def test_each_change_of_a_link_is_one_line(heard: Heard) -> None:
+    assert sum("connected" in line for line in heard.lines) == 1
+    assert sum("have subscribers" in line for line in heard.lines) == 1
+    assert len(heard.lines) <= 3
+
+
+KINDS = {
+    "/tf": "tf2_msgs/msg/TFMessage",
+    "/rov/mapperd/odometry": "nav_msgs/msg/Odometry",
+    "/rov/amcl_pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "/rov/mapperd/ping": "marine_acoustic_msgs/msg/ProjectedSonarImage",
+    "/rov/my_cloud": "sensor_msgs/msg/PointCloud2",
+    "/map": "nav_msgs/msg/OccupancyGrid",
+    "/sonar_3d_map_markers": "visualization_msgs/msg/MarkerArray",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+}
+
+
+def test_a_bag_recorded_from_it_opens_with_rosbags(heard: Heard, tmp_path: Path) -> None:
+    """The peer records bytes that it has encoded itself."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in MARINE.items():
+        store.register(get_types_from_msg(text, name))
+    path = tmp_path / "bag"
+    with Writer(path, version=8, storage_plugin=StoragePlugin.MCAP) as bag:
+        connections = {
+            topic: bag.add_connection(topic, kind, typestore=store) for topic, kind in KINDS.items()
+        }
+        for number, (topic, data) in enumerate(heard.cdr):
+            if topic in connections:
+                bag.write(connections[topic], T0 + number, data)
+    seen = set()
+    with Reader(path) as reader:
+        for connection, _, data in reader.messages():
+            message = store.deserialize_cdr(data, connection.msgtype)
+            seen.add(connection.topic)
+            if connection.topic == "/map":
+                assert message.data[:3].tolist() == [100, -1, 100]
+            if connection.topic == "/rov/mapperd/odometry":
+                assert message.header.stamp.nanosec == S // 2
+    assert seen == set(KINDS)
+
+
+def test_commands_and_poses_reach_the_daemon_where_they_are_allowed() -> None:
+    async def act(stream: BridgeStream, heard: Heard) -> None:
+        stream.feed(SETTINGS)
+
+        async def asked(topic: str, *, seq: int, **fields: Any) -> dict[str, Any]:
+            for _ in range(100):
+                heard.ask("call", name=topic, seq=seq, **fields)
+                await asyncio.sleep(0.1)
+                found = [one for one in heard[topic] if one["seq"] == seq]
+                if found:
+                    return found[0]
+            pytest.fail(f"no answer of {topic}")
+
+        empty = {"structure_needs_at_least_one_member": 0}
+        answer = await asked("/rov/global_localization", seq=1, **empty)
+        assert answer["guid"] == 77
+        names = ["filtering.min_range", "processing.frame_skip", "mqtt.host", "none"]
+        answer = await asked("/rov/mapperd/get_parameters", seq=2, names=names)
+        kinds = [(one["type"], one["double_value"]) for one in answer["values"]]
+        assert kinds == [(3, 1.5), (2, 0.0), (4, 0.0), (0, 0.0)]
+        change = {"name": "filtering.min_range", "value": {"type": 2, "integer_value": 3}}
+        answer = await asked("/rov/mapperd/set_parameters", seq=3, parameters=[change])
+        assert answer["results"] == [{"successful": True, "reason": ""}]
+        stream.refusal = AskError("refused", "the store is busy")
+        answer = await asked("/rov/mapperd/reset", seq=4, **empty)
+        assert (answer["success"], answer["message"]) == (False, "the store is busy")
+        stream.refusal = None
+        heard.ask("pose", x_m=4.0, y_m=5.0, z=0.6, w=0.8, frame="map")
+        await until(lambda: any(one["do"] == "initial_pose" for one in stream.requests))
+
+    stream = BridgeStream()
+    heard = beside_ros(act, of_rov(commands=True), stream=stream)
+    by_do = {one["do"]: one for one in stream.requests}
+    assert set(by_do) == {"global_localization", "set", "reset", "initial_pose"}
+    value = by_do["set"]["changes"]["filtering.min_range"]
+    assert (value, type(value)) == (3.0, float)
+    pose = by_do["initial_pose"]["pose"]
+    assert (pose["x_m"], pose["y_m"], pose["frame"]) == (4.0, 5.0, "map")
+    assert pose["yaw_rad"] == pytest.approx(2 * np.arctan2(0.6, 0.8))
+    assert pose["covariance"] == [[0.25, 0, 0], [0, 0.25, 0], [0, 0, 0.06]]
+    assert "initial pose from ROS: set" in heard.lines
+
+
+def test_a_flood_of_initial_poses_is_thinned_and_one_line() -> None:
+    async def act(stream: BridgeStream, heard: Heard) -> None:
+        heard.ask("pose", x_m=-1.0, y_m=0.0, z=0.0, w=1.0, frame="map")
+        while not stream.requests:
+            heard.ask("pose", x_m=-1.0, y_m=0.0, z=0.0, w=1.0, frame="map")
+            await asyncio.sleep(0.1)
+        for _ in range(20):
+            heard.ask("flood", number=200)
+            await asyncio.sleep(0.05)
+        await asyncio.sleep(1.0)
+
+    stream = BridgeStream()
+    heard = beside_ros(act, of_rov(commands=True), stream=stream)
+    assert 2 <= len(stream.requests) <= 12
+    assert sum("initial pose" in line for line in heard.lines) == 1
+
+
+def test_nothing_is_changed_where_commands_are_off() -> None:
+    async def act(stream: BridgeStream, heard: Heard) -> None:
+        stream.feed(SETTINGS)
+        change = {"name": "filtering.min_range", "value": {"type": 3, "double_value": 3.0}}
+        topic = "/rov/mapperd/set_parameters"
+        while not heard[topic]:
+            heard.ask("call", name=topic, seq=1, parameters=[change])
+            heard.ask("pose", x_m=4.0, y_m=5.0, z=0.0, w=1.0, frame="map")
+            await asyncio.sleep(0.1)
+        assert heard[topic][0]["results"][0]["reason"] == "changes are off: ros2.commands"
+
+    stream = BridgeStream()
+    beside_ros(act, stream=stream)
+    assert stream.requests == []
+
+
+def test_odometry_of_others_is_passed_on_as_native_records() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as daemon:
+        daemon.bind(("127.0.0.1", 0))
+        daemon.setblocking(False)  # noqa: FBT003 the call's own form
+        link = f"udp://127.0.0.1:{daemon.getsockname()[1]}"
+        received: list[bytes] = []
+
+        async def act(_: BridgeStream, heard: Heard) -> None:
+            for _ in range(300):
+                heard.ask("odometry", x_m=1.5)
+                await asyncio.sleep(0.1)
+                with contextlib.suppress(BlockingIOError):
+                    received.append(daemon.recv(4096))
+                    return
+
+        beside_ros(act, of_rov(odometry_link=link))
+    record = decode_native(received[0])
+    assert isinstance(record, Odometry)
+    assert record.position_m is not None
+    assert record.position_m.tolist() == [1.5, 2.0, -3.0]
+    assert record.stamp_ns == 10 * S + 500
+    assert record.velocity_mps is not None
+    assert record.velocity_mps.tolist() == [0.5, 0.0, 0.0]
+
+
+def test_a_peer_in_another_domain_hears_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mapperd.bridges.ros2.ALONE_S", 0.3)
+
+    async def act(stream: BridgeStream, heard: Heard) -> None:
+        feed_everything(stream)
+        await until(lambda: any("nobody subscribes" in line for line in heard.lines))
+        await asyncio.sleep(1.0)
+
+    heard = beside_ros(act, peer_domain=DOMAIN + 1)
+    assert heard.messages == {}
+    assert sum("nobody subscribes" in line for line in heard.lines) == 1
+
+
+def test_a_peer_that_comes_late_gets_the_map_and_one_that_goes_is_a_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("mapperd.bridges.ros2.ALONE_S", 0.3)
+
+    async def act(stream: BridgeStream, heard: Heard) -> None:
+        feed_everything(stream)
+        await until(lambda: heard["/map"] and heard["/rov/my_cloud"])
+
+    heard = beside_ros(act)
+    assert len(heard["/map"]) == 1
+
+    async def twice() -> list[str]:
+        stream, lines = BridgeStream(), Heard()
+        feed_everything(stream)
+        serving = asyncio.create_task(serve(stream, of_rov(), lines.lines.append))
+        for number in range(1, 3):
+            late = Heard()
+            async with late.listening(DOMAIN):
+                await until(lambda late=late: late["/map"])  # type: ignore[misc]
+            await until(
+                lambda number=number: sum("nobody" in one for one in lines.lines) >= number  # type: ignore[misc]
+            )
+        serving.cancel()
+        await asyncio.wait((serving,))
+        return lines.lines
+
+    lines = asyncio.run(asyncio.wait_for(twice(), 60))
+    assert sum("have subscribers" in line for line in lines) == 2
+    assert sum("nobody subscribes" in line for line in lines) in (2, 3)
