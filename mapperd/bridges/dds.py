@@ -372,6 +372,10 @@ class DdsNode:
                 "network interfaces"
             ) from error
 
+    def close(self) -> None:
+        """Leave the domain; topics and services end."""
+        self.participant.__del__()
+
     def publisher(self, name: str, kind: str, profile: Profile = "default") -> DdsPublisher:
         """Publish a topic, of a message type such as `nav_msgs/msg/Odometry`."""
         return DdsPublisher(self, full_name(self._namespace, name), kind, profile)

@@ -31,7 +31,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, ExportError
 from mapperd.export.rosbag import GRID_TOPIC, Turned
 from mapperd.geometry.frames import Pose, quaternion_to_matrix
-from mapperd.imaging.ping_image import COLOURS, FanShape
+from mapperd.imaging.ping_image import FanShape
 from mapperd.wire.messages import (
     EventMessage,
     ImageMessage,
@@ -83,7 +83,10 @@ The names of `sonar`, `cloud` and `markers` are settings.
 """
 
 NS = 1_000_000_000
-SHARE = 20.0
+PARTICLES_NS = NS // 2
+"""Shortest time between two messages with particles."""
+
+SHARE = 33.0
 """A cloud or grid is made after this many times the processor time that the last one took."""
 
 ALONE_S = 10.0
@@ -132,7 +135,9 @@ class Ros2Bridge:
         self._changed: set[bytes] = set()
         self._map_stamp_ns = 0
         self._map_due_s = -np.inf
-        self._map_is_new = False
+        self._particles_ns = 0
+        self._due: set[str] = set()
+        """Latched topics whose last message is outdated: DDS keeps that one for new readers."""
         self._mounting: tuple[Pose, str, str] | None = None
         self._changes: OrderedDict[str, Mapping[str, Any]] = OrderedDict()
         self._wants: tuple[Want, ...] = FIRST_WANTS
@@ -147,7 +152,7 @@ class Ros2Bridge:
             LocalizationMessage: self._localization,
             ImageMessage: self._image,
             ReturnsMessage: self._returns,
-            RobotsMessage: lambda _: self._markers(),
+            RobotsMessage: lambda _: self._due.add("markers"),
             StatusMessage: self._status,
             EventMessage: self._event,
         }
@@ -161,12 +166,12 @@ class Ros2Bridge:
     def _reset(self, _: MapReset) -> None:
         self._cloud.clear()
         self._changed.clear()
-        self._map_is_new = True
+        self._due |= {"cloud", "grid"}
 
     def _note(self, change: MapChanged) -> None:
         self._changed.update(names_of(change.keys))
         self._map_stamp_ns = change.stamp_ns or self._map_stamp_ns
-        self._map_is_new = True
+        self._due |= {"cloud", "grid"}
 
     def _returns(self, returns: ReturnsMessage) -> None:
         if "returns" in self.heard:
@@ -183,23 +188,16 @@ class Ros2Bridge:
         Args:
             now_s: monotonic time.
         """
-        heard = frozenset(key for key, one in self._publishers.items() if one.readers)
-        fresh, self.heard = heard - self.heard, heard
+        self.heard = heard = frozenset(k for k, one in self._publishers.items() if one.readers)
         self._look_for_peers(now_s)
         wants = [want for key in heard if (want := TOPICS[key][3]) is not None]
         wanted = tuple(dict.fromkeys((*BASE_WANTS, *sorted(wants))))
         if {*wanted} != {*self._wants}:
             self._wants = wanted
             await self._client.change(wants=wanted)
-        if fresh & {"cloud", "grid"}:
-            self._map_is_new, self._map_due_s = True, min(self._map_due_s, now_s)
-        if fresh & {"markers"}:
-            self._markers()
-        if fresh & {"pose", "pose_array", "particles"}:
-            localization = self._client.localization
-            if localization is not None:
-                self._localization(localization)
-        if heard & {"cloud", "grid"} and self._map_is_new and now_s >= self._map_due_s:
+        if "markers" in heard & self._due:
+            self._publish_markers()
+        if heard & self._due & {"cloud", "grid"} and now_s >= self._map_due_s:
             took_s = await asyncio.to_thread(self._map)
             self._map_due_s = now_s + max(self._config.ros2.cloud_period, SHARE * took_s)
 
@@ -277,7 +275,9 @@ class Ros2Bridge:
         frame = str((state.report.get("pose") or {}).get("frame", self._frame("map")))
         if estimate is not None and "pose" in self.heard:
             self._send("pose", self.messages.estimate(stamp_ns, frame, *estimate, height_m))
-        if self.heard & {"pose_array", "particles"}:
+        is_due = abs(stamp_ns - self._particles_ns) >= PARTICLES_NS
+        if self.heard & {"pose_array", "particles"} and is_due:
+            self._particles_ns = stamp_ns
             array, cloud = self.messages.particles(state, stamp_ns, frame, height_m)
             self._send("pose_array", array)
             self._send("particles", cloud)
@@ -295,8 +295,8 @@ class Ros2Bridge:
             message = self.messages.ping(image, pixels, frame, self._client.fan, speed_mps)
             self._send("ping", message)
         if "fan" in self.heard:
-            fan = COLOURS[self._shape.fan_image(bearings_of(image), pixels)]
-            self._send("fan", self.messages.colour_image(image.stamp_ns, frame, fan))
+            fan = self._shape.fan_image(bearings_of(image), pixels)
+            self._send("fan", self.messages.image(image.stamp_ns, frame, fan))
 
     def _event(self, message: EventMessage) -> None:
         event = message.event
@@ -307,10 +307,10 @@ class Ros2Bridge:
             self._changes[str(facts["id"])] = {"code": code, **facts}
             while len(self._changes) > MAX_CHANGES:
                 self._changes.popitem(last=False)
-            self._markers()
+            self._due.add("markers")
         elif code == "change_over":
             self._changes.pop(str(facts.get("id")), None)
-            self._markers()
+            self._due.add("markers")
         self._send(
             "log",
             self.messages.log(
@@ -318,9 +318,10 @@ class Ros2Bridge:
             ),
         )
 
-    def _markers(self) -> None:
-        if "markers" not in self.heard or not self._stamp_ns:
+    def _publish_markers(self) -> None:
+        if not self._stamp_ns:
             return
+        self._due.discard("markers")
         robots = self._client.robots
         places = [place for _, *place in robots.seen] if robots else []
         changes = self._changes.values()
@@ -340,13 +341,14 @@ class Ros2Bridge:
         mirror = self._client.mirror
         if mirror is None:
             return 0.0
-        self._map_is_new = False
+        wanted = self.heard & self._due & {"cloud", "grid"}
+        self._due -= wanted
         names, self._changed = self._changed, set()
         frame, stamp_ns = self._map_frame(), self._map_stamp_ns or self._stamp_ns
         self._cloud.update(mirror, names)
-        if "cloud" in self.heard:
+        if "cloud" in wanted:
             self._send("cloud", self.messages.points(stamp_ns, frame, self._cloud.rows()))
-        if "grid" in self.heard:
+        if "grid" in wanted:
             try:
                 layer = map_slice(mirror, *self._heights())
             except ExportError as error:
@@ -456,6 +458,7 @@ async def serve(client: Ros2Client, config: Config, report: Callable[[str], None
         await asyncio.wait(tasks)
         if forwarder is not None:
             forwarder.close()
+        node.close()
 
 
 async def _follow(client: Ros2Client, bridge: Ros2Bridge) -> None:

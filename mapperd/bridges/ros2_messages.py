@@ -90,20 +90,6 @@ class LiveMessages(Messages):
             ),
         )
 
-    def colour_image(self, stamp_ns: int, frame: str, pixels: NDArray[np.uint8]) -> Any:  # noqa: ANN401
-        """sensor_msgs/Image of colours (height, width, 3)."""
-        height, width, _ = pixels.shape
-        return self._of(
-            "sensor_msgs/msg/Image",
-            header=self._header(stamp_ns, frame),
-            height=height,
-            width=width,
-            encoding="rgb8",
-            is_bigendian=0,
-            step=3 * width,
-            data=np.ascontiguousarray(pixels).reshape(-1),
-        )
-
     def returns(self, returns: ReturnsMessage, frame: str) -> Any:  # noqa: ANN401
         """sensor_msgs/PointCloud2 of the first returns of a ping, in the sonar's frame."""
         points = np.frombuffer(returns.points, "<f4").reshape(-1, 3)
@@ -141,12 +127,20 @@ class LiveMessages(Messages):
         self, state: LocalizationMessage, stamp_ns: int, frame: str, height_m: float
     ) -> tuple[Any, Any]:
         """geometry_msgs/PoseArray and nav2_msgs/ParticleCloud of the particles."""
-        rows = np.frombuffer(state.particles, "<f4").reshape(-1, 4).astype(np.float64).tolist()
-        poses = [self._pose(planar_pose(x, y, yaw, height_m)) for x, y, yaw, _ in rows]
+        rows = np.frombuffer(state.particles, "<f4").reshape(-1, 4).astype(np.float64)
+        half = rows[:, 2] / 2
+        turns = zip(np.sin(half).tolist(), np.cos(half).tolist(), strict=True)
+        point, quaternion, pose_of = (
+            self._types[f"geometry_msgs/msg/{name}"] for name in ("Point", "Quaternion", "Pose")
+        )
+        poses = [
+            pose_of(point(x, y, height_m), quaternion(0.0, 0.0, sine, cosine))
+            for (x, y, _, _), (sine, cosine) in zip(rows.tolist(), turns, strict=True)
+        ]
         header = self._header(stamp_ns, frame)
         cloud = [
             self._of("nav2_msgs/msg/Particle", pose=pose, weight=weight)
-            for pose, (*_, weight) in zip(poses, rows, strict=True)
+            for pose, weight in zip(poses, rows[:, 3].tolist(), strict=True)
         ]
         return (
             self._of("geometry_msgs/msg/PoseArray", header=header, poses=poses),

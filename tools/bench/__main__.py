@@ -5,6 +5,7 @@ import sys
 from studies.runner import run_program
 
 BENCHMARKS = {
+    "bridges": "bench.bridges",
     "capture-reading": "bench.capture_reading",
     "detail": "bench.detail",
     "driver-throughput": "bench.driver_throughput",

@@ -57,7 +57,7 @@ def main() -> None:
     parser.add_argument("--picture", help="PNG of the page")
     args = parser.parse_args()
     mirror = MapMirror(MAP_INFO, Interest(detail="log_odds"))
-    mirror.put(_floor(args.cells), time.time_ns())
+    mirror.put(floor_blocks(args.cells), time.time_ns())
     occupied = len(mirror.cells("occupied"))
     server = open_page("127.0.0.1", 0)
     view = MapLayer(server.scene, MapStyle(Filter(), Scale("height", -10.0, 0.0), args.shape))
@@ -137,7 +137,7 @@ def _again(mirror: MapMirror, keys: NDArray[np.int32], generator: np.random.Gene
     return BlockSet(keys, np.zeros(len(keys), np.uint32), cells)
 
 
-def _floor(number: int) -> BlockSet:
+def floor_blocks(number: int) -> BlockSet:
     """A floor with dunes and a few walls: about so many occupied cells."""
     edge = round((number / THICK) ** 0.5)
     x, y = np.meshgrid(np.arange(edge) - edge // 2, np.arange(edge) - edge // 2, indexing="ij")

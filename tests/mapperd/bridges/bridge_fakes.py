@@ -51,6 +51,10 @@ class BridgeStream(FakeStream):
         )
         return linked("connected")
 
+    def forget(self) -> None:
+        """Drop a change that nobody has taken."""
+        self._waiting.get_nowait()
+
     async def ask(self, do: str, **fields: Any) -> dict[str, Any]:
         self.requests.append({"do": do, **fields})
         if self.refusal is not None:

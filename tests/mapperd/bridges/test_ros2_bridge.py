@@ -2,8 +2,10 @@
 
 import asyncio
 import contextlib
+import gc
 import json
 import os
+import signal
 import socket
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -18,12 +20,12 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
-from mapperd.bridges.dds import MARINE
-from mapperd.bridges.ros2 import serve
+from mapperd.bridges.dds import MARINE, DdsNode, RosTypes, full_name
+from mapperd.bridges.ros2 import TOPICS, Ros2Bridge, domain_of, serve
 from mapperd.client.changes import MapChanged
 from mapperd.client.validation import AskError
 from mapperd.config.tree import Config, Ros2Config, TopicsConfig
-from mapperd.imaging.ping_image import COLOURS
+from mapperd.errors import ConfigError
 from mapperd.odometry.native import decode_native
 from mapperd.odometry.records import Odometry
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
@@ -40,6 +42,8 @@ from tests.mapperd.bridges.bridge_fakes import (
     sure,
 )
 from tests.mapperd.foxglove.foxglove_fakes import FAN, IMAGE, PIXELS
+from tests.support.process import resident_bytes
+from tests.support.stream_server import Served, Server, a_block
 from tests.support.waiting import until
 
 pytestmark = pytest.mark.net
@@ -132,7 +136,7 @@ def beside_ros(
 
 
 def of_rov(**ros2: Any) -> Config:
-    fields = {"domain": DOMAIN, "namespace": "rov", "cloud_period": 0.1} | ros2
+    fields: dict[str, Any] = {"domain": DOMAIN, "namespace": "rov", "cloud_period": 0.1} | ros2
     return Config(
         ros2=Ros2Config(**fields),
         topics=TopicsConfig(pointcloud="my_cloud", odometry="/slam/odometry"),
@@ -316,10 +320,9 @@ def test_the_ping_has_its_geometry(heard: Heard) -> None:
 
 def test_the_fan_image_is_seen_from_above(heard: Heard) -> None:
     fan = heard["/rov/mapperd/fan_image"][-1]
-    assert (fan["encoding"], fan["height"], fan["step"]) == ("rgb8", 4, 3 * fan["width"])
-    pixels = np.reshape(fan["data"], (4, fan["width"], 3))
-    middle = fan["width"] // 2
-    assert pixels[0, middle].tolist() == COLOURS[PIXELS[3, 1]].tolist()  # far ahead: at the top
+    assert (fan["encoding"], fan["height"], fan["step"]) == ("mono8", 4, fan["width"])
+    pixels = np.reshape(fan["data"], (4, fan["width"]))
+    assert pixels[0, fan["width"] // 2] == PIXELS[3, 1]  # far ahead: at the top
 
 
 def test_returns_are_in_the_frame_of_the_sonar(heard: Heard) -> None:
@@ -422,7 +425,7 @@ def test_a_bag_recorded_from_it_opens_with_rosbags(heard: Heard, tmp_path: Path)
     seen = set()
     with Reader(path) as reader:
         for connection, _, data in reader.messages():
-            message = store.deserialize_cdr(data, connection.msgtype)
+            message: Any = store.deserialize_cdr(data, connection.msgtype)
             seen.add(connection.topic)
             if connection.topic == "/map":
                 assert message.data[:3].tolist() == [100, -1, 100]
@@ -515,7 +518,7 @@ def test_odometry_of_others_is_passed_on_as_native_records() -> None:
         received: list[bytes] = []
 
         async def act(_: BridgeStream, heard: Heard) -> None:
-            for _ in range(300):
+            for _attempt in range(300):
                 heard.ask("odometry", x_m=1.5)
                 await asyncio.sleep(0.1)
                 with contextlib.suppress(BlockingIOError):
@@ -545,33 +548,176 @@ def test_a_peer_in_another_domain_hears_nothing(monkeypatch: pytest.MonkeyPatch)
     assert sum("nobody subscribes" in line for line in heard.lines) == 1
 
 
+async def beside_late_peers(number: int, act: Callable[[int], Awaitable[None]]) -> list[str]:
+    """Run a bridge with a map; peers come and go one after the other."""
+    stream, lines = BridgeStream(), list[str]()
+    feed_everything(stream)
+    serving = asyncio.create_task(serve(stream, of_rov(), lines.append))
+    try:
+        for each in range(number):
+            await act(each)
+    finally:
+        serving.cancel()
+        await asyncio.wait((serving,))
+    return lines
+
+
 def test_a_peer_that_comes_late_gets_the_map_and_one_that_goes_is_a_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("mapperd.bridges.ros2.ALONE_S", 0.3)
+    monkeypatch.setattr("mapperd.bridges.ros2.ALONE_S", 0.0)
 
-    async def act(stream: BridgeStream, heard: Heard) -> None:
-        feed_everything(stream)
-        await until(lambda: heard["/map"] and heard["/rov/my_cloud"])
-
-    heard = beside_ros(act)
-    assert len(heard["/map"]) == 1
-
-    async def twice() -> list[str]:
-        stream, lines = BridgeStream(), Heard()
-        feed_everything(stream)
-        serving = asyncio.create_task(serve(stream, of_rov(), lines.lines.append))
-        for number in range(1, 3):
+    async def run() -> None:
+        async def act(_: int) -> None:
             late = Heard()
             async with late.listening(DOMAIN):
-                await until(lambda late=late: late["/map"])  # type: ignore[misc]
-            await until(
-                lambda number=number: sum("nobody" in one for one in lines.lines) >= number  # type: ignore[misc]
-            )
-        serving.cancel()
-        await asyncio.wait((serving,))
-        return lines.lines
+                await until(lambda: late["/map"] and late["/rov/my_cloud"])
+            assert len(late["/map"]) == 1
+            await asyncio.sleep(0.5)
 
-    lines = asyncio.run(asyncio.wait_for(twice(), 60))
-    assert sum("have subscribers" in line for line in lines) == 2
-    assert sum("nobody subscribes" in line for line in lines) in (2, 3)
+        lines = await beside_late_peers(2, act)
+        assert sum("have subscribers" in line for line in lines) == 2
+        assert sum("nobody subscribes" in line for line in lines) in (2, 3)  # at the beginning too
+
+    asyncio.run(asyncio.wait_for(run(), 60))
+
+
+COMES_AND_GOES = """
+import sys
+from cyclonedds.core import Qos, Policy
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+sys.path.insert(0, sys.argv[3])
+from ros_peer import LATCHED, OccupancyGrid
+for number in range(int(sys.argv[2])):
+    participant = DomainParticipant(int(sys.argv[1]))
+    reader = DataReader(participant, Topic(participant, "rt/map", OccupancyGrid, qos=LATCHED))
+    while not reader.get_matched_publications():
+        pass
+    del reader, participant
+"""
+
+
+@pytest.mark.parametrize("peers", [30, pytest.param(10_000, marks=pytest.mark.slow)])
+@pytest.mark.timeout(3600)
+def test_peers_that_come_and_go_leave_nothing_behind(peers: int) -> None:
+    async def run() -> None:
+        sizes: list[int] = []
+
+        async def act(_: int) -> None:
+            words = ["-c", COMES_AND_GOES, str(DOMAIN), str(peers), str(PEER.parent)]
+            process = await asyncio.create_subprocess_exec(sys.executable, *words)
+            assert await process.wait() == 0
+            gc.collect()
+            sizes.append(resident_bytes())
+
+        await beside_late_peers(2, act)
+        assert sizes[1] - sizes[0] < 16e6
+
+    asyncio.run(run())
+
+
+def test_the_daemon_that_is_lost_and_found_is_a_line_each(short: Path) -> None:
+    """As a program, which waits for the daemon."""
+
+    async def run() -> None:
+        code = "import sys; from mapperd.cli.mapperctl.command import main; sys.exit(main())"
+        given = ["ros2", "--domain", str(DOMAIN), "--socket", str(short / "m.sock")]
+        program = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-c",
+            code,
+            *given,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+        )
+        served = Served(status_s=0.05)
+        served.put((0, 0, 0), a_block(1))
+        late = Heard()
+        for _ in range(2):
+            late.messages.clear()
+            async with Server(served, short / "m.sock"), late.listening(DOMAIN):
+                await until(lambda: late["/map"])
+        program.send_signal(signal.SIGTERM)
+        out, err = await program.communicate()
+        assert (program.returncode, err) == (0, b"")
+        lines = out.decode().splitlines()
+        assert sum(": connected" in line for line in lines) == 2
+        assert sum(": waiting" in line for line in lines) in (2, 3)
+
+    asyncio.run(asyncio.wait_for(run(), 60))
+
+
+@pytest.mark.parametrize("reconnects", [300, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_reconnects_to_the_daemon_leave_nothing_behind(reconnects: int) -> None:
+    lines: list[str] = []
+    stream = BridgeStream()
+    node = DdsNode(DOMAIN, "rov")
+    bridge = Ros2Bridge(stream, of_rov(), node, lines.append)
+    bridge.heard = frozenset(TOPICS)
+
+    def reconnect(number: int) -> None:
+        changes = (
+            linked("waiting", f"reason {number}"),
+            stream.connect(f"s-{number}"),
+            began(),
+            sure(),
+            a_pose(number),
+            IMAGE,
+            a_ping(number),
+            APPEARED,
+            a_status("no_sonar"),
+        )
+        for change in changes:
+            stream.feed(change)
+            bridge.take(change)
+        while stream.unread:
+            stream.forget()
+
+    for number in range(1100):  # rosout keeps the newest thousand
+        reconnect(number)
+    del lines[:]
+    gc.collect()
+    before = resident_bytes()
+    for number in range(reconnects):
+        reconnect(number)
+        if number % 100 == 0:
+            del lines[:]
+    gc.collect()
+    after = resident_bytes()
+    node.close()
+    assert after - before < 8e6
+
+
+@pytest.mark.parametrize(
+    ("config", "environ", "domain"),
+    [
+        (Config(), {}, 0),
+        (Config(), {"ROS_DOMAIN_ID": "42"}, 42),
+        (of_rov(domain=7), {"ROS_DOMAIN_ID": "42"}, 7),
+        (of_rov(domain=0), {"ROS_DOMAIN_ID": "42"}, 0),
+    ],
+)
+def test_the_domain_is_that_of_the_settings_or_of_ros(
+    config: Config, environ: dict[str, str], domain: int
+) -> None:
+    assert domain_of(config, environ) == domain
+
+
+@pytest.mark.parametrize("text", ["233", "-1", "one", "1.0"])
+def test_a_wrong_domain_is_one_line(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"ROS_DOMAIN_ID: .*allowed: 0 to 232"):
+        domain_of(Config(), {"ROS_DOMAIN_ID": text})
+
+
+def test_names_are_those_of_ros() -> None:
+    assert full_name("", "/tf") == full_name("rov", "/tf") == "/tf"
+    assert full_name("rov", "map") == full_name("/rov/", "map") == "/rov/map"
+    assert full_name("", "mapperd/ping") == "/mapperd/ping"
+
+
+def test_type_hashes_are_those_that_ros_computes() -> None:
+    """Of REP-2016, as Jazzy prints them."""
+    known = "RIHS01_9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5"
+    assert RosTypes().hash_of("sensor_msgs/msg/PointCloud2") == known

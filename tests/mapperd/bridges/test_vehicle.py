@@ -173,8 +173,9 @@ def random_mirror(seed: int, detail: str = "log_odds") -> MapMirror:
 def test_a_slice_is_that_of_all_cells_one_by_one(detail: str, heights: tuple[float, float]) -> None:
     mirror = random_mirror(3, detail)
     expected: dict[tuple[int, int], int] = {}
-    for kind, value in (("free", FREE), ("occupied", OCCUPIED)):
-        for x, y, z in mirror.cells(kind).centres_m.tolist():  # type: ignore[arg-type]
+    by_class = ((mirror.cells("free"), FREE), (mirror.cells("occupied"), OCCUPIED))
+    for cells, value in by_class:
+        for x, y, z in cells.centres_m.tolist():
             if heights[0] <= z <= heights[1]:
                 expected[(int(np.floor(x / 0.25)), int(np.floor(y / 0.25)))] = value
     layer = map_slice(mirror, *heights)
@@ -235,7 +236,7 @@ def test_each_state_of_the_daemon_is_one_line() -> None:
     reporter = LinkReporter(lines.append)
     for _ in range(5):
         for state in ("connecting", "waiting"):
-            status = ConnectionStatus(state, "/run/a", "no such file", 0.0)  # type: ignore[arg-type]
+            status = ConnectionStatus(state, "/run/a", "no such file", 0.0)
             assert not reporter.take(status)
     assert reporter.take(ConnectionStatus("connected", "/run/a", "", 0.0))
     assert reporter.take(ConnectionStatus("connected", "/run/a", "", 0.0))
