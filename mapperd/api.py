@@ -1,17 +1,27 @@
 """Requests that a running daemon accepts from its socket, a broker or a signal."""
 
 import math
-from typing import Annotated, Any, Protocol
+from collections import OrderedDict
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from msgspec import Meta, Struct
 
 from mapperd.config.live import ConfigStore
 from mapperd.errors import MapperdError
-from mapperd.events import EventLog
+from mapperd.events import EventLog, Severity
 from mapperd.geometry.gaussian import PlanarGaussian
 
-__all__ = ["STD_XY_M", "STD_YAW_RAD", "DaemonApi", "OperationError", "PoseRequest"]
+__all__ = [
+    "STD_XY_M",
+    "STD_YAW_RAD",
+    "ChangeReport",
+    "DaemonApi",
+    "OperationError",
+    "PoseRequest",
+    "ReportedChanges",
+]
 
 STD_XY_M = 0.5
 STD_YAW_RAD = math.pi / 12
@@ -61,6 +71,83 @@ class PoseRequest(Struct, frozen=True, forbid_unknown_fields=True):
         return np.diag([xy_m**2, xy_m**2, yaw_rad**2])
 
 
+class ChangeReport(Struct, frozen=True, forbid_unknown_fields=True):
+    """A difference of the live map from a known one, as a client has found it.
+
+    Attributes:
+        kind: something `appeared` or `vanished`, or the change is `over`.
+        id: of the change; a later report of it replaces this one.
+        low_m, high_m: corners of its box, map frame.
+        voxels: number of voxels.
+    """
+
+    kind: Literal["appeared", "vanished", "over"]
+    id: Annotated[str, Meta(pattern="^[A-Za-z0-9_.-]{1,64}$")]
+    low_m: tuple[Metres, Metres, Metres] = (0.0, 0.0, 0.0)
+    high_m: tuple[Metres, Metres, Metres] = (0.0, 0.0, 0.0)
+    voxels: Annotated[int, Meta(ge=0, le=2**53)] = 0
+
+
+MAX_CHANGES = 200
+CHANGE_SEVERITIES = {"appeared": Severity.WARNING, "vanished": Severity.NOTICE}
+
+
+class ReportedChanges:
+    """The changes of the map that clients have reported; in the event loop only."""
+
+    def __init__(self) -> None:
+        self._changes: OrderedDict[str, tuple[ChangeReport, str]] = OrderedDict()
+
+    def take(
+        self, reports: Iterable[ChangeReport], known: str, events: EventLog, *, begin: bool
+    ) -> None:
+        """Add reports, and an event for each that is new.
+
+        Args:
+            reports: the changes.
+            known: name of the known map.
+            events: takes the events.
+            begin: forget earlier reports.
+        """
+        before, earlier = self._changes, OrderedDict(self._changes)
+        if begin:
+            before.clear()
+        for one in reports:
+            if one.kind == "over":
+                if before.pop(one.id, None) is not None:
+                    text = f"change {one.id} against {known} is over"
+                    events.add(Severity.INFO, "change_over", text, id=one.id, map=known)
+                continue
+            known_before = earlier.get(one.id)
+            before[one.id] = (one, known)
+            if known_before is None or known_before[0].kind != one.kind:
+                events.add(
+                    CHANGE_SEVERITIES[one.kind], one.kind, _text(one, known), **_facts(one, known)
+                )
+        while len(before) > MAX_CHANGES:
+            before.popitem(last=False)
+
+    def plain(self) -> list[dict[str, Any]]:
+        """Return the changes as plain values: `kind`, `id`, `low_m`, `high_m`, `voxels`, `map`."""
+        return [{"kind": one.kind, **_facts(one, known)} for one, known in self._changes.values()]
+
+
+def _facts(change: ChangeReport, known: str) -> dict[str, Any]:
+    return {
+        "id": change.id,
+        "low_m": list(change.low_m),
+        "high_m": list(change.high_m),
+        "voxels": change.voxels,
+        "map": known,
+    }
+
+
+def _text(change: ChangeReport, known: str) -> str:
+    ranges = zip("xyz", change.low_m, change.high_m, strict=True)
+    where = ", ".join(f"{axis} {low:.1f} to {high:.1f}" for axis, low, high in ranges)
+    return f"something has {change.kind} against {known}: {change.voxels} voxels at {where} m"
+
+
 class OperationError(MapperdError):
     """A request cannot be carried out; nothing changed.
 
@@ -86,6 +173,10 @@ class DaemonApi(Protocol):
     def events(self) -> EventLog:
         """The event log."""
 
+    @property
+    def changes(self) -> ReportedChanges:
+        """The changes of the map that clients have reported."""
+
     def status(self) -> dict[str, Any]:
         """Return the status as plain values with units in the keys; cheap, from any thread.
 
@@ -93,7 +184,7 @@ class DaemonApi(Protocol):
         daemon's clock), `problems` (most severe first, each with `code` and `text`),
         `version`, `uptime_s`, `sonar`, `odometry`, `pose` (None before the first),
         `localization` (None where it is off), `pings`, `latency_ms`, `behind`, `map`, `store`,
-        `recording`, `robots`, `servers`.
+        `recording`, `robots`, `changes`, `servers`.
         """
 
     async def save(self, name: str, origin: str) -> dict[str, Any]:

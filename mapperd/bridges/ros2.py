@@ -6,7 +6,6 @@ Frames are the tree of REP-105: map, odom, base, sonar. What nobody subscribes t
 import asyncio
 import os
 import time
-from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Collection, Mapping
 from typing import Any, Protocol
 
@@ -25,7 +24,7 @@ from mapperd.bridges.vehicle import (
     planar_estimate,
 )
 from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapReset
-from mapperd.client.mirror import names_of
+from mapperd.client.mirror import MapMirror, names_of
 from mapperd.client.validation import bearings_of, image_of
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, ExportError
@@ -91,7 +90,6 @@ SHARE = 33.0
 
 ALONE_S = 10.0
 MAX_TAKEN = 50
-MAX_CHANGES = 200
 POSITION_M, TURN = 1e-6, 1e-9
 """A mounting that differs by less is the same: it is computed from poses."""
 
@@ -135,11 +133,12 @@ class Ros2Bridge:
         self._changed: set[bytes] = set()
         self._map_stamp_ns = 0
         self._map_due_s = -np.inf
+        self._is_reset = False
         self._particles_ns = 0
         self._due: set[str] = set()
         """Latched topics whose last message is outdated: DDS keeps that one for new readers."""
         self._mounting: tuple[Pose, str, str] | None = None
-        self._changes: OrderedDict[str, Mapping[str, Any]] = OrderedDict()
+        self._changes: list[Mapping[str, Any]] = []
         self._wants: tuple[Want, ...] = FIRST_WANTS
         self._began_s: float | None = None
         self._is_alone: bool | None = None
@@ -164,7 +163,7 @@ class Ros2Bridge:
             handler(change)
 
     def _reset(self, _: MapReset) -> None:
-        self._cloud.clear()
+        self._is_reset = True
         self._changed.clear()
         self._due |= {"cloud", "grid"}
 
@@ -179,6 +178,10 @@ class Ros2Bridge:
 
     def _status(self, status: StatusMessage) -> None:
         self._stamp_ns = status.stamp_ns
+        changes = status.status.get("changes")
+        if isinstance(changes, list) and changes != self._changes:
+            self._changes = changes
+            self._due.add("markers")
         if "diagnostics" in self.heard and status.status:
             self._send("diagnostics", self._diagnostics(status))
 
@@ -198,7 +201,7 @@ class Ros2Bridge:
         if "markers" in heard & self._due:
             self._publish_markers()
         if heard & self._due & {"cloud", "grid"} and now_s >= self._map_due_s:
-            took_s = await asyncio.to_thread(self._map)
+            took_s = await self._publish_map()
             self._map_due_s = now_s + max(self._config.ros2.cloud_period, SHARE * took_s)
 
     def _look_for_peers(self, now_s: float) -> None:
@@ -301,16 +304,7 @@ class Ros2Bridge:
     def _event(self, message: EventMessage) -> None:
         event = message.event
         stamp_ns = round(float(event.get("t_s", 0.0)) * NS) or self._stamp_ns
-        facts = event.get("facts") or {}
         code = str(event.get("code", ""))
-        if code in ("appeared", "vanished") and {"id", "low_m", "high_m"} <= facts.keys():
-            self._changes[str(facts["id"])] = {"code": code, **facts}
-            while len(self._changes) > MAX_CHANGES:
-                self._changes.popitem(last=False)
-            self._due.add("markers")
-        elif code == "change_over":
-            self._changes.pop(str(facts.get("id")), None)
-            self._due.add("markers")
         self._send(
             "log",
             self.messages.log(
@@ -324,9 +318,9 @@ class Ros2Bridge:
         self._due.discard("markers")
         robots = self._client.robots
         places = [place for _, *place in robots.seen] if robots else []
-        changes = self._changes.values()
         frame = self._map_frame()
-        self._send("markers", self.messages.markers(self._stamp_ns, frame, places, changes))
+        message = self.messages.markers(self._stamp_ns, frame, places, self._changes)
+        self._send("markers", message)
 
     def _map_frame(self) -> str:
         """Return the frame that the served map lies in."""
@@ -335,15 +329,22 @@ class Ros2Bridge:
             return self._frame("odom")
         return self._frame("map")
 
-    def _map(self) -> float:
-        """Publish cloud and grid; return the processor time that it took. Runs in a thread."""
-        began_s = time.thread_time()
+    async def _publish_map(self) -> float:
+        """Publish cloud and grid; return the processor time that it took."""
         mirror = self._client.mirror
         if mirror is None:
             return 0.0
+        if self._is_reset:
+            self._is_reset = False
+            self._cloud.clear()
         wanted = self.heard & self._due & {"cloud", "grid"}
         self._due -= wanted
         names, self._changed = self._changed, set()
+        return await asyncio.to_thread(self._map, mirror, wanted, names)
+
+    def _map(self, mirror: MapMirror, wanted: Collection[str], names: Collection[bytes]) -> float:
+        """Publish the map; runs in a thread."""
+        began_s = time.thread_time()
         frame, stamp_ns = self._map_frame(), self._map_stamp_ns or self._stamp_ns
         self._cloud.update(mirror, names)
         if "cloud" in wanted:

@@ -39,7 +39,7 @@ MARKER_CHANGE: Mapping[str, tuple[float, float, float, float]] = {
     "appeared": (0.1, 0.8, 0.2, 0.4),
     "vanished": (0.9, 0.2, 0.1, 0.4),
 }
-"""Colour of the box of a change, by its code."""
+"""Colour of the box of a change, by its kind."""
 
 ROBOT_M, ROBOT_COLOUR = 0.5, (1.0, 0.3, 0.3, 0.8)
 NS = 1_000_000_000
@@ -197,7 +197,7 @@ class LiveMessages(Messages):
             stamp_ns: Unix time.
             frame: of the served map.
             robots_m: positions of other robots.
-            changes: with `code`, `low_m` and `high_m`.
+            changes: of the daemon's status, with `kind`, `low_m` and `high_m`.
         """
         markers = [self._marker(stamp_ns, frame, action=DELETE_ALL)]
         for number, place in enumerate(robots_m):
@@ -216,7 +216,7 @@ class LiveMessages(Messages):
             )
         for number, change in enumerate(changes):
             low, high = (np.asarray(change[name], np.float64) for name in ("low_m", "high_m"))
-            code = str(change["code"])
+            code = str(change["kind"])
             pose = Pose((low + high) / 2, np.eye(4)[0])
             markers.append(
                 self._marker(

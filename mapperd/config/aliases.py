@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from mapperd.config.catalog import parameters
-from mapperd.config.tree import AmclConfig, Config
+from mapperd.config.tree import AmclConfig
 from mapperd.errors import ConfigError
 
 __all__ = [
@@ -92,8 +92,6 @@ IGNORED = MappingProxyType(
     }
 )
 """Settings of the programs this one replaces that have no effect here, and why; any value loads."""
-
-IGNORED_SECTIONS = {name.partition(".")[0] for name in IGNORED} - {*Config.__struct_fields__}
 
 REPLACED = MappingProxyType({"mapping.integrator": ("projective", "evidence_grid")})
 """Value of an earlier version and the one that replaces it, by setting."""
@@ -180,9 +178,7 @@ def tree_updated(tree: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ..
         elif fields[field] == REPLACED[name][0]:
             updated[section] = fields | {field: REPLACED[name][1]}
             phrases.append("{}: {} is now {}".format(name, *REPLACED[name]))
-    empty = [name for name in IGNORED_SECTIONS if name in updated and not updated[name]]
-    kept = {name: value for name, value in updated.items() if name not in empty}
-    return kept, tuple(phrases)
+    return updated, tuple(phrases)
 
 
 def _rename_former(tree: dict[str, Any], phrases: list[str]) -> None:

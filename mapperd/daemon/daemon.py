@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mapperd import _core
-from mapperd.api import OperationError, PoseRequest
+from mapperd.api import OperationError, PoseRequest, ReportedChanges
 from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore, Refused, changes_between
 from mapperd.config.tree import Config
@@ -69,6 +69,7 @@ class Daemon:
         self.phase = "starting"
         self._settings = settings
         self._events = events
+        self._changes = ReportedChanges()
         self._map = sonar_map
         self._live = live
         self._read = read
@@ -90,6 +91,11 @@ class Daemon:
     def events(self) -> EventLog:
         """What happened."""
         return self._events
+
+    @property
+    def changes(self) -> ReportedChanges:
+        """As `DaemonApi.changes`."""
+        return self._changes
 
     @property
     def live(self) -> Live:
@@ -127,7 +133,8 @@ class Daemon:
         uptime_s = time.monotonic() - self._began_s
         servers = {name: status() for name, status in self.servers.items()}
         status = status_of(self._live, self._map, self._settings.current, uptime_s, servers)
-        return {"phase": self.phase, "activity": activity_of(self.phase, status)} | status
+        changes = {"changes": self._changes.plain()}
+        return {"phase": self.phase, "activity": activity_of(self.phase, status)} | status | changes
 
     def workers(self) -> list[Worker]:
         """What each thread has to do and has done, for a watchdog; any thread."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mapperd import __version__
-from mapperd.api import OperationError, PoseRequest
+from mapperd.api import OperationError, PoseRequest, ReportedChanges
 from mapperd.config.layers import Layered
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
@@ -133,7 +133,7 @@ class MapServer(_NoSession):
     Attributes:
         store, phase: as given; the phase may change.
         settings: of the map; none may change.
-        events: no events.
+        events, changes: none.
         feed: takes the pings of a replay.
         replayed: newest status of a replay; None without.
     """
@@ -145,6 +145,7 @@ class MapServer(_NoSession):
         self.store = store
         self.settings = ConfigStore(Layered(sonar_map.config))
         self.events = EventLog(time.time_ns)
+        self.changes = ReportedChanges()
         self.phase = phase
         self.replayed: StatusSnapshot | None = None
         self._what = what

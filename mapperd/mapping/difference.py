@@ -4,9 +4,11 @@ Distances are from centre to centre on the grid of the coarser map: an occupied 
 map makes its cell of that grid occupied. Maps of equal resolution are compared voxel by voxel.
 """
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +20,14 @@ from mapperd.mapping.queries import MapContent
 __all__ = [
     "MAX_REACH_VOXELS",
     "REACH_TOLERANCES",
+    "MapChange",
     "MapDifference",
     "OneWayDifference",
+    "changes_among",
+    "changes_of",
     "compare_maps",
+    "compare_parts",
+    "occupied_centres",
     "squares_to_nearest",
 ]
 
@@ -103,6 +110,30 @@ def compare_maps(
     Raises:
         MapError: the tolerance is not positive or too large (`bad_tolerance`).
     """
+    return compare_parts(
+        occupied_centres(first), first, occupied_centres(second), second, tolerance_m
+    )
+
+
+def compare_parts(
+    first_m: Floats,
+    first: MapContent,
+    second_m: Floats,
+    second: MapContent,
+    tolerance_m: float | None = None,
+) -> MapDifference:
+    """Compare some occupied voxels of two maps of one frame.
+
+    Args:
+        first_m: (N, 3) centres of occupied voxels of the earlier map.
+        first: the earlier map.
+        second_m: (M, 3) centres of occupied voxels of the later map.
+        second: the later map.
+        tolerance_m: as of `compare_maps`.
+
+    Raises:
+        MapError: as `compare_maps`.
+    """
     grid_m = max(first.resolution_m, second.resolution_m)
     tolerance_m = 2 * grid_m if tolerance_m is None else tolerance_m
     max_m = MAX_REACH_VOXELS * grid_m
@@ -113,15 +144,94 @@ def compare_maps(
             "bad_tolerance",
         )
     reach = min(math.ceil(REACH_TOLERANCES * tolerance_m / grid_m), MAX_REACH_VOXELS)
-    one, other = _centres_of(first), _centres_of(second)
     measure = _Measure(grid_m, tolerance_m, reach)
     return MapDifference(
         tolerance_m,
         grid_m,
         reach * grid_m,
-        measure.way(one, other, second),
-        measure.way(other, one, first),
+        measure.way(first_m, second_m, second),
+        measure.way(second_m, first_m, first),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class MapChange:
+    """Voxels that touch each other and that one map has and the other has not.
+
+    Attributes:
+        kind: whether they `appeared` in the later map or `vanished` from it.
+        low_m, high_m: corners of the box around the voxels, map frame.
+        voxels: their number.
+    """
+
+    kind: Literal["appeared", "vanished"]
+    low_m: tuple[float, float, float]
+    high_m: tuple[float, float, float]
+    voxels: int
+
+
+def changes_of(found: MapDifference, min_voxels: int = 1) -> list[MapChange]:
+    """Return what appeared and what vanished, the largest changes first."""
+    appeared = found.appeared.centres_m[found.appeared.changed]
+    vanished = found.vanished.centres_m[found.vanished.changed]
+    link_m = max(found.tolerance_m, found.grid_m)
+    return changes_among(appeared, vanished, link_m, found.grid_m, min_voxels)
+
+
+def changes_among(
+    appeared_m: Floats, vanished_m: Floats, link_m: float, edge_m: float, min_voxels: int
+) -> list[MapChange]:
+    """Return groups of changed voxels, the largest first.
+
+    Args:
+        appeared_m: (N, 3) centres of voxels that appeared.
+        vanished_m: (M, 3) centres of voxels that vanished.
+        link_m: voxels in cubes of this edge that touch belong together.
+        edge_m: edge of a voxel.
+        min_voxels: smaller groups are left out.
+    """
+    changes = []
+    kinds: tuple[tuple[Literal["appeared", "vanished"], Floats], ...] = (
+        ("appeared", appeared_m),
+        ("vanished", vanished_m),
+    )
+    for kind, centres_m in kinds:
+        for rows in _groups(centres_m, link_m):
+            if len(rows) >= min_voxels:
+                low = (centres_m[rows].min(axis=0) - edge_m / 2).tolist()
+                high = (centres_m[rows].max(axis=0) + edge_m / 2).tolist()
+                changes.append(MapChange(kind, tuple(low), tuple(high), len(rows)))
+    return sorted(changes, key=lambda change: -change.voxels)
+
+
+NEIGHBOURS = [step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)]
+
+
+def _groups(centres_m: Floats, link_m: float) -> Iterator[Ints]:
+    """Yield the rows of voxels in cubes that touch."""
+    if not len(centres_m):
+        return
+    cubes, cube_of = np.unique(
+        np.floor(centres_m / link_m).astype(np.int64), axis=0, return_inverse=True
+    )
+    number_of = {tuple(cube): number for number, cube in enumerate(cubes.tolist())}
+    group = np.full(len(cubes), -1)
+    count = 0
+    for first in range(len(cubes)):
+        if group[first] >= 0:
+            continue
+        group[first], waiting = count, [first]
+        while waiting:
+            x, y, z = cubes[waiting.pop()].tolist()
+            for i, j, k in NEIGHBOURS:
+                near = number_of.get((x + i, y + j, z + k))
+                if near is not None and group[near] < 0:
+                    group[near] = count
+                    waiting.append(near)
+        count += 1
+    of_row = group[cube_of.ravel()]
+    order = np.argsort(of_row, kind="stable")
+    yield from np.split(order, np.flatnonzero(np.diff(of_row[order])) + 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +281,8 @@ def squares_to_nearest(
     return np.minimum(squares, reach**2 + 1)
 
 
-def _centres_of(sonar_map: MapContent) -> Floats:
+def occupied_centres(sonar_map: MapContent) -> Floats:
+    """Return the centres (N, 3) of the occupied voxels of a map."""
     batches = [voxels.centres_m for voxels in sonar_map.occupied().batches()]
     return np.concatenate(batches) if batches else np.empty((0, 3))
 

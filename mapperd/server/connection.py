@@ -26,6 +26,7 @@ from mapperd.wire.requests import (
     NoMotionUpdateRequest,
     ParamsRequest,
     ReloadRequest,
+    ReportRequest,
     Request,
     ResetRequest,
     SaveRequest,
@@ -81,6 +82,9 @@ async def _carried_out(request: Request, api: DaemonApi, origin: str) -> dict[st
             return api.status()
         case EventsRequest(since=since):
             return _events(api.events, since)
+        case ReportRequest(changes=changes, known=known, begin=begin):
+            api.changes.take(changes, known, api.events, begin=begin)
+            return {}
         case SaveRequest() | ResetRequest() | ReloadRequest() | SnapshotRequest():
             return await _with_session(request, api, origin)
         case _:

@@ -136,7 +136,7 @@ MAX_INCOMING = 64
 TAKEN = frozenset(
     (
         *("status", "state", "pose", "sonar", "map", "health", "event", "config", "cmd", "tf"),
-        *("amcl_pose", "map_odom", "particle_cloud", "diagnostics"),
+        *("amcl_pose", "map_odom", "particle_cloud", "diagnostics", "changes"),
     )
 )
 """Topics of ours, which robots cannot have."""

@@ -65,6 +65,7 @@ class Reporter:
         """Publish all retained topics again: the broker may be new or have lost them."""
         self._config: Config | None = None
         self._state: dict[str, Any] | None = None
+        self._changes: list[dict[str, Any]] | None = None
         self._pose_s = self._robot_s = 0.0
         self._pings: tuple[float, int] | None = None
         self._pose, self._robots = Throttle(OFTEN_S), Throttle(ROBOTS_S)
@@ -97,6 +98,7 @@ class Reporter:
             self._put_state("sonar", {"t_s": now_s, **report}, qos=0)
         if self._slow.due(now_s):
             self._put_state("map", {"t_s": now_s, **payloads.map_report(status)}, qos=0)
+            self._publish_changes(now_s)
             health = payloads.health_report(status, self._vitals(), self._own())
             self._put_telemetry("health", {"t_s": now_s, **health})
 
@@ -155,6 +157,12 @@ class Reporter:
         self._robot_s = newest_s
         content = {"t_s": now_s, **payloads.robots_report(robots, config)}
         self._put_telemetry(config.robot_detection.topic, content)
+
+    def _publish_changes(self, now_s: float) -> None:
+        changes = self._operations.changes.plain()
+        if changes != self._changes:
+            self._changes = changes
+            self._put_state("changes", {"t_s": now_s, "changes": changes}, qos=1)
 
     def _rate_hz(self, now_s: float, total: int) -> float | None:
         before, self._pings = self._pings, (now_s, total)

@@ -1,4 +1,7 @@
-"""Draws what moves on the map: vehicle, path, field of view, returns, robots, localization."""
+"""Draws what moves on the map: vehicle, path, field of view, returns, robots, localization.
+
+Also the boxes of what has changed against a known map.
+"""
 
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -6,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapperd.viewer.shapes import Nodes, ellipse, fan_lines, strip, vehicle_parts
+from mapperd.viewer.shapes import Nodes, box_lines, ellipse, fan_lines, strip, vehicle_parts
 from mapperd.wire.messages import (
     FanMessage,
     LocalizationMessage,
@@ -29,9 +32,10 @@ PATH_PIECE = 500
 
 MAX_ROBOTS = 32
 MAX_PARTICLES = 3000
+MAX_CHANGES = 50
 SIGMAS = 2.0
 
-LAYERS = ("path", "returns", "robots", "localization")
+LAYERS = ("path", "returns", "robots", "localization", "changes")
 
 PATH = (56, 189, 248)
 FAN = (250, 204, 21)
@@ -40,6 +44,7 @@ ROBOT = (236, 72, 153)
 SCAN = (74, 222, 128)
 PARTICLES = (192, 132, 252)
 ELLIPSE = (244, 114, 182)
+CHANGES = {"appeared": (74, 222, 128), "vanished": (248, 113, 113)}
 
 
 class Actors:
@@ -77,6 +82,7 @@ class Actors:
         self._path_sent = 0
         self._pieces = 0
         self._robots: set[str] = set()
+        self._changes: list[Any] = []
         self._nodes = Nodes()
 
     def floor(self, z_m: float) -> None:
@@ -201,6 +207,29 @@ class Actors:
             self._nodes.remove(name)
         self._robots = shown
 
+    def changes(self, changes: list[Any]) -> None:
+        """Draw the boxes of the changes of the daemon's status, with the number of their voxels."""
+        if changes == self._changes:
+            return
+        for one in self._changes[-MAX_CHANGES:]:
+            self._nodes.remove(f"/changes/{one['id']}")
+            self._nodes.remove(f"/changes/{one['id']}_label")
+        self._changes = changes
+        for one in changes[-MAX_CHANGES:]:
+            low, high = (np.array(one[name], np.float64) for name in ("low_m", "high_m"))
+            self._nodes.put(
+                f"/changes/{one['id']}",
+                self._lines(CHANGES[one["kind"]], 2.5),
+                points=box_lines(high - low),
+                position=tuple(low.tolist()),
+            )
+            self._nodes.put(
+                f"/changes/{one['id']}_label",
+                partial(self._scene.add_label, anchor="bottom-center"),
+                text=f"{one['kind']}: {one['voxels']} voxels",
+                position=(*((low + high) / 2)[:2].tolist(), float(high[2])),
+            )
+
     def localization(self, state: LocalizationMessage, z_m: float) -> None:
         """Draw particles, the newest scan and the two-sigma ellipse at a height."""
         particles = np.frombuffer(state.particles, "<f4").reshape(-1, 4)[:MAX_PARTICLES]
@@ -220,6 +249,7 @@ class Actors:
         self._vehicle.visible = self._sonar.visible = False
         self._nodes.clear()
         self._robots = set()
+        self._changes = []
         self._path_sent = self._pieces = 0
 
     def show(self, name: str, *, shown: bool) -> None:

@@ -166,6 +166,7 @@ class ViewerPage:
                 self.health.heartbeat(change.stamp_ns, time.time_ns())
                 self.health.take_status(change.status, change.link, time.monotonic())
                 self._sonar.take_status(change.status)
+                self._actors.changes(change.status.get("changes") or [])
             case SettingsMessage():
                 self._settings.take(change.facts)
                 self._sonar.take_settings(change.facts)

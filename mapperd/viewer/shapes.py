@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapperd.wire.messages import FanMessage
 
-__all__ = ["Nodes", "Part", "cube", "ellipse", "fan_lines", "strip", "vehicle_parts"]
+__all__ = ["Nodes", "Part", "box_lines", "cube", "ellipse", "fan_lines", "strip", "vehicle_parts"]
 
 Floats = NDArray[np.float32]
 Faces = NDArray[np.uint32]
@@ -147,6 +147,19 @@ def _box(low: tuple[float, float, float], high: tuple[float, float, float]) -> t
 
 STAY = 6
 """Calls of `look` after which a replaced node is removed: browsers have drawn the new one."""
+
+
+def box_lines(size_m: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the edges (12, 2, 3) of a box from the origin to its opposite corner (3,)."""
+    corners = np.stack(np.meshgrid((0, 1), (0, 1), (0, 1), indexing="ij"), axis=-1).reshape(-1, 3)
+    ends = [
+        (one, other)
+        for one in range(8)
+        for other in range(one)
+        if (corners[one] != corners[other]).sum() == 1
+    ]
+    lines: NDArray[np.float32] = (corners[np.array(ends)] * size_m).astype(np.float32)
+    return lines
 
 
 class Nodes:

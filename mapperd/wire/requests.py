@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct, field
 
-from mapperd.api import PoseRequest
+from mapperd.api import ChangeReport, PoseRequest
 
 __all__ = [
     "EventsRequest",
@@ -18,6 +18,7 @@ __all__ = [
     "NoMotionUpdateRequest",
     "ParamsRequest",
     "ReloadRequest",
+    "ReportRequest",
     "Request",
     "ResetRequest",
     "SaveRequest",
@@ -117,6 +118,14 @@ class SetMapRequest(_WireRequest, frozen=True, kw_only=True, tag="set_map"):
     pose: PoseRequest | None = None
 
 
+class ReportRequest(_WireRequest, frozen=True, kw_only=True):
+    """Report changes of the map against a known one; `begin` forgets earlier reports."""
+
+    changes: Annotated[list[ChangeReport], Meta(max_length=100)]
+    known: Annotated[str, Meta(max_length=100)] = ""
+    begin: bool = False
+
+
 Request = (
     StatusRequest
     | ParamsRequest
@@ -127,6 +136,7 @@ Request = (
     | ReloadRequest
     | SnapshotRequest
     | EventsRequest
+    | ReportRequest
     | LocalizationRequest
     | InitialPoseRequest
     | GlobalLocalizationRequest

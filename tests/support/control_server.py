@@ -15,7 +15,7 @@ from typing import Any, Self
 
 import msgpack
 
-from mapperd.api import OperationError, PoseRequest
+from mapperd.api import OperationError, PoseRequest, ReportedChanges
 from mapperd.config.layers import Layered
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
@@ -37,6 +37,7 @@ class FakeDaemon:
         self.settings = ConfigStore(Layered(config or Config()))
         self.settings.follow(["filtering"], lambda _: None)
         self.events = EventLog(lambda: 1_700_000_000_000_000_000)
+        self.changes = ReportedChanges()
         self.done: list[tuple[str, ...]] = []
         self.poses: list[PoseRequest | None] = []
         self.fault: Exception | None = None

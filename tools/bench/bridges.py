@@ -1,4 +1,4 @@
-"""What the bridges to ROS 2 and an autopilot cost beside a daemon with a large map.
+"""What the bridges, and the watch for changes, cost beside a daemon with a large map.
 
     python -m bench bridges [--cells 2000000] [--seconds 60]
 
@@ -22,6 +22,7 @@ import numpy as np
 import zstandard
 
 from bench.view_load import floor_blocks
+from mapperd.client.mirror import MapMirror
 from mapperd.wire.blocks import BlockSet, encode_blocks
 from mapperd.wire.framing import framed, server_inbox
 from mapperd.wire.messages import (
@@ -32,6 +33,7 @@ from mapperd.wire.messages import (
     GreetingMessage,
     HelloMessage,
     ImageMessage,
+    Interest,
     LocalizationMessage,
     MapInfo,
     PoseMessage,
@@ -80,6 +82,12 @@ class LoadedDaemon:
         pixels = self._random.integers(0, 255, (ROWS, BEAMS)).astype(np.uint8)
         self._image = zstandard.ZstdCompressor(level=1).compress(pixels.tobytes())
         self._began_s = time.monotonic()
+
+    def save(self, path: Path) -> None:
+        """Save the map as it is at the beginning."""
+        mirror = MapMirror(MAP_INFO, Interest())
+        mirror.put(self._blocks, time.time_ns())
+        mirror.to_map().save(path)
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve one client until it leaves."""
@@ -220,11 +228,15 @@ async def measure(name: str, cells: int, seconds: float, listener: str = "") -> 
     """Return the share of a core that a bridge takes."""
     with TemporaryDirectory(prefix="bridges-") as folder:
         daemon = LoadedDaemon(cells)
+        known = Path(folder) / "known.map"
+        if name == "changes":
+            daemon.save(known)
         path = Path(folder) / "map.sock"
         server = await asyncio.start_unix_server(daemon.serve, path)
         settings = Path(folder) / "bridge.yaml"
         settings.write_text(SETTINGS)
         words = [sys.executable, "-c", COMMAND, name, "--config", str(settings)]
+        words += [str(known)] if name == "changes" else []
         program = await asyncio.create_subprocess_exec(*words, "--socket", str(path))
         peer = None
         if listener:
@@ -247,10 +259,15 @@ def main() -> None:
     parser.add_argument("--cells", type=int, default=2_000_000)
     parser.add_argument("--seconds", type=float, default=60.0)
     args = parser.parse_args()
-    for name, listener in (("ros2", LISTENER), ("ros2", ""), ("mavlink", "")):
+    runs = (
+        ("ros2", LISTENER, "`ros2`, every topic subscribed"),
+        ("ros2", "", "`ros2`, nobody subscribes"),
+        ("mavlink", "", "`mavlink`, defaults"),
+        ("changes", "", "`changes`, defaults"),
+    )
+    for name, listener, what in runs:
         share = asyncio.run(measure(name, args.cells, args.seconds, listener))
-        what = "every topic heard" if listener else "nobody listens" if name == "ros2" else "udp"
-        print(f"{name} ({what}): {100 * share:.1f} % of a core")
+        print(f"| {what} | {100 * share:.1f} % |", flush=True)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from oculus_driver.command_line import CommandParser, ExitCode, GroupedHelp, did
 
 __all__ = [
     "add_bag",
+    "add_changes",
     "add_convert",
     "add_diff",
     "add_export",
@@ -66,6 +67,12 @@ def add_diff(command: argparse.ArgumentParser) -> None:
         help="voxels within this distance are the same; default: two of the coarser map",
     )
     add("--out", metavar="FILE", type=Path, help="write a coloured cloud, .ply")
+    add(
+        "--min-voxels",
+        metavar="N",
+        type=_positive_count,
+        help="list changes of at least so many voxels; default: changes.min_voxels",
+    )
     add("--json", action="store_true", help="print one JSON object")
     _add_probability(command)
     _add_damaged(command)
@@ -204,6 +211,12 @@ def _six(text: str, names: str) -> tuple[float, ...]:
     return values
 
 
+def _positive_count(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and 0 < int(text[:16]) <= MAX):
+        raise argparse.ArgumentTypeError(f"{text!r}: a number of voxels was expected")
+    return int(text)
+
+
 def _positive_metres(text: str) -> float:
     return _positive(text, "metres")
 
@@ -272,6 +285,25 @@ def add_mavlink(command: argparse.ArgumentParser) -> None:
         type=_datagram_link,
         help="where the autopilot listens, udp://HOST:PORT; default: mavlink.address",
     )
+
+
+def add_changes(command: argparse.ArgumentParser) -> None:
+    """Add the arguments of `changes`."""
+    add = command.add_argument
+    add(
+        "known",
+        metavar="KNOWN",
+        type=Path,
+        help="the known map, of the same frame: a daemon's map, .map, .bt, .ot",
+    )
+    add(
+        "--radius",
+        metavar="M",
+        type=_radius,
+        default=0.0,
+        help="only the map within this radius of the vehicle",
+    )
+    _add_damaged(command)
 
 
 def add_ros2(command: argparse.ArgumentParser) -> None:
@@ -579,7 +611,7 @@ EPILOG = f"""examples:
 
 GROUPS = MappingProxyType(
     {
-        "look": ("status", "view", "events", "foxglove", "mavlink", "ros2"),
+        "look": ("status", "view", "events", "foxglove", "mavlink", "ros2", "changes"),
         "settings": ("params", "get", "set", "reload", "sonar"),
         "map": ("save", "export", "record", "snapshot", "reset"),
         "localization": (
@@ -640,6 +672,8 @@ def parser() -> CommandParser:
     add_foxglove(_command(commands, "foxglove", about, "Serve Foxglove and Lichtblick."))
     about = "send poses and obstacles to an autopilot"
     add_mavlink(_command(commands, "mavlink", about))
+    about = "report what appears and vanishes against a known map"
+    add_changes(_command(commands, "changes", about))
     about = "publish to ROS 2 over DDS, without ROS"
     add_ros2(_command(commands, "ros2", about))
     add_record(_command(commands, "record", "record the map stream"))

@@ -1,4 +1,4 @@
-"""`mapperctl foxglove`, `ros2` and `mavlink`: serve other programs until stopped."""
+"""`mapperctl foxglove`, `ros2`, `mavlink` and `changes`: serve others until stopped."""
 
 import argparse
 import asyncio
@@ -6,16 +6,17 @@ import json
 import ssl
 import sys
 from collections.abc import Callable, Coroutine, Mapping
+from contextlib import closing
 from types import MappingProxyType
 from typing import Any
 
 import msgspec
 
-from mapperd.cli.mapperctl.connection import CtlError, plain, refused
+from mapperd.cli.mapperctl.connection import CtlError, file_error_code, plain, refused
 from mapperd.cli.mapperctl.record import stop_requested
 from mapperd.client import Interest, MapClient
 from mapperd.config.tree import Config
-from mapperd.errors import ConfigError, LiveError, missing_extra
+from mapperd.errors import ConfigError, LiveError, MapError, StoreError, missing_extra
 from mapperd.foxglove.proxy import ORIGINS, ViewerAccess
 from mapperd.wire.auth import is_loopback, read_token
 from mapperd.wire.framing import StreamError
@@ -61,6 +62,8 @@ def run_bridge(
         raise CtlError(_missing(args.command, error), ExitCode.BAD_CONFIG) from error
     except ConfigError as error:
         raise CtlError(str(error), ExitCode.BAD_CONFIG) from error
+    except (MapError, StoreError) as error:
+        raise CtlError(str(error), file_error_code(error)) from error
     except LiveError as error:
         raise CtlError(str(error), ExitCode.USAGE) from error
     except StreamError as error:
@@ -71,8 +74,8 @@ def run_bridge(
 
 def _missing(command: str, error: ModuleNotFoundError) -> str:
     """Return what to install; another missing module is a defect of ours."""
-    module, library, extra = EXTRAS[command]
-    if (error.name or "").partition(".")[0] != module:
+    module, library, extra = EXTRAS.get(command, ("", "", ""))
+    if not module or (error.name or "").partition(".")[0] != module:
         raise error
     return missing_extra(library, extra)
 
@@ -195,6 +198,32 @@ async def _ros2(
     await _until_stopped(client, serve(client, config, _reporter(json_lines=args.json)))
 
 
+async def _changes(
+    args: argparse.Namespace,
+    config: Config,
+    address: str,
+    token: bytes | None,
+    tls: ssl.SSLContext | None,
+) -> None:
+    from mapperd.bridges.changes import WANTS, in_memory, serve  # noqa: PLC0415 needs the core
+    from mapperd.store.map_files import map_in  # noqa: PLC0415 as above
+
+    found = map_in(args.known, config, allow_damaged=args.allow_damaged)
+    with closing(found.map):
+        known = in_memory(found.map)
+    client = MapClient(
+        address,
+        token=token,
+        tls=tls,
+        wants=WANTS,
+        interest=Interest(radius_m=args.radius),
+        name="mapperctl changes",
+    )
+    report = _reporter(json_lines=args.json)
+    work = serve(client, known, args.known.name[-100:], config.changes, report)
+    await _until_stopped(client, work)
+
+
 def _reporter(*, json_lines: bool) -> Callable[[str], None]:
     """Return what prints the lines of a bridge."""
 
@@ -212,5 +241,5 @@ Bridge = Callable[
 ]
 
 _BRIDGES: Mapping[str, Bridge] = MappingProxyType(
-    {"foxglove": _foxglove, "mavlink": _mavlink, "ros2": _ros2}
+    {"changes": _changes, "foxglove": _foxglove, "mavlink": _mavlink, "ros2": _ros2}
 )

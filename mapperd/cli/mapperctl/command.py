@@ -27,7 +27,7 @@ __all__ = ["main"]
 OFFLINE = ("bag", "convert", "diff")
 """Commands that need no daemon."""
 
-BRIDGES = ("foxglove", "mavlink", "ros2")
+BRIDGES = ("changes", "foxglove", "mavlink", "ros2")
 """Commands that serve other programs until they are stopped."""
 
 

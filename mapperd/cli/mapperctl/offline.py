@@ -1,8 +1,9 @@
 """Commands of `mapperctl` that read and write files without a daemon."""
 
 import argparse
+import dataclasses
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from types import MappingProxyType
@@ -28,12 +29,21 @@ from mapperd.export.formats import check_calibration
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.geometry.geodesy import Origin
 from mapperd.io import atomic_file
-from mapperd.mapping.difference import MapDifference, OneWayDifference, compare_maps
+from mapperd.mapping.difference import (
+    MapChange,
+    MapDifference,
+    OneWayDifference,
+    changes_of,
+    compare_maps,
+)
 from mapperd.store.map_files import holds_map, map_in
 from oculus_driver.command_line import ExitCode
 from oculus_driver.errors import OculusError
 
 __all__ = ["convert", "diff_maps", "run"]
+
+MAX_CHANGES = 20
+"""Changes that are listed; JSON has them all."""
 
 
 def convert(
@@ -142,6 +152,7 @@ def _diff(args: argparse.Namespace, config: Config) -> Iterator[str]:
         cloud=args.out,
         as_json=args.json,
         allow_damaged=args.allow_damaged,
+        min_voxels=args.min_voxels or config.changes.min_voxels,
     )
 
 
@@ -155,6 +166,7 @@ def diff_maps(
     cloud: Path | None = None,
     as_json: bool = False,
     allow_damaged: bool = False,
+    min_voxels: int = 1,
 ) -> Iterator[str]:
     """Compare two maps; yield the lines to print.
 
@@ -167,6 +179,7 @@ def diff_maps(
         cloud: PLY file to write; None writes none.
         as_json: yield one JSON object.
         allow_damaged: compare what is left of maps with damaged bricks.
+        min_voxels: smaller changes are not listed.
 
     Raises:
         MapperdError: a map, the tolerance or the cloud is invalid.
@@ -183,14 +196,17 @@ def diff_maps(
         with atomic_file(cloud) as file:
             write_difference(file, found)
     lost = a.bricks_lost + b.bricks_lost
+    changes = changes_of(found, min_voxels)
     if as_json:
         plain_values = _plain(found, (first, second), edges_m, lost)
         for side, source in (("a", a), ("b", b)):
             plain_values[side]["incomplete"] = dict(source.incomplete)
             plain_values[side]["unrecorded"] = list(source.unrecorded)
+        plain_values["changes"] = [dataclasses.asdict(one) for one in changes]
         yield json.dumps(plain_values)
         return
     yield from _lines(found, (first, second), edges_m)
+    yield from _change_lines(changes)
     for path, source in ((first, a), (second, b)):
         yield from remarks_on(path, source)
     if lost:
@@ -212,6 +228,15 @@ def _lines(
     for name, way in (("A to B", a), ("B to A", b)):
         median, p95 = (_metres(way.quantile_m(share), found.reach_m) for share in (0.5, 0.95))
         yield f"{name}    median {median}, 95 % within {p95}, where both observed"
+
+
+def _change_lines(changes: Sequence[MapChange]) -> Iterator[str]:
+    for change in changes[:MAX_CHANGES]:
+        ranges = zip("xyz", change.low_m, change.high_m, strict=True)
+        where = ", ".join(f"{axis} {low:.2f} to {high:.2f}" for axis, low, high in ranges)
+        yield f"change    {change.kind}, {change.voxels} voxels at {where} m"
+    if len(changes) > MAX_CHANGES:
+        yield f"change    and {len(changes) - MAX_CHANGES} smaller ones"
 
 
 def _share(which: Any) -> str:  # noqa: ANN401 an array of bools

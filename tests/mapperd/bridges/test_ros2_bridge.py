@@ -159,9 +159,10 @@ APPEARED = EventMessage(
         "severity": "warning",
         "code": "appeared",
         "text": "something new",
-        "facts": {"id": "a1", "low_m": [1.0, 1.0, -3.0], "high_m": [2.0, 3.0, -2.0], "voxels": 9},
+        "facts": {},
     }
 )
+CHANGE = {"kind": "appeared", "id": "a1", "low_m": [1.0, 1.0, -3.0], "high_m": [2.0, 3.0, -2.0]}
 CORRECTION = {
     "position_m": [3.0, -2.0, 0.0],
     "orientation_wxyz": [0.8, 0.0, 0.0, 0.6],
@@ -197,7 +198,8 @@ async def everything(stream: BridgeStream, heard: Heard) -> None:
         stream.feed(IMAGE)
         stream.feed(a_ping())
         stream.feed(ROBOTS)
-        stream.feed(a_status("no_sonar", sonar={"state": "x", "speed_of_sound_mps": 1480.0}))
+        sonar = {"state": "x", "speed_of_sound_mps": 1480.0}
+        stream.feed(a_status("no_sonar", sonar=sonar, changes=[CHANGE]))
         stream.feed(APPEARED)
         return len(heard.messages) == topics
 

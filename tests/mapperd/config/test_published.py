@@ -120,10 +120,10 @@ def test_published_live_parameter_changes_while_running(name: str) -> None:
     ("text", "words"),
     [
         (
-            "topics: {odometry: /my/odometry}",
-            "odometry has no effect and is ignored (set odo",
+            "visualization: {pointcloud_publish_rate: 3}",
+            "pointcloud_publish_rate has no effect and is ignored (set stream.rate",
         ),
-        ("topics: {sonar: /my/sonar}", "(set device.address)"),
+        ("octree: {use_cpp_backend: true}", "(the core is in C++)"),
         ("visualization: {show_opencv_visualization: true}", "(`mapperctl view` shows"),
     ],
 )
@@ -137,9 +137,12 @@ def test_published_name_without_an_effect_reports_what_to_do_instead(
     assert words in layered.notice
 
 
-@pytest.mark.parametrize("text", ["topics: {}", "topics:", "topics: {marker: /m}"])
-def test_a_section_of_ignored_settings_may_be_empty(text: str) -> None:
-    assert config_from_text(text) == Config()
+def test_topics_are_those_of_the_bridge_to_ros() -> None:
+    topics = config_from_text("topics: {sonar: /my/sonar, pointcloud: cloud}").topics
+    assert (topics.sonar, topics.pointcloud) == ("/my/sonar", "cloud")
+    assert (topics.odometry, topics.marker) == ("/fast_lio/odometry", "/sonar_3d_map_markers")
+    with pytest.raises(ConfigError, match="topics"):
+        config_from_text("topics: {sonar: 'my sonar'}")
 
 
 def test_a_mistake_beside_ignored_settings_is_named() -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from mapperd.api import OperationError, PoseRequest
+from mapperd.api import OperationError, PoseRequest, ReportedChanges
 from mapperd.config.layers import Layered
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
@@ -33,6 +33,7 @@ class Daemon:
     def __init__(self) -> None:
         self.settings = ConfigStore(Layered(Config(), {}))
         self.events = EventLog(lambda: 0)
+        self.changes = ReportedChanges()
         self.asked: list[str] = []
         self.refuses = False
         self.done = 0

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from mapperd.config.tree import Config, OctreeConfig
 from mapperd.errors import MapError
-from mapperd.mapping.difference import compare_maps
+from mapperd.mapping.difference import changes_among, changes_of, compare_maps
 from mapperd.mapping.sonar_map import SonarMap
 
 
@@ -71,3 +72,39 @@ def test_empty_maps_and_bad_tolerances() -> None:
     for tolerance_m in (0.0, -1.0, float("nan"), 16.0):
         with pytest.raises(MapError, match="tolerance"):
             compare_maps(one, one, tolerance_m)
+
+
+def test_changes_are_the_groups_of_voxels_that_touch() -> None:
+    random = np.random.default_rng(6)
+    cells = random.random((20, 20, 20)) < 0.04
+    cells[3:6, 3:6, 3:6] = True
+    labels, count = ndimage.label(cells, structure=np.ones((3, 3, 3)))
+    expected = sorted(
+        (
+            tuple((np.argwhere(labels == number).min(axis=0) * 0.25).tolist()),
+            tuple(((np.argwhere(labels == number).max(axis=0) + 1) * 0.25).tolist()),
+            int((labels == number).sum()),
+        )
+        for number in range(1, count + 1)
+    )
+    centres = np.asarray((np.argwhere(cells) + 0.5) * 0.25, np.float64)
+    found = changes_among(centres, np.zeros((0, 3)), 0.25, 0.25, 1)
+    assert sorted((one.low_m, one.high_m, one.voxels) for one in found) == expected
+    assert {one.kind for one in found} == {"appeared"}
+    sizes = [one.voxels for one in found]
+    assert sizes == sorted(sizes, reverse=True)
+    large = changes_among(np.zeros((0, 3)), centres, 0.25, 0.25, 10)
+    assert [one.voxels for one in large] == [size for size in sizes if size >= 10]
+
+
+def test_changes_of_two_maps_are_both_kinds() -> None:
+    wall = [(x, 0.125, 0.125) for x in np.arange(0.125, 5, 0.25)]
+    box, rock = (2.125, 3.125, 0.125), (3.125, -3.125, 0.125)
+    found = changes_of(compare_maps(map_of([*wall, rock], [box]), map_of([box], [*wall, rock])))
+    assert [(one.kind, one.voxels) for one in found] == [
+        ("vanished", 20),
+        ("appeared", 1),
+        ("vanished", 1),
+    ]
+    assert found[0].low_m == (0.0, 0.0, 0.0)
+    assert found[0].high_m == (5.0, 0.25, 0.25)

@@ -242,6 +242,7 @@ FIELDS: dict[str, dict[str, Any]] = {
     "save": {"name": "a.ply"},
     "initial_pose": {"pose": {"x_m": 1.0, "y_m": 2.0, "yaw_rad": 0.0}},
     "set_map": {"name": "pool.yaml"},
+    "report": {"changes": []},
 }
 
 

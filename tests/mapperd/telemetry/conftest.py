@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from mapperd.api import OperationError, PoseRequest
+from mapperd.api import OperationError, PoseRequest, ReportedChanges
 from mapperd.config.layers import Layered
 from mapperd.config.live import ConfigStore
 from mapperd.config.loader import config_of
@@ -45,6 +45,7 @@ class FakeVehicle:
         self.settings = ConfigStore(Layered(config_of({"mqtt": mqtt}, "")))
         self.settings.follow(("filtering", "mounting"), lambda _: None)
         self.events = EventLog(lambda: round(T0_S * 1e9))
+        self.changes = ReportedChanges()
         self.asked: list[tuple[str, ...]] = []
         self.pings = 0
         self.pose: dict[str, Any] | None = None

@@ -109,6 +109,7 @@ def test_what_a_broker_keeps_is_retained_and_the_rest_is_not(daemon: FakeVehicle
         "pose": (0, False),
         "sonar": (0, True),
         "map": (0, True),
+        "changes": (1, True),
         "health": (0, False),
         "event": (1, False),
         "config": (1, True),

@@ -142,3 +142,24 @@ def test_a_new_session_removes_everything(server: "ViserServer") -> None:
         assert not shown()
 
     asyncio.run(run())
+
+
+def test_changes_are_boxes_with_their_size(server: "ViserServer") -> None:
+    actors = Actors(server.scene)
+    change: dict[str, Any] = {
+        "kind": "appeared",
+        "id": "appeared-1",
+        "low_m": [1.0, 2.0, -3.0],
+        "high_m": [2.0, 4.0, -2.5],
+        "voxels": 12,
+    }
+    actors.changes([change])
+    drawn = server.scene.get_handle_by_name("/changes/appeared-1")
+    ends = segments_of(drawn)
+    assert ends.shape == (12, 2, 3)
+    np.testing.assert_allclose(ends.min(axis=(0, 1)), change["low_m"])
+    np.testing.assert_allclose(ends.max(axis=(0, 1)), change["high_m"])
+    lengths = sorted(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).round(3).tolist())
+    assert lengths == [0.5] * 4 + [1.0] * 4 + [2.0] * 4
+    actors.changes([])
+    assert server.scene.get_handle_by_name("/changes/appeared-1") is None
