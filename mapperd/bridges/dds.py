@@ -226,13 +226,10 @@ class DdsPublisher:
 
     Attributes:
         name: absolute.
-        sent: messages.
-        dropped: messages that a reader's backlog did not take.
     """
 
     def __init__(self, node: "DdsNode", name: str, kind: str, profile: Profile) -> None:
         self.name = name
-        self.sent = self.dropped = 0
         self._types = node.types
         self._sample_type = node.types.topic_type(kind)
         qos = _qos(profile, node.types.hash_of(kind))
@@ -244,17 +241,16 @@ class DdsPublisher:
         """Number of readers that match."""
         return len(self._writer.get_matched_subscriptions())
 
-    def publish(self, message: Any) -> None:  # noqa: ANN401 of rosbags
-        """Send a message; it is dropped where readers do not keep up."""
+    def publish(self, message: Any) -> bool:  # noqa: ANN401 of rosbags
+        """Send a message; return False if it was dropped, because readers do not keep up."""
         sample = _sample(self._sample_type, self._types.encoded(message))
         try:
             self._writer.write(sample)
         except DDSException as error:
             if error.code != DDSException.DDS_RETCODE_TIMEOUT:
                 raise
-            self.dropped += 1
-        else:
-            self.sent += 1
+            return False
+        return True
 
 
 class DdsSubscriber:

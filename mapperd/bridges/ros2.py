@@ -42,12 +42,10 @@ from mapperd.wire.messages import (
     Want,
 )
 
-__all__ = ["FIRST_WANTS", "Ros2Bridge", "Ros2Client", "domain_of", "serve"]
+__all__ = ["WANTS", "Ros2Bridge", "Ros2Client", "domain_of", "serve"]
 
-BASE_WANTS: tuple[Want, ...] = ("pose", "status", "events", "settings", "robots", "fan")
+WANTS: tuple[Want, ...] = ("pose", "status", "events", "settings", "robots", "fan")
 """Requested always: what is small, and what tells the frames."""
-
-FIRST_WANTS = BASE_WANTS
 
 TOPICS: Mapping[str, tuple[str, str, Profile, Want | None]] = {
     "tf": ("/tf", "tf2_msgs/msg/TFMessage", "tf", "localization"),
@@ -134,12 +132,13 @@ class Ros2Bridge:
         self._map_stamp_ns = 0
         self._map_due_s = -np.inf
         self._is_reset = False
+        self._slow: set[str] = set()
         self._particles_ns = 0
         self._due: set[str] = set()
         """Latched topics whose last message is outdated: DDS keeps that one for new readers."""
         self._mounting: tuple[Pose, str, str] | None = None
         self._changes: list[Mapping[str, Any]] = []
-        self._wants: tuple[Want, ...] = FIRST_WANTS
+        self._wants: tuple[Want, ...] = WANTS
         self._began_s: float | None = None
         self._is_alone: bool | None = None
         self._stamp_ns = 0
@@ -194,7 +193,7 @@ class Ros2Bridge:
         self.heard = heard = frozenset(k for k, one in self._publishers.items() if one.readers)
         self._look_for_peers(now_s)
         wants = [want for key in heard if (want := TOPICS[key][3]) is not None]
-        wanted = tuple(dict.fromkeys((*BASE_WANTS, *sorted(wants))))
+        wanted = tuple(dict.fromkeys((*WANTS, *sorted(wants))))
         if {*wanted} != {*self._wants}:
             self._wants = wanted
             await self._client.change(wants=wanted)
@@ -219,7 +218,10 @@ class Ros2Bridge:
             )
 
     def _send(self, key: str, message: Any) -> None:  # noqa: ANN401 of rosbags
-        self._publishers[key].publish(message)
+        publisher = self._publishers[key]
+        if not publisher.publish(message) and key not in self._slow:
+            self._slow.add(key)
+            self._report(f"ROS 2: a subscriber of {publisher.name} does not keep up")
 
     def _frame(self, which: str) -> str:
         """Return the name of a frame: `map`, `odom`, `base` or `sonar`."""
@@ -429,7 +431,7 @@ async def serve(client: Ros2Client, config: Config, report: Callable[[str], None
     """Publish until cancelled, or until the client ends.
 
     Args:
-        client: running client of the map stream with `FIRST_WANTS`.
+        client: running client of the map stream with `WANTS`.
         config: sections `ros2` and `topics`.
         report: takes one line for each change of a link.
 

@@ -181,7 +181,7 @@ async def _ros2(
     token: bytes | None,
     tls: ssl.SSLContext | None,
 ) -> None:
-    from mapperd.bridges.ros2 import FIRST_WANTS, serve  # noqa: PLC0415 an extra
+    from mapperd.bridges.ros2 import WANTS, serve  # noqa: PLC0415 an extra
 
     given = {"domain": args.domain, "namespace": args.namespace}
     changes = {name: value for name, value in given.items() if value is not None}
@@ -190,7 +190,7 @@ async def _ros2(
         address,
         token=token,
         tls=tls,
-        wants=FIRST_WANTS,
+        wants=WANTS,
         interest=Interest(level=args.level, radius_m=args.radius),
         name="mapperctl ros2",
     )
