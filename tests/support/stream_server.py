@@ -30,6 +30,7 @@ from mapperd.wire.messages import (
     PathMessage,
     ResetMessage,
     StatusMessage,
+    Want,
     WelcomeMessage,
 )
 
@@ -113,6 +114,7 @@ class Connection:
         self.reported = 0
         self.sent = self.acked = 0
         self.quiet = False
+        self.wants: list[Want] = []
 
     def send(self, *messages: FromServer) -> None:
         output = b"".join(map(framed, messages))
@@ -150,7 +152,7 @@ class Connection:
         is_resumed = served.can_resume(hello)
         held = hello.resume.revision if hello.resume and is_resumed else 0
         self.reported = held or 0
-        self.interest = hello.interest
+        self.interest, self.wants = hello.interest, hello.wants
         self.send(self.welcomed(resumed=is_resumed, ticket=served.ticket))
         self.publish()
         return True
@@ -173,6 +175,9 @@ class Connection:
         if isinstance(message, AckMessage):
             self.acked = message.bytes
             self.served.acked = message.bytes
+        elif isinstance(message, ChangeMessage) and message.wants is not None:
+            self.wants = message.wants
+            self.publish()
         elif isinstance(message, ChangeMessage) and message.interest is not None:
             self.interest = message.interest
             self.reported = 0
@@ -195,6 +200,8 @@ class Connection:
     def publish(self) -> None:
         """Send what changed, as a complete revision."""
         served = self.served
+        if "map" not in self.wants:
+            return
         blocks = served.since(self.reported)
         self.reported = served.revision
         if served.path is not None:

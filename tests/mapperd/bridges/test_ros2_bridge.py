@@ -10,6 +10,7 @@ import socket
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -637,10 +638,20 @@ def test_the_daemon_that_is_lost_and_found_is_a_line_each(short: Path) -> None:
         served = Served(status_s=0.05)
         served.put((0, 0, 0), a_block(1))
         late = Heard()
-        for _ in range(2):
-            late.messages.clear()
-            async with Server(served, short / "m.sock"), late.listening(DOMAIN):
+
+        def hellos(number: int) -> bool:
+            return len(served.hellos) >= number
+
+        def heard(text: str) -> bool:
+            return any(text in one["msg"] for one in late["/rosout"])
+
+        for number, text in enumerate(("first", "second"), 1):
+            async with Server(served, short / "m.sock") as server, late.listening(DOMAIN):
+                await until(partial(hellos, number))
                 await until(lambda: late["/map"])
+                event = {"number": 1, "t_s": 1.0, "severity": "info", "code": "c", "text": text}
+                server.connections[-1].send(EventMessage(event=event))
+                await until(partial(heard, text))
         program.send_signal(signal.SIGTERM)
         out, err = await program.communicate()
         assert (program.returncode, err) == (0, b"")
