@@ -20,6 +20,7 @@ from mapperd.bridges.vehicle import (
     LinkReporter,
     MapFrames,
     VehiclePose,
+    map_odom_of,
     map_slice,
     planar_estimate,
 )
@@ -240,13 +241,16 @@ class Ros2Bridge:
 
     def _pose(self, vehicle: PoseMessage) -> None:
         self._stamp_ns = max(self._stamp_ns, vehicle.stamp_ns)
-        localization = self._client.localization
-        frames = MapFrames.of(vehicle, localization)
+        localization, frames = self._client.localization, self._frames(vehicle)
+        if frames is None:
+            return
         world, odom, base = (self._frame(name) for name in ("map", "odom", "base"))
         if "tf" in self.heard:
             turned = [Turned(odom, base, frames.odom_of_base)]
             self._send("tf", self.messages.transforms(vehicle.stamp_ns, turned))
-            if self._is_on("amcl.tf_broadcast"):
+            report = localization.report if localization else {}
+            is_known = map_odom_of(report) is not None or not self._localizes()
+            if is_known and self._is_on("amcl.tf_broadcast"):
                 stamp_ns = max(_valid_until_ns(localization), vehicle.stamp_ns)
                 turned = [Turned(world, odom, frames.map_of_odom)]
                 self._send("tf", self.messages.transforms(stamp_ns, turned))
@@ -257,6 +261,17 @@ class Ros2Bridge:
             if not frames.served_in_odom:
                 located = located.moved(_inverse(frames.map_of_odom))
             self._send("odometry", self.messages.vehicle_odometry(located, odom, base))
+
+    def _frames(self, vehicle: PoseMessage) -> MapFrames | None:
+        """Return the frames at a pose; None until the state of localization is known."""
+        localization = self._client.localization
+        if localization is None and (self._localizes() or vehicle.source == "localization"):
+            return None
+        return MapFrames.of(vehicle, localization)
+
+    def _localizes(self) -> bool:
+        status = self._client.status
+        return status is not None and status.status.get("localization") is not None
 
     def _publish_mounting(self, mounting: Pose, stamp_ns: int) -> None:
         """Publish the sonar's place on the vehicle when it changes."""
@@ -326,10 +341,9 @@ class Ros2Bridge:
 
     def _map_frame(self) -> str:
         """Return the frame that the served map lies in."""
-        vehicle, localization = self._client.pose, self._client.localization
-        if vehicle is not None and MapFrames.of(vehicle, localization).served_in_odom:
-            return self._frame("odom")
-        return self._frame("map")
+        vehicle = self._client.pose
+        by_odometry = vehicle is not None and vehicle.source == "odometry"
+        return self._frame("odom" if by_odometry and self._localizes() else "map")
 
     async def _publish_map(self) -> float:
         """Publish cloud and grid; return the processor time that it took."""

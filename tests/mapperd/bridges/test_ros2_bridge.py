@@ -734,3 +734,76 @@ def test_type_hashes_are_those_that_ros_computes() -> None:
     """Of REP-2016, as Jazzy prints them."""
     known = "RIHS01_9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5"
     assert RosTypes().hash_of("sensor_msgs/msg/PointCloud2") == known
+
+
+class Recorded:
+    """Stands for a node: keeps what is published, by topic."""
+
+    def __init__(self) -> None:
+        self.types = RosTypes()
+        self.sent: dict[str, list[Any]] = {}
+
+    def publisher(self, name: str, *_: object) -> "Recorded":
+        one = Recorded.__new__(Recorded)
+        one.name, one.sent = name, self.sent  # type: ignore[attr-defined]
+        return one
+
+    @property
+    def readers(self) -> int:
+        return 1
+
+    def publish(self, message: Any) -> bool:
+        self.sent.setdefault(self.name, []).append(message)  # type: ignore[attr-defined]
+        return True
+
+
+def published(*changes: Any) -> dict[str, list[Any]]:
+    stream, node = BridgeStream(), Recorded()
+    bridge = Ros2Bridge(stream, Config(), node, print)  # type: ignore[arg-type]
+
+    async def run() -> None:
+        for change in changes:
+            stream.feed(change)
+            bridge.take(change)
+            await bridge.tick(1.0)
+
+    bridge.heard = frozenset(TOPICS)
+    asyncio.run(run())
+    return node.sent
+
+
+LOCALIZES = a_status(localization={"state": "localized"})
+
+
+def test_where_the_daemon_maps_by_odometry_its_map_is_in_that_frame() -> None:
+    stream_of_map = BridgeStream()
+    feed_map(stream_of_map)
+    key = np.array([[1, -1, 0]], np.int32)
+    by_odometry = a_pose(source="odometry")
+    sent = published(LOCALIZES, sure(map_odom=CORRECTION), by_odometry, MapChanged(key, T0, 0))
+    assert sent["/sonar_3d_map"][-1].header.frame_id == "odom"
+    (odometry,) = sent["mapperd/odometry"]
+    assert odometry.pose.pose.position.x == 1.0
+    corrected = published(LOCALIZES, sure(), a_pose(), MapChanged(key, T0, 0))
+    assert corrected["/sonar_3d_map"][-1].header.frame_id == "map"
+
+
+def test_no_transform_of_the_map_is_invented_while_the_vehicle_is_not_localized() -> None:
+    waiting = sure(state="waiting for a pose", pose=None, map_odom=None)
+    sent = published(LOCALIZES, waiting, a_pose(source="odometry"))
+    (message,) = sent["/tf"]
+    assert [one.child_frame_id for one in message.transforms] == ["base_link"]
+    unknown = published(LOCALIZES, a_pose())
+    assert "/tf" not in unknown
+
+
+def test_settings_switch_transforms_off() -> None:
+    off = {
+        "amcl.tf_broadcast": {"value": False},
+        "frames.publish_tf": {"value": False},
+        "frames.base": {"value": "rov"},
+    }
+    sent = published(SettingsMessage(facts=off), sure(), a_pose())
+    assert "/tf_static" not in sent
+    (message,) = sent["/tf"]
+    assert [one.child_frame_id for one in message.transforms] == ["rov"]
