@@ -96,18 +96,18 @@ def test_a_vehicle_on_its_nose_has_a_finite_covariance() -> None:
 
 def test_the_reset_counter_counts_jumps_and_only_them() -> None:
     jumps = JumpCounter()
-    fast = (2.0, 0.0, 0.0)
+    fast = (4.0, 0.0, 0.0)
     assert jumps.take(located((0, 0, 0), 0, 0, fast)) == 0
-    assert jumps.take(located((2, 0, 0), 20, 1 * S, fast)) == 0  # as its velocity has it
-    assert jumps.take(located((4, 0, 0), 60, 2 * S, fast)) == 0
-    assert jumps.take(located((9.5, 0, 0), 60, 3 * S, fast)) == 1  # 3.5 m too far
-    assert jumps.take(located((9.5, 0, 0), 150, 3 * S + S // 10)) == 2  # turned at once
-    assert jumps.take(located((9.5, 0, 0), 150, 3 * S + S // 5)) == 2
-    assert jumps.take(located((9.5, 0, 0), 150, 6 * S)) == 3  # a gap
-    assert jumps.take(located((9.5, 0, 0), 150, 5 * S)) == 4  # the clock was set back
+    assert jumps.take(located((4, 0, 0), 20, 1 * S, fast)) == 0  # as its velocity has it
+    assert jumps.take(located((8, 0, 0), 60, 2 * S, fast)) == 0
+    assert jumps.take(located((15.5, 0, 0), 60, 3 * S, fast)) == 1  # 3.5 m too far
+    assert jumps.take(located((15.5, 0, 0), 150, 3 * S + S // 10)) == 2  # turned at once
+    assert jumps.take(located((15.5, 0, 0), 150, 3 * S + S // 5)) == 2
+    assert jumps.take(located((15.5, 0, 0), 150, 6 * S)) == 3  # a gap
+    assert jumps.take(located((15.5, 0, 0), 150, 5 * S)) == 4  # the clock was set back
     jumps.lose()
-    assert jumps.take(located((9.5, 0, 0), 150, 5 * S + 1)) == 5
-    assert jumps.take(located((9.5, 0, 0), 150, 5 * S + 2)) == 5
+    assert jumps.take(located((15.5, 0, 0), 150, 5 * S + 1)) == 5
+    assert jumps.take(located((15.5, 0, 0), 150, 5 * S + 2)) == 5
 
 
 def test_the_reset_counter_wraps_and_a_first_pose_is_no_jump() -> None:
