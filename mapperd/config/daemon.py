@@ -395,8 +395,14 @@ class ChangesConfig(Struct, frozen=True, forbid_unknown_fields=True):
     period: Annotated[float, rule("Time between two comparisons.", "s", ge=0.5, le=3600)] = 5.0
     tolerance: Annotated[
         float,
-        rule("Voxels within this distance are the same; 0: two voxels.", "m", ge=0, le=100),
-    ] = 0.0
+        rule(
+            "Voxels within this distance are the same: more than the height of the beam at the "
+            "usual range, within which an echo may be anywhere. 0: two voxels.",
+            "m",
+            ge=0,
+            le=100,
+        ),
+    ] = 1.0
     min_voxels: Annotated[
         int,
         rule("Changes of fewer voxels that touch are not reported.", "voxels", ge=1, le=1_000_000),

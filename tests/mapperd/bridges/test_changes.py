@@ -28,7 +28,7 @@ from tests.mapperd.bridges.bridge_fakes import BridgeStream, a_pose, linked, sur
 from tests.support.waiting import until
 
 INFO = MapInfo("one", 0.25, 0.25, 0.6, -0.6)
-ALL = ChangesConfig(min_voxels=1)
+ALL = ChangesConfig(min_voxels=1, tolerance=0.0)
 
 
 def cells_of(random: np.random.Generator, rows: int) -> np.ndarray:
@@ -213,7 +213,7 @@ class Watched:
         self.stream = BridgeStream()
         self.stream.mirror = mirror
         self.lines: list[str] = []
-        config = ChangesConfig(min_voxels=3, period=0.5)
+        config = ChangesConfig(min_voxels=3, period=0.5, tolerance=0.0)
         self.work = serve(self.stream, known, "old.map", config, self.lines.append)
 
     async def __aenter__(self) -> Self:
