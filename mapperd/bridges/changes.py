@@ -39,6 +39,7 @@ WANTS: tuple[Want, ...] = ("map", "pose", "localization", "settings")
 Floats = NDArray[np.float64]
 
 NONE = np.zeros((0, 3))
+TIMEOUT_S = 10.0
 AT_ONCE = 50
 """Reports of one request."""
 
@@ -214,7 +215,10 @@ class ChangeTracker:
 
 TICK_S = 0.25
 SHARE = 33.0
-"""The next comparison begins after this many times the processor time of the last one."""
+"""Blocks are compared again after this many times the processor time of the last ones."""
+
+SLICE = 300
+"""Blocks that are compared at once; those that changed last come first."""
 
 
 class _Watcher:
@@ -235,11 +239,11 @@ class _Watcher:
         self._link = LinkReporter(report)
         self._watch = MapWatch(known, config)
         self._tracker = ChangeTracker(config.tolerance or 2 * known.resolution_m)
-        self._changed: set[bytes] = set()
+        self._changed: dict[bytes, None] = {}
         self._session = ""
         self._is_begun = False
         self._error = ""
-        self._due_s = -math.inf
+        self._compare_s = self._report_s = -math.inf
         self._reset = False
 
     def take(self, change: ClientChange) -> None:
@@ -253,12 +257,14 @@ class _Watcher:
                 self._changed.clear()
                 self._reset = True
             case MapChanged():
-                self._changed.update(names_of(change.keys))
+                for name in names_of(change.keys):
+                    self._changed.pop(name, None)
+                    self._changed[name] = None
             case _:
                 pass
 
     async def tick(self, now_s: float) -> None:
-        if now_s < self._due_s or self._client.link.state != "connected":
+        if now_s < self._compare_s or self._client.link.state != "connected":
             return
         mirror, vehicle = self._client.mirror, self._client.pose
         if mirror is None:
@@ -268,14 +274,17 @@ class _Watcher:
                 "the daemon maps in the odometry's frame, which is not that of the known map: set "
                 "localization.mapping to corrected"
             )
-            self._due_s = now_s + self._config.period
+            self._compare_s = now_s + self._config.period
             return
         if self._reset:
             self._reset = False
             self._watch.reset()
-        names, self._changed = self._changed, set()
+        names = {self._changed.popitem()[0] for _ in range(min(SLICE, len(self._changed)))}
         took_s = await asyncio.to_thread(self._compare, mirror, names)
-        self._due_s = now_s + max(self._config.period, SHARE * took_s)
+        self._compare_s = now_s + SHARE * took_s
+        if now_s < self._report_s:
+            return
+        self._report_s = now_s + self._config.period
         due, over = self._tracker.update(self._watch.changes())
         await self._send(due, over)
 
@@ -297,6 +306,7 @@ class _Watcher:
             for begin in range(0, max(len(reports), 1), AT_ONCE):
                 await self._client.ask(
                     "report",
+                    timeout_s=TIMEOUT_S,
                     changes=reports[begin : begin + AT_ONCE],
                     known=self._name,
                     begin=is_begin and begin == 0,

@@ -392,7 +392,7 @@ class MavlinkConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class ChangesConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """What `mapperctl changes` reports of a live map against a known one."""
 
-    period: Annotated[float, rule("Time between two comparisons.", "s", ge=0.5, le=3600)] = 5.0
+    period: Annotated[float, rule("Time between two reports.", "s", ge=0.5, le=3600)] = 5.0
     tolerance: Annotated[
         float,
         rule(

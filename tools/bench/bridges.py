@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import msgspec
 import numpy as np
 import zstandard
 
@@ -26,6 +27,8 @@ from mapperd.client.mirror import MapMirror
 from mapperd.wire.blocks import BlockSet, encode_blocks
 from mapperd.wire.framing import framed, server_inbox
 from mapperd.wire.messages import (
+    AnswerMessage,
+    AskMessage,
     BlocksMessage,
     ChangeMessage,
     FanMessage,
@@ -93,7 +96,7 @@ class LoadedDaemon:
         """Serve one client until it leaves."""
         self._send(writer, GreetingMessage())
         wanted = asyncio.Event()
-        reading = asyncio.create_task(_read(reader, wanted))
+        reading = asyncio.create_task(_read(reader, writer, wanted))
         welcome = WelcomeMessage(
             version=1,
             server="bench",
@@ -209,13 +212,18 @@ class LoadedDaemon:
         writer.write(framed(message))
 
 
-async def _read(reader: asyncio.StreamReader, wants_map: asyncio.Event) -> None:
-    """Read what a client sends; note when it wants the map, and leave it at that."""
+async def _read(
+    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, wants_map: asyncio.Event
+) -> None:
+    """Read what a client sends: note when it wants the map, and answer its requests."""
     inbox = server_inbox()
     while data := await reader.read(1 << 16):
         for message in inbox.feed(data):
             if isinstance(message, HelloMessage | ChangeMessage) and "map" in (message.wants or ()):
                 wants_map.set()
+            elif isinstance(message, AskMessage):
+                number = msgspec.msgpack.decode(message.ask)["id"]
+                writer.write(framed(AnswerMessage(id=number, result={})))
 
 
 def cpu_s(pid: int) -> float:

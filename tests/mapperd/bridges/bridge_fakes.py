@@ -56,6 +56,7 @@ class BridgeStream(FakeStream):
         self._waiting.get_nowait()
 
     async def ask(self, do: str, **fields: Any) -> dict[str, Any]:
+        fields.pop("timeout_s", None)
         self.requests.append({"do": do, **fields})
         if self.refusal is not None:
             raise self.refusal
