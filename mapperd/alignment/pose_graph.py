@@ -40,6 +40,9 @@ STATES = 6
 GATE = 11.34
 """Squared Mahalanobis distance of 3 degrees of freedom that 99 % of right loops stay below."""
 
+MAX_RESIDUAL_M = 0.9
+"""A registration that is further off is refused, also along a direction that it leaves open."""
+
 FIX_GATE = 9.21
 """The same of a position fix, 2 degrees of freedom."""
 
@@ -256,6 +259,10 @@ class PoseGraph:
                 break
             control = max(1.0, control / 2.0)
         self._weigh(1.0)
+        for loop in self.loops:
+            apart = self._apart(loop)[loop.chosen]
+            if math.hypot(apart[0], apart[1]) > MAX_RESIDUAL_M:
+                loop.weight = 0.0
         return Solution(self._states[:, :3].copy(), self._states[:, 3:].copy())
 
     def _weigh(self, control: float) -> None:
@@ -273,12 +280,17 @@ class PoseGraph:
 
     def _distance(self, loop: Loop) -> tuple[float, int]:
         """Return the least squared Mahalanobis distance of the alternatives, and which it is."""
-        relative = compose(inverse(self.poses[loop.i]), self.poses[loop.j])
-        residual = self.measured_by(loop, relative)[0] - loop.poses
-        residual[:, 2] = wrapped(residual[:, 2])
+        residual = self._apart(loop)
         squared = np.einsum("ki,kij,kj->k", residual, loop.information, residual)
         best = int(squared.argmin())
         return float(squared[best]), best
+
+    def _apart(self, loop: Loop) -> Floats:
+        """(K, 3) residuals of the alternatives."""
+        relative = compose(inverse(self.poses[loop.i]), self.poses[loop.j])
+        residual = self.measured_by(loop, relative)[0] - loop.poses
+        residual[:, 2] = wrapped(residual[:, 2])
+        return residual
 
     def _distance_of_fix(self, fix: PositionFix) -> float:
         residual = self.poses[fix.node, :2] - fix.position_m

@@ -129,6 +129,18 @@ def test_wrong_revisits_are_refused(count: int) -> None:
     assert rms_m(solution.poses, truth) < 0.5 * rms_m(graph.start, truth)
 
 
+def test_a_revisit_one_pile_further_is_refused_though_it_leaves_the_wall_open() -> None:
+    truth = circle()
+    graph = graph_of(truth)
+    graph.loops = revisits(truth)
+    alias = loop_of(truth, 3, 19, np.array([2.8, 0.0, 0.0]))
+    alias.information = np.diag([1 / 3.0**2, 1 / 0.05**2, 1 / 0.01**2])[None]
+    graph.loops.append(alias)
+    graph.solve()
+    assert not alias.accepted
+    assert all(loop.accepted for loop in graph.loops[:-1])
+
+
 def test_of_alternatives_the_one_that_fits_the_others_counts() -> None:
     truth = circle()
     graph = graph_of(truth)
