@@ -119,7 +119,7 @@ def _weights(
     return weights
 
 
-FRACTIONS = 64
+FRACTIONS = 128
 TAPS = 6
 REACH = 24
 """Pitches on each side over which the beams' pattern is matched."""
