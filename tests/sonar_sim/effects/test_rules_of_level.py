@@ -11,6 +11,7 @@ from sonar_sim.scene.material import MATERIALS, Material
 from sonar_sim.scene.scene import Bubbles, CloudSpec, Emitter, Scene, Sea, Sediment, Surface
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.scene.water import Water
+from sonar_sim.simulator import Simulator
 from sonar_sim.validation.setups import sphere
 
 from tests.sonar_sim.effects.previews import LOUD, SONAR, floor, pose, verdict, view_of, wall
@@ -103,6 +104,26 @@ def test_noise_shows_at_high_gain_and_not_at_none() -> None:
 def test_volume_shows_in_turbid_water(strength_db: float, *, on: bool) -> None:
     scene = Scene((floor(),), water=Water(volume_strength_db=strength_db))
     assert verdict("volume", view_of(scene=scene)).on is on
+
+
+def test_volume_below_one_step_counts_where_it_is_much_of_the_waters_mean() -> None:
+    sonar = replace(SONAR, gain_percent=70.0)
+    for strength_db, on in ((-68.0, True), (-105.0, False)):
+        scene = Scene(water=Water(volume_strength_db=strength_db))
+        view = view_of(scene=scene, sonar=sonar)
+        # Under a step of the quantiser in every pixel.
+        both, noise = (
+            view.gains.amplitude(p) for p in (view.picture, view.noise_power + 0.0 * view.picture)
+        )
+        assert 255.0 * (both - noise).max() < 1.0
+        assert verdict("volume", view).on is on
+        with_it, without = (
+            Simulator(water, sonar, effects="all").ping(pose()).image.astype(float)
+            for water in (scene, Scene(water=STILL_WATER))
+        )
+        rows = slice(sonar.rows // 8, sonar.rows // 4)
+        change_db = 20.0 * np.log10(with_it[rows].mean() / max(without[rows].mean(), 0.02))
+        assert bool(change_db > 1.0) is on
 
 
 def test_turbidity_goes_with_the_sediment() -> None:
