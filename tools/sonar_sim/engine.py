@@ -33,7 +33,9 @@ from sonar_sim.receiver.noise import (
     add_arrival,
     add_crosstalk,
     add_random,
+    add_tail,
     noise_rms,
+    pose_key,
     stream_key,
     volume_rms,
 )
@@ -265,6 +267,10 @@ class PingEngine:
     ) -> None:
         """Add what is no surface: water, clouds, noise, other sonars."""
         physics, seed = here.physics, self._seed
+        if physics.reverberation is not None:
+            wavelength_m = self.scene.water.speed_of_sound_mps / self.sonar.frequency_hz
+            key = pose_key(seed, here.pose, wavelength_m)
+            add_tail(cells, physics.reverberation, self.sonar, key, self._threads)
         if physics.volume_strength_db is not None:
             row_rms, column_rms = self._volume_rms(physics)
             # Plankton drifts on between two pings.

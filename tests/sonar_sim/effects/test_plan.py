@@ -14,7 +14,7 @@ from tests.sonar_sim.effects.previews import LOUD, floor, pose, view_of
 NAMES = """
 spreading absorption sound_speed refraction turbidity bubbles azimuth_pattern side_lobes
 vertical_pattern bearing_table range_spread shadows lambert specular speckle volume
-surface_reverberation bottom_reverberation multipath motion doppler noise crosstalk
+reverberation surface_reverberation bottom_reverberation multipath motion doppler noise crosstalk
 interference tvg gain saturation gamma quantisation
 """
 

@@ -126,6 +126,27 @@ def test_volume_below_one_step_counts_where_it_is_much_of_the_waters_mean() -> N
         assert bool(change_db > 1.0) is on
 
 
+@pytest.mark.parametrize(("level_db", "on"), [(-18.5, True), (-80.0, False)])
+@pytest.mark.filterwarnings("ignore::sonar_sim.effects.plan.EffectWarning")
+def test_the_tail_behind_a_wall_is_computed_where_it_shows(level_db: float, *, on: bool) -> None:
+    water = Water(reverberation_db=level_db)
+    scene = Scene((wall(5.0, half_m=1.0),), water=water)
+    at = pose(0.0)
+    assert verdict("reverberation", view_of(scene=scene, at=at)).on is on
+    assert not verdict("reverberation", view_of(scene=Scene(water=water))).on
+    # What the rule foretells is what the engine gives: mean powers behind the wall.
+    sonar = replace(SONAR, noise_excess_db=-50.0, bits=16)
+    view = view_of(scene=scene, sonar=sonar, at=at)
+    quiet = {"speckle": False, "noise": False, "volume": False}
+    shown = Simulator(scene, sonar, effects=quiet | {"reverberation": True}).ping(at).amplitude
+    behind = np.abs(view.grid.range_m - 6.5) < 0.3
+    rows = np.abs(sonar.row_centres_m - 6.5) < 0.3
+    coarse = np.square(view.gains.amplitude(view.tail_picture))[behind].mean(axis=0)
+    fine = np.square(shown[rows]).mean(axis=0)
+    ratio_db = 10.0 * np.log10(fine[128:-128].mean() / coarse[24:-24].mean())
+    assert ratio_db == pytest.approx(0.0, abs=1.0)
+
+
 def test_turbidity_goes_with_the_sediment() -> None:
     def found(kg_per_m3: float) -> tuple[bool, float]:
         water = Water(sediment_kg_per_m3=kg_per_m3, volume_strength_db=-200.0)

@@ -3,15 +3,20 @@ import math
 
 import numpy as np
 import pytest
-from sonar_sim.propagation.physics import InterferencePulse, Physics
+from scipy.spatial.transform import Rotation
+from sonar_sim.geometry.pose import FramePose
+from sonar_sim.propagation.physics import InterferencePulse, Physics, Reverberation
 from sonar_sim.receiver.beamformer import beam_former
 from sonar_sim.receiver.noise import (
     add_arrival,
     add_crosstalk,
     add_random,
+    add_tail,
     column_sines,
     noise_rms,
+    pose_key,
     stream_key,
+    tail_power,
     volume_rms,
 )
 from sonar_sim.scene.sonar import SonarSettings
@@ -162,3 +167,54 @@ def test_crosstalk_puts_a_part_of_the_rows_mean_power_into_every_beam(empty: typ
     silent = np.delete(beams[3], 100)
     assert level_db(silent) == pytest.approx(before - 50.0, abs=0.01)
     assert not beams[4].any()
+
+
+TAIL = Reverberation(0.02, 9.0)
+
+
+@pytest.mark.parametrize("row_m", [0.004, 0.03])
+def test_an_echo_leaves_its_share_behind_it_that_fades(row_m: float) -> None:
+    """All bearings alike: k E dR exp(-(R - R') / L), and nothing before it, whatever the rows."""
+    echo_m, energy = 1.2, 7.0
+    rows = round(4.0 / row_m)
+    power = np.zeros((rows, 9))
+    power[int(echo_m / row_m)] = energy / row_m
+    found = tail_power(power, np.linspace(-0.9, 0.9, 9), row_m, TAIL)
+    behind_m = (np.arange(rows) - int(echo_m / row_m)) * row_m
+    expected = np.where(behind_m > 0.0, 0.02 * energy * 10.0 ** (-0.9 * behind_m), 0.0)
+    assert found == pytest.approx(np.repeat(expected[:, None], 9, axis=1))
+
+
+def test_a_tail_spreads_over_bearings_and_loses_nothing_by_it() -> None:
+    sines = np.linspace(-0.9, 0.9, 37)
+    power = np.zeros((50, 37))
+    power[3, 18] = 1.0
+    found = tail_power(power, sines, 0.01, TAIL)[10]
+    assert found.argmax() == 18
+    assert found.sum() == pytest.approx(0.02 * 0.01 * 10.0 ** (-0.9 * 0.07), rel=0.01)
+    spread = math.sqrt(np.average(np.square(sines), weights=found))
+    assert spread == pytest.approx(0.2, rel=0.05)
+
+
+def test_the_tail_of_a_field_has_the_power_of_the_mean() -> None:
+    cells = np.zeros((60, COLUMNS), dtype=np.complex64)
+    cells[5, 200:300] = 100.0
+    mean = np.square(np.abs(cells)).astype(np.float32)
+    add_tail(mean, TAIL, SONAR, key=3)
+    total = np.zeros(mean.shape)
+    for key in range(200):
+        shown = cells.copy()
+        add_tail(shown, TAIL, SONAR, key=key)
+        total += np.square(np.abs(shown)) / 200.0
+    assert not mean[:5].any()
+    assert total[6:].sum(axis=1) == pytest.approx(mean[6:].sum(axis=1), rel=0.02)
+    assert total[5] == pytest.approx(mean[5])
+
+
+def test_the_tail_stays_while_the_sonar_does() -> None:
+    pose = FramePose(np.array([1.0, 2.0, -3.0]), np.eye(3))
+    moved = FramePose(np.array([1.001, 2.0, -3.0]), np.eye(3))
+    turned = FramePose(pose.position_m, Rotation.from_euler("z", 1.0, degrees=True).as_matrix())
+    keys = [pose_key(1, p, 0.002) for p in (pose, pose, moved, turned)]
+    assert keys[0] == keys[1]
+    assert len({*keys, pose_key(2, pose, 0.002)}) == 4

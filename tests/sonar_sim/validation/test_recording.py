@@ -15,7 +15,7 @@ from sonar_sim.validation.recording import (
     usual_floor_db,
 )
 
-NUMBERS = 21
+NUMBERS = 25
 
 
 @pytest.fixture(scope="module")

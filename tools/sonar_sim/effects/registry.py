@@ -17,6 +17,7 @@ from sonar_sim.effects.receiver_chain import GAIN, GAMMA, NOISE, QUANTISATION, S
 from sonar_sim.effects.scattering import (
     BOTTOM_REVERBERATION,
     LAMBERT,
+    REVERBERATION,
     SHADOWS,
     SPECKLE,
     SPECULAR,
@@ -43,6 +44,7 @@ _IN_ORDER = (
     SPECULAR,
     SPECKLE,
     VOLUME,
+    REVERBERATION,
     SURFACE_REVERBERATION,
     BOTTOM_REVERBERATION,
     MULTIPATH,

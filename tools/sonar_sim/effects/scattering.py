@@ -190,6 +190,37 @@ VOLUME = Effect(
 )
 
 
+def decide_reverberation(view: PingPreview, tolerance: Tolerance) -> RuleResult:
+    """On if the tail rises out of noise, water and quantiser somewhere."""
+    tail = view.tail_picture
+    predicted_db = view.change_in_place_db(np.maximum(view.picture - tail, 0.0), tolerance)
+    loudest = view.gains.amplitude(tail).max(initial=0.0)
+    loudest_db = 20.0 * math.log10(max(float(loudest), 1e-6))
+    return by_level(predicted_db, tolerance, f"the tail reaches {loudest_db:.0f} dB of full scale")
+
+
+def configure_reverberation(physics: Physics, view: PingPreview) -> None:
+    """Give the tail its energy and decay."""
+    physics.reverberation = view.reverberation
+
+
+REVERBERATION = Effect(
+    name="reverberation",
+    does="lets floors and walls fade into a tail behind them",
+    needs="echoes",
+    formula="power a metre of 10^(level / 10) of the echoes' energy so far, fading with range",
+    source="public Oculus recording: -18.5 dB/m behind a floor, fading by 14 dB/m",
+    rule="the picture without the tail differs by more than the tolerance",
+    cost=Cost.CELL,
+    parameters=(
+        EffectParameter("water.reverberation_db", "dB re 1/m", "energy of the tail"),
+        EffectParameter("water.reverberation_decay_db_per_m", "dB/m", "by which it fades"),
+    ),
+    decide=decide_reverberation,
+    configure=configure_reverberation,
+)
+
+
 def decide_surface_reverberation(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the surface's echo shows."""
     if view.scene.sea is None:

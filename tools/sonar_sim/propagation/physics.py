@@ -72,6 +72,19 @@ class InterferencePulse:
     level_db: float
 
 
+@dataclass(frozen=True, slots=True)
+class Reverberation:
+    """The tail that echoes leave behind them by scattering several times.
+
+    Attributes:
+        energy_per_m: mean power a metre of range, over the echoes' power summed over range.
+        decay_db_per_m: by which it fades.
+    """
+
+    energy_per_m: float
+    decay_db_per_m: float
+
+
 @dataclass(slots=True, eq=False)
 class Physics:
     """The effects' settings of one ping, in the order in which the sound meets them.
@@ -96,6 +109,7 @@ class Physics:
         range_spread: neighbouring rows overlap.
         speckle: a coherent field of random scatterers; else mean powers.
         volume_strength_db: back scattering strength of the water itself, dB re 1/m.
+        reverberation: tail behind echoes; None: sound comes back once.
         noise_level_db: per cell before gains, dB re 1 µPa.
         crosstalk_db: of a row's mean power into all its beams, negative.
         arrivals: other sonars.
@@ -125,6 +139,7 @@ class Physics:
     range_spread: bool = False
     speckle: bool = False
     volume_strength_db: float | None = None
+    reverberation: Reverberation | None = None
     noise_level_db: float | None = None
     crosstalk_db: float | None = None
     arrivals: tuple[InterferencePulse, ...] = field(default=())

@@ -167,6 +167,15 @@ class WaterSection(Section, frozen=True):
     volume_strength_db: Annotated[
         float, field_info("Back scattering strength of the water.", "dB re 1/m", ge=-150, le=0)
     ] = -80.0
+    reverberation_db: Annotated[
+        float,
+        field_info(
+            "Energy of the tail behind echoes per metre, re their own.", "dB re 1/m", ge=-200, le=0
+        ),
+    ] = -18.5
+    reverberation_decay_db_per_m: Annotated[
+        float, field_info("By which the tail fades.", "dB/m", ge=0, le=1000)
+    ] = 14.0
 
 
 class SeaSection(Section, frozen=True):

@@ -1,9 +1,10 @@
 """A recording of a real sonar, and the same sonar simulated before a scene as bright.
 
 No public recording comes with surveyed geometry, so the scene's echo strength is taken from the
-recording itself: its mean power, smoothed over many cells so that no speckle is left, less the
-noise. What is compared is all that the simulator adds: the law of pixels, speckle, what of it stays
-from ping to ping, how beams and rows share it, and how the noise grows with range.
+recording itself: its mean power up to the floor's far end, smoothed over many cells so that no
+speckle is left, less the noise. What is compared is all that the simulator adds: the law of pixels,
+speckle, what of it stays from ping to ping, how beams and rows share it, the tail behind the floor,
+and how the noise grows with range.
 """
 
 import dataclasses
@@ -17,10 +18,10 @@ from scipy.ndimage import gaussian_filter
 
 from oculus_driver import Ping, StreamParser, decode_ping
 from sonar_sim import _core
-from sonar_sim.propagation.physics import Physics
+from sonar_sim.propagation.physics import Physics, Reverberation
 from sonar_sim.receiver.beamformer import beam_former
 from sonar_sim.receiver.gain import amplitude, quantise, row_gain
-from sonar_sim.receiver.noise import add_random, noise_rms, stream_key
+from sonar_sim.receiver.noise import add_random, add_tail, noise_rms, stream_key
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.scene.water import Water
 from sonar_sim.validation.statistics import linear_amplitude, noise_power
@@ -31,6 +32,8 @@ SMOOTHING = (6.0, 5.0)
 BAND_ROWS = 25
 NOISY_M = ((0.2, 0.56), (1.28, 2.0))
 """Ranges of the public recording at which what changes between pings is mostly noise."""
+FLOOR_END_M = 1.3
+"""Of the public recording: behind lies no echo but the tail."""
 BEAM_WIDTH_RAD = math.radians(0.4)
 SIDE_LOBE_DB = 40.0
 """Unpublished; the recorded beams are so nearly Gaussian that their side lobes must be low."""
@@ -164,6 +167,7 @@ def simulate_recording(recorded: Recorded, pings: int = 3, seed: int = 0) -> NDA
     scene = _scene_power(recorded, gain, floor_power) / np.float32(former.noise_gain**2)
     still = np.zeros(scene.shape, dtype=np.complex64)
     _core.add_gaussian_power(still, scene, stream_key(seed, "surface"))
+    add_tail(still, _tail(), sonar, stream_key(seed, "tail"))
     columns = np.ones(scene.shape[1], dtype=np.float32)
     images = []
     for ping_id in range(pings):
@@ -172,6 +176,13 @@ def simulate_recording(recorded: Recorded, pings: int = 3, seed: int = 0) -> NDA
         shown = amplitude(former.form(field), gain)
         images.append(quantise(shown, physics, sonar.gamma_byte))
     return np.stack(images).astype(np.uint8)
+
+
+def _tail() -> Reverberation:
+    """That of any water, by default."""
+    return Reverberation(
+        10.0 ** (WATER.reverberation_db / 10.0), WATER.reverberation_decay_db_per_m
+    )
 
 
 def _physics(sonar: SonarSettings) -> Physics:
@@ -195,6 +206,7 @@ def _scene_power(
     shown = np.mean(np.square(recorded.amplitudes), axis=0)
     smooth = gaussian_filter(shown, SMOOTHING, mode="nearest")
     power = np.maximum(smooth / np.square(gain[:, None]) - noise_power[:, None], 0.0)
+    power[recorded.sonar.row_centres_m > FLOOR_END_M] = 0.0
     widened: NDArray[np.float32] = np.pad(power, ((0, 0), (MARGIN, MARGIN)), mode="edge").astype(
         np.float32
     )
