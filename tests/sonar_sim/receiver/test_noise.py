@@ -193,7 +193,7 @@ def test_a_tail_spreads_over_bearings_and_loses_nothing_by_it() -> None:
     assert found.argmax() == 18
     assert found.sum() == pytest.approx(0.02 * 0.01 * 10.0 ** (-0.9 * 0.07), rel=0.01)
     spread = math.sqrt(np.average(np.square(sines), weights=found))
-    assert spread == pytest.approx(0.2, rel=0.05)
+    assert spread == pytest.approx(0.06, rel=0.05)
 
 
 def test_the_tail_of_a_field_has_the_power_of_the_mean() -> None:

@@ -20,7 +20,7 @@ from sonar_sim.scene.sonar import SonarSettings
 
 Cells = NDArray[np.complex64] | NDArray[np.float32]
 
-TAIL_SPREAD_SINE = 0.2
+TAIL_SPREAD_SINE = 0.06
 """Standard deviation over which a tail spreads in the sine of the bearing."""
 TAIL_COLUMNS = 16
 """Columns whose mean power is taken together."""
