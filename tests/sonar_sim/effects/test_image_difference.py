@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from sonar_sim.effects.image_difference import (
+    DARK_WEIGHT,
     expected_clipped,
     level_change_db,
     quantiser_change_db,
@@ -74,7 +75,7 @@ def test_what_fills_the_dark_is_seen_in_the_mean_of_its_pixels(
     field = np.random.default_rng(26).normal(size=(2, 500_000)) / math.sqrt(2.0)
     speckle = np.hypot(*field)
     means = [np.rint(255.0 * (speckle * m) ** gamma).mean() for m in rms]
-    expected_db = 20.0 / gamma * math.log10(means[1] / means[0])
+    expected_db = DARK_WEIGHT * 20.0 / gamma * math.log10(means[1] / means[0])
     pictures = [np.full((64, 8), m, dtype=np.float32) for m in rms]
     assert level_change_db(*pictures, sonar, 0.001) == pytest.approx(expected_db, rel=0.03)
 

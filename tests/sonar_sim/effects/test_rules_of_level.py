@@ -147,6 +147,37 @@ def test_the_tail_behind_a_wall_is_computed_where_it_shows(level_db: float, *, o
     assert ratio_db == pytest.approx(0.0, abs=1.0)
 
 
+def test_the_floor_straight_below_is_called_for_only_if_it_shows() -> None:
+    """2 m under a level sonar it is all there is; under a loud wall and by night it is lost."""
+    near = Scene((floor(),))
+    found = verdict("all_elevations", view_of(scene=near, sonar=LOUD))
+    assert found.on
+    assert not verdict(
+        "all_elevations", view_of(scene=near, sonar=replace(SONAR, gain_percent=0.0))
+    ).on
+    assert not verdict("all_elevations", view_of(wall(9.0, half_m=2.0), sonar=LOUD)).on
+
+
+def test_near_field_is_for_sonars_without_focus_near_something() -> None:
+    blurred = replace(SONAR, dynamic_focus=False)
+    assert not verdict("near_field", view_of(wall(3.0))).on
+    found = verdict("near_field", view_of(wall(3.0), sonar=blurred))
+    assert found.on
+    assert found.predicted_db == pytest.approx(10.0 * np.log10(5.15 / 3.0), abs=0.1)
+    assert not verdict("near_field", view_of(wall(6.0), sonar=blurred)).on
+
+
+@pytest.mark.parametrize(
+    ("level_db", "gain_percent", "on"),
+    [(-31.0, 50.0, True), (-31.0, 0.0, False), (-90.0, 50.0, False), (None, 50.0, False)],
+)
+def test_the_ring_is_computed_if_the_first_row_shows_it(
+    level_db: float | None, gain_percent: float, *, on: bool
+) -> None:
+    sonar = replace(SONAR, ring_down_db=level_db, gain_percent=gain_percent)
+    assert verdict("ring_down", view_of(floor(), sonar=sonar)).on is on
+
+
 def test_turbidity_goes_with_the_sediment() -> None:
     def found(kg_per_m3: float) -> tuple[bool, float]:
         water = Water(sediment_kg_per_m3=kg_per_m3, volume_strength_db=-200.0)

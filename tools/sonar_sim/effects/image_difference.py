@@ -28,6 +28,9 @@ DARK_BANDS, DARK_PART = 8, 0.25
 DARK_MEAN = 0.02
 """Steps of the quantiser: a mean pixel below is taken for black."""
 DARK_ENTRIES, DARK_LEVELS = 1024, 16
+DARK_WEIGHT = 0.5
+"""Of a change of the dark's mean against one of a pixel: 1 dB of less than two steps is a quarter
+of a step at most."""
 CLEARLY_DB = 6.0
 """Where single pixels differ by more, the mean of the dark is not looked at."""
 LOUDEST = 1e18
@@ -55,7 +58,9 @@ def level_change_db(
     """
     a, b = (np.minimum(picture, LOUDEST).astype(np.float32) for picture in (first, second))
     change_db = _change_of_pixels_db(a, b, sonar, share, cells)
-    return change_db if change_db > CLEARLY_DB else max(change_db, dark_change_db(a, b, sonar))
+    if change_db > CLEARLY_DB:
+        return change_db
+    return max(change_db, DARK_WEIGHT * dark_change_db(a, b, sonar))
 
 
 def _change_of_pixels_db(

@@ -170,8 +170,14 @@ class RuleChecker:
         return RenderedPing(expected, lambda: self._grain(physics, view))
 
     def _grain(self, physics: Physics, view: PingPreview) -> SpeckleTexture:
-        # Noise does not move with the surfaces.
-        still = replace(physics, noise_level_db=None, volume_strength_db=None)
+        # What is no surface does not move with them.
+        still = replace(
+            physics,
+            noise_level_db=None,
+            volume_strength_db=None,
+            reverberation=None,
+            ring_down_db=None,
+        )
         surfaces = self._shown(replace(still, speckle=False), view)
         sonar, engines = self._scenario.sonar, self._engines
         grains = [

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from oculus_driver.models import M370S, M750D, M1200D, M3000D
 from sonar_sim.errors import SceneError
 
+HALF_POWER = 0.8859
+"""-3 dB width of an unshaded line in lambda / L."""
 MAX_ROWS = 720
 """Rows that an Oculus sends at most; it coarsens the spacing by powers of two to keep to it."""
 
@@ -47,6 +49,9 @@ class SonarSettings:
         told_speed_mps: speed of sound that the sonar assumes; None is the true one.
         pulse_s: length of the transmitted chirp, for the Doppler shift.
         crosstalk_db: electrical, of a row's mean power into all its beams; None has none.
+        ring_down_db: what still rings in the receiver right after the transmission, dB of full
+            scale at 50 % of gain; None has none. As in a public recording.
+        dynamic_focus: beams are focused at every range; else they widen nearer than `focus_m`.
     """
 
     frequency_hz: float = 750e3
@@ -72,6 +77,8 @@ class SonarSettings:
     told_speed_mps: float | None = None
     pulse_s: float = 1e-3
     crosstalk_db: float | None = -60.0
+    ring_down_db: float | None = -31.0
+    dynamic_focus: bool = True
 
     def __post_init__(self) -> None:
         if not 0.1 <= self.demanded_range_m <= self.max_range_m:  # noqa: PLR2004 Oculus' nearest
@@ -123,6 +130,11 @@ class SonarSettings:
     def sine_pitch(self) -> float:
         """Distance of neighbouring beams in the sine of their bearing."""
         return 2.0 * math.sin(self.half_aperture_rad) / (self.beams - 1)
+
+    def focus_m(self, speed_of_sound_mps: float) -> float:
+        """Range L²/lambda from which beams are sharp without focus; L = 0.886 lambda / width."""
+        wavelength_m = speed_of_sound_mps / self.frequency_hz
+        return wavelength_m * (HALF_POWER / (2.0 * math.sin(self.beam_width_rad / 2.0))) ** 2
 
     def bandwidth_hz(self, speed_of_sound_mps: float) -> float:
         """Bandwidth whose resolution is one row."""

@@ -499,6 +499,13 @@ class SonarSection(Section, frozen=True):
         Annotated[float, Meta(ge=-200, le=0)] | UnsetType | None,
         field_info("Electrical, of a row's mean power in all its beams.", "dB"),
     ] = UNSET
+    ring_down_db: Annotated[
+        Annotated[float, Meta(ge=-200, le=20)] | UnsetType | None,
+        field_info("What still rings after the transmission, of full scale at 50 % gain.", "dB"),
+    ] = UNSET
+    dynamic_focus: Annotated[
+        bool | UnsetType, field_info("Whether beams are focused at every range.")
+    ] = UNSET
 
 
 class MountingSection(Section, frozen=True):
