@@ -116,6 +116,10 @@ VERTICAL_PATTERN = Effect(
 )
 
 
+UNSURE = 1.1
+"""By how much few coarse rays, straight up and down, may underrate what they meet."""
+
+
 def decide_all_elevations(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if what lies beyond the elevations of the usual fan shows."""
     steep = np.abs(view.echoes.up) > math.sin(MAX_ELEVATION_RAD)
@@ -124,7 +128,8 @@ def decide_all_elevations(view: PingPreview, tolerance: Tolerance) -> RuleResult
     if not steep.any():
         return RuleResult(on=False, reason=reason, predicted_db=0.0)
     power = np.where(steep, 0.0, view.echo_power)
-    return by_level(view.change_of_echoes_db(power, tolerance), tolerance, reason)
+    predicted_db = UNSURE * view.change_of_echoes_db(power, tolerance)
+    return by_level(predicted_db, tolerance, reason)
 
 
 def configure_all_elevations(physics: Physics, view: PingPreview) -> None:

@@ -14,6 +14,7 @@ from sonar_sim.effects.image_difference import (
     level_change_db,
     quantiser_change_db,
 )
+from sonar_sim.effects.multipath import ghost_picture
 from sonar_sim.effects.preview import PingPreview
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.receiver.gain import (
@@ -28,10 +29,13 @@ from sonar_sim.receiver.gain import (
 
 def decide_noise(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the noise, after the gains, shows anywhere."""
-    silence = np.maximum(view.picture - view.noise_power, 0.0)
+    # Ghosts may fill what were dark without them.
+    picture = view.picture + ghost_picture(view)
+    silence = np.maximum(picture - view.noise_power, 0.0)
     floor = view.gains.amplitude(np.full_like(view.picture, view.noise_power)).max()
     reason = f"after gains the noise reaches {20.0 * math.log10(floor):.0f} dB of full scale"
-    return by_level(view.change_db(silence, tolerance), tolerance, reason)
+    before, after = (view.gains.amplitude(power) for power in (picture, silence))
+    return by_level(change_db(before, after, view.sonar, tolerance), tolerance, reason)
 
 
 def configure_noise(physics: Physics, view: PingPreview) -> None:
@@ -85,7 +89,7 @@ RING_DOWN = Effect(
     does="lights the first rows, alike in every ping",
     needs="the sonar's ring",
     formula=f"level of full scale at 50 % of gain, falling by {RING_DOWN_DB_PER_M:.0f} dB/m",
-    source="public Oculus recording: -31 dB in the first rows",
+    source="public Oculus recording: 25 dB below its floor's echo",
     rule="the first row differs by more than the tolerance",
     cost=Cost.ROW,
     parameters=(EffectParameter("sonar.ring_down_db", "dB", "of full scale at 50 % of gain"),),

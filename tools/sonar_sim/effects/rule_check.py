@@ -24,7 +24,7 @@ from sonar_sim.effects.image_difference import (
     quantiser_change_db,
 )
 from sonar_sim.effects.plan import Decision, EffectPlan, EffectSelection
-from sonar_sim.effects.planner import Planner
+from sonar_sim.effects.planner import MARGIN_DB, Planner
 from sonar_sim.effects.preview import PingPreview
 from sonar_sim.effects.previewer import Previewer
 from sonar_sim.effects.registry import EFFECTS
@@ -144,7 +144,9 @@ class RuleChecker:
             return PictureDifference(change_db, 0.0, 0.0)
         share = 0.0 if EFFECTS[name].anywhere else self._tolerance.share
         other = self._pictures(plan.switched_off(name).physics(view), view)
-        level_db = self._level_db(everything, other, share)
+        # The rules take a ping to be as bright as any of its cell.
+        bright = 10.0 ** (MARGIN_DB / 20.0)
+        level_db = max(self._level_db(everything, other, share, by) for by in (1.0, bright))
         if level_db > self._tolerance.level_db:
             # That is enough: grain takes four more pictures.
             return PictureDifference(level_db, 0.0, 0.0)
@@ -157,10 +159,12 @@ class RuleChecker:
             texture_change(first.grain, second.grain),
         )
 
-    def _level_db(self, first: RenderedPing, second: RenderedPing, share: float) -> float:
+    def _level_db(
+        self, first: RenderedPing, second: RenderedPing, share: float, brighter: float = 1.0
+    ) -> float:
         cells = self._tolerance.cells
-        sonar = self._scenario.sonar
-        return level_change_db(first.expected, second.expected, sonar, share, (cells, cells))
+        one, other = (np.float32(brighter) * ping.expected for ping in (first, second))
+        return level_change_db(one, other, self._scenario.sonar, share, (cells, cells))
 
     def _pictures(self, physics: Physics, view: PingPreview) -> RenderedPing:
         physics = replace(physics, quantised=False)
