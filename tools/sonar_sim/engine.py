@@ -34,6 +34,7 @@ from sonar_sim.receiver.noise import (
     add_crosstalk,
     add_random,
     add_tail,
+    diffuse_limit_m2,
     noise_rms,
     pose_key,
     stream_key,
@@ -117,6 +118,9 @@ class PingEngine:
         self._meshes = Meshes(scene)
         self._fan = ray_fan(sonar, elevations)
         self._elevations = elevations
+        self._loudest_mu = max((surface.material.mu for surface in scene.surfaces), default=0.0)
+        if scene.sea is not None:
+            self._loudest_mu = max(self._loudest_mu, 10.0 ** (scene.sea.lambert_db / 10.0))
         self._volume: (
             tuple[tuple[object, ...], tuple[NDArray[np.float32], NDArray[np.float32]]] | None
         ) = None
@@ -277,7 +281,18 @@ class PingEngine:
         if physics.reverberation is not None:
             wavelength_m = self.scene.water.speed_of_sound_mps / self.sonar.frequency_hz
             key = pose_key(seed, here.pose, wavelength_m)
-            add_tail(cells, physics.reverberation, self.sonar, key, self._threads)
+            limit = diffuse_limit_m2(self.sonar, self._loudest_mu)
+            limit *= np.square(self._loss(physics), dtype=np.float64)
+            if physics.spreading:
+                limit /= (self.sonar.row_centres_m / physics.range_scale) ** 4
+            add_tail(
+                cells,
+                physics.reverberation,
+                self.sonar,
+                limit=limit,
+                key=key,
+                threads=self._threads,
+            )
         if physics.volume_strength_db is not None:
             row_rms, column_rms = self._volume_rms(physics)
             # Plankton drifts on between two pings.

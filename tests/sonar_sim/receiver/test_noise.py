@@ -4,6 +4,7 @@ import math
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from sonar_sim.engine import PingEngine
 from sonar_sim.geometry.pose import FramePose
 from sonar_sim.propagation.physics import InterferencePulse, Physics, Reverberation
 from sonar_sim.receiver.beamformer import beam_former
@@ -19,7 +20,10 @@ from sonar_sim.receiver.noise import (
     tail_power,
     volume_rms,
 )
+from sonar_sim.scene.material import Material
+from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
+from sonar_sim.validation.setups import MEAN, cell_power, rectangle
 
 SONAR = dataclasses.replace(SonarSettings(), demanded_range_m=1.6)
 MARGIN = 12
@@ -170,6 +174,7 @@ def test_crosstalk_puts_a_part_of_the_rows_mean_power_into_every_beam(empty: typ
 
 
 TAIL = Reverberation(0.02, 9.0)
+EVERYTHING = np.full(SONAR.rows, np.inf)
 
 
 @pytest.mark.parametrize("row_m", [0.004, 0.03])
@@ -197,17 +202,17 @@ def test_a_tail_spreads_over_bearings_and_loses_nothing_by_it() -> None:
 
 
 def test_the_tail_of_a_field_has_the_power_of_the_mean() -> None:
-    cells = np.zeros((60, COLUMNS), dtype=np.complex64)
+    cells = np.zeros((SONAR.rows, COLUMNS), dtype=np.complex64)
     cells[5, 200:300] = 100.0
     mean = np.square(np.abs(cells)).astype(np.float32)
-    add_tail(mean, TAIL, SONAR, key=3)
+    add_tail(mean, TAIL, SONAR, limit=EVERYTHING, key=3)
     total = np.zeros(mean.shape)
     for key in range(200):
         shown = cells.copy()
-        add_tail(shown, TAIL, SONAR, key=key)
+        add_tail(shown, TAIL, SONAR, limit=EVERYTHING, key=key)
         total += np.square(np.abs(shown)) / 200.0
     assert not mean[:5].any()
-    assert total[6:].sum(axis=1) == pytest.approx(mean[6:].sum(axis=1), rel=0.02)
+    assert total[6:60].sum(axis=1) == pytest.approx(mean[6:60].sum(axis=1), rel=0.02)
     assert total[5] == pytest.approx(mean[5])
 
 
@@ -218,3 +223,27 @@ def test_the_tail_stays_while_the_sonar_does() -> None:
     keys = [pose_key(1, p, 0.002) for p in (pose, pose, moved, turned)]
     assert keys[0] == keys[1]
     assert len({*keys, pose_key(2, pose, 0.002)}) == 4
+
+
+@pytest.mark.parametrize(("slope_rad", "tail"), [(0.02, False), (None, True)])
+def test_a_mirror_s_flash_leaves_no_tail(slope_rad: float | None, *, tail: bool) -> None:
+    """A dull wall's own echo is within the limit to the tenth; a flash is far above."""
+    dull = Material("dull", -20.0)
+    mirror = Material("mirror", -20.0, reflection=0.9, roughness_m=0.0, slope_rad=slope_rad or 1.0)
+    sonar = dataclasses.replace(SONAR, demanded_range_m=4.0)
+    pose, seen = FramePose(np.zeros(3), np.eye(3)), []
+    for material in (dull, dull if slope_rad is None else mirror):
+        plate = rectangle((2.0, 0.0, 0.0), (0.0, 0.8, 0.0), (0.0, 0.0, 0.8), material)
+        with_tail = dataclasses.replace(MEAN, reverberation=TAIL)
+        seen.append(cell_power(PingEngine(Scene((plate,)), sonar), pose, with_tail))
+    front = int(2.0 / sonar.range_resolution_m)
+    energies = [power[front - 2 : front + 12].sum() for power in seen]
+    behind = [power[front + 100 : front + 200].sum() for power in seen]
+    if tail:
+        behind_m = np.arange(100, 200) * sonar.range_resolution_m
+        faded = np.sum(10.0 ** (-0.9 * behind_m)) * sonar.range_resolution_m
+        expected = 0.02 * energies[0] * faded
+        assert behind[0] == pytest.approx(expected, rel=0.1)
+    else:
+        assert energies[1] > 30.0 * energies[0]
+        assert behind[1] < 8.0 * behind[0]

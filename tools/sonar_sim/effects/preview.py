@@ -18,7 +18,7 @@ from sonar_sim.effects.coarse_picture import (
     equivalent_beams,
     transmitted_power,
 )
-from sonar_sim.effects.echoes import COLUMNS, CoarseFan, Echoes
+from sonar_sim.effects.echoes import COLUMNS, NOTHING, CoarseFan, Echoes
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.planes import MirrorPlane
 from sonar_sim.geometry.pose import FramePose, SonarMotion
@@ -291,10 +291,11 @@ class PingPreview:
     @cached_property
     def tail_picture(self) -> NDArray[np.float64]:
         """Expected power of a pixel by the tail behind echoes, (rows, COLUMNS)."""
-        return self._tail_of(self.echo_picture)
-
-    def _tail_of(self, echo_picture: NDArray[np.float64]) -> NDArray[np.float64]:
-        return tail_power(echo_picture, self.grid.sine, self.grid.row_m, self.reverberation)
+        echoes = self.echoes
+        # A mirror's flash leaves none; and points are few.
+        scattered = np.where(echoes.surface == NOTHING, 0.0, echoes.lambert_m2 * self.unscattered)
+        picture = self.grid.main_lobes(echoes, scattered)
+        return tail_power(picture, self.grid.sine, self.grid.row_m, self.reverberation)
 
     @cached_property
     def heard(self) -> NDArray[np.float64]:
@@ -333,8 +334,6 @@ class PingPreview:
         return change_db(self.amplitude, other, self.sonar, tolerance, displaced=False)
 
     def change_of_echoes_db(self, power: NDArray[np.float64], tolerance: Tolerance) -> float:
-        """The same where only the echoes' powers (N,) differ, and with them their tail."""
-        echo_picture = self.grid.picture(self.echoes, power)
-        other = self.picture - self.echo_picture + echo_picture
-        other += self._tail_of(echo_picture) - self.tail_picture
+        """The same where only the echoes' powers (N,) differ; their tail is left as it is."""
+        other = self.picture - self.echo_picture + self.grid.picture(self.echoes, power)
         return self.change_db(np.maximum(other, 0.0), tolerance)

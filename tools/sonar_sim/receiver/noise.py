@@ -136,8 +136,26 @@ def tail_power(
     return filled
 
 
+def diffuse_limit_m2(sonar: SonarSettings, mu: float) -> NDArray[np.float64]:
+    """Cross section of a cell that a plane of Lambert's coefficient mu fills head on, (rows,).
+
+    The first row of a wall is 2 sqrt(2 R dR) high and R ds wide; twice that leaves room for
+    speckle. What is louder is a mirror's flash, whose sound is not scattered about.
+    """
+    range_m, row_m = sonar.row_centres_m, sonar.range_resolution_m
+    area_m2 = 2.0 * range_m * sonar.sine_pitch * np.sqrt(2.0 * range_m * row_m)
+    limit: NDArray[np.float64] = 2.0 * mu * area_m2
+    return limit
+
+
 def add_tail(
-    cells: Cells, tail: Reverberation, sonar: SonarSettings, key: int, threads: int = 2
+    cells: Cells,
+    tail: Reverberation,
+    sonar: SonarSettings,
+    *,
+    limit: NDArray[np.float64],
+    key: int,
+    threads: int = 2,
 ) -> None:
     """Add the tail behind all echoes in the cells, in place.
 
@@ -145,6 +163,7 @@ def add_tail(
         cells: field or mean power of the echoes.
         tail: its energy and decay.
         sonar: for rows and columns.
+        limit: of the mean power that leaves a tail, (rows,).
         key: of the numbers; mean powers need none.
         threads: that share the work.
     """
@@ -155,7 +174,7 @@ def add_tail(
     else:
         squares = np.asarray(cells)
     sizes = np.diff(np.append(starts, columns))
-    blocks = np.add.reduceat(squares, starts, axis=1) / sizes
+    blocks = np.minimum(np.add.reduceat(squares, starts, axis=1) / sizes, limit[:, None])
     middles = np.add.reduceat(column_sines(columns, sonar), starts) / sizes
     power = np.repeat(tail_power(blocks, middles, sonar.range_resolution_m, tail), sizes, axis=1)
     if np.iscomplexobj(cells):
