@@ -49,7 +49,7 @@ def main() -> None:
     draw(out / "simulator-tank.png", tank_page(), 4)
     if arguments.recording is not None:
         draw(out / "simulator-recording.png", recording_page(arguments.recording), 3)
-    draw(out / "simulator-pings.png", [scene_ping(name) for name in scene_names()], 4)
+    draw(out / "simulator-pings.png", [scene_ping(name) for name in scene_names()], 3)
 
 
 def recording_page(path: Path) -> list[Picture]:

@@ -116,7 +116,7 @@ VERTICAL_PATTERN = Effect(
 )
 
 
-UNSURE = 1.1
+UNSURE = 1.25
 """By how much few coarse rays, straight up and down, may underrate what they meet."""
 
 

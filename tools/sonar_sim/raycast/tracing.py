@@ -7,6 +7,7 @@ incidence it has to, around a ball it must not. What the neighbouring rays met o
 distinguishes the two.
 """
 
+import math
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from sonar_sim import _core
 from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.geometry.pose import FramePose
-from sonar_sim.raycast.fan import RayFan, refined_fan
+from sonar_sim.raycast.fan import MAX_ELEVATION_RAD, RayFan, refined_fan
 from sonar_sim.raycast.meshes import NOTHING, Hits, Meshes
 
 Number = TypeVar("Number", np.float32, np.int32)
@@ -29,6 +30,9 @@ MIN_COSINE = 0.995
 mirror's glint on it is found by its normals."""
 FINER_SHARE = 16
 """At most one in so many pairs of neighbours is traced finer: those farthest apart in range."""
+STEEP_WEIGHT = np.float32(1e-9)
+"""Of a jump in range far off the fan's plane, where the pattern hears 28 dB less at the least: what
+has nothing behind it jumps by 1e6 m and would crowd out the others."""
 BEHIND = 3
 """Surfaces seen behind the first where nothing casts a shadow."""
 PAST_M = 1e-3
@@ -112,6 +116,9 @@ def edges_of(
     if len(edges) > most:
         reach = np.where(met.face >= 0, met.range_m, np.float32(1e6))
         jump = np.abs(reach[edges + 1] - reach[edges])
+        # Steep ones last: they are hardly heard.
+        steep = np.abs(fan.directions[edges, 2]) > math.sin(MAX_ELEVATION_RAD)
+        jump[steep] *= STEEP_WEIGHT
         edges = np.sort(edges[np.argsort(-jump, kind="stable")[:most]])
     return edges
 
