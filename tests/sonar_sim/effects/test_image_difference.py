@@ -76,13 +76,13 @@ def test_what_fills_the_dark_is_seen_in_the_mean_of_its_pixels(
     speckle = np.hypot(*field)
     means = [np.rint(255.0 * (speckle * m) ** gamma).mean() for m in rms]
     expected_db = DARK_WEIGHT * 20.0 / gamma * math.log10(means[1] / means[0])
-    pictures = [np.full((64, 8), m, dtype=np.float32) for m in rms]
-    assert level_change_db(*pictures, sonar, 0.001) == pytest.approx(expected_db, rel=0.03)
+    one, other = (np.full((64, 8), m, dtype=np.float32) for m in rms)
+    assert level_change_db(one, other, sonar, 0.001) == pytest.approx(expected_db, rel=0.03)
 
 
 def test_dark_pixels_that_stay_black_do_not_differ() -> None:
-    pictures = [np.full((64, 8), m / 255.0, dtype=np.float32) for m in (0.05, 0.2)]
-    assert level_change_db(*pictures, replace(SONAR, bits=8), 0.001) == 0.0
+    one, other = (np.full((64, 8), m / 255.0, dtype=np.float32) for m in (0.05, 0.2))
+    assert level_change_db(one, other, replace(SONAR, bits=8), 0.001) == 0.0
 
 
 @pytest.mark.parametrize(("cells", "same"), [(0.5, True), (0.2, False)])

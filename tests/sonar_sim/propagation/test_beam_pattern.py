@@ -69,7 +69,8 @@ def test_side_lobes_stay_below_the_design_level() -> None:
 @pytest.mark.parametrize("place", np.random.default_rng(26).uniform(0.0, 1.0, 6))
 def test_beams_hear_the_highest_side_lobe_wherever_they_lie_in_it(beams: int, place: float) -> None:
     sonar = SonarSettings(beams=beams)
-    sines = (np.arange(beams) + place - beams // 2) * sonar.sine_pitch
+    sines: NDArray[np.float64] = np.arange(beams, dtype=np.float64) + place - beams // 2
+    sines *= sonar.sine_pitch
     heard = np.abs(azimuth_amplitude(sonar.beam_width_rad, 30.0)(sines))
     lobes = heard[np.abs(sines) > main_lobe_end(sonar.beam_width_rad, 30.0)]
     assert 20.0 * math.log10(lobes.max()) == pytest.approx(-30.0, abs=0.35)
