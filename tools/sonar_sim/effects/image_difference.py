@@ -43,6 +43,8 @@ def level_change_db(
     sonar: SonarSettings,
     share: float,
     cells: tuple[float, float] = (0.0, 0.0),
+    *,
+    in_the_dark: bool = False,
 ) -> float:
     """Difference of level that no more than a share of the pixels exceeds.
 
@@ -52,6 +54,7 @@ def level_change_db(
         sonar: its gamma and bits set the step of the quantiser.
         share: of the pixels.
         cells: displacement that does not count, in rows and in columns.
+        in_the_dark: whether it does not count in the mean of what is dark, either.
 
     Returns:
         dB, at least 0.
@@ -60,7 +63,12 @@ def level_change_db(
     change_db = _change_of_pixels_db(a, b, sonar, share, cells)
     if change_db > CLEARLY_DB:
         return change_db
-    return max(change_db, DARK_WEIGHT * dark_change_db(a, b, sonar))
+    dark_db = dark_change_db(a, b, sonar)
+    if in_the_dark:
+        # Either picture may be the one that is displaced.
+        there = dark_change_db(a, np.clip(a, *_hull(b, cells)), sonar)
+        dark_db = min(there, dark_change_db(np.clip(b, *_hull(a, cells)), b, sonar))
+    return max(change_db, DARK_WEIGHT * dark_db)
 
 
 def _change_of_pixels_db(

@@ -131,7 +131,7 @@ class RuleChecker:
         chosen = self._pictures(planned.physics, view)
         all_on = EffectPlan.make(view, EffectSelection.read("all"), self._tolerance)
         everything = self._pictures(all_on.physics(view), view)
-        left_out = self._change(chosen, everything, self._tolerance.share)
+        left_out = self._change(chosen, everything, self._tolerance.share, in_the_dark=True)
         without = {name: self._change_without(name, chosen, plan, view) for name in plan.names}
         return RuleCheck(plan, left_out, without, self._tolerance)
 
@@ -152,19 +152,29 @@ class RuleChecker:
             return PictureDifference(level_db, 0.0, 0.0)
         return self._change(everything, other, share)
 
-    def _change(self, first: RenderedPing, second: RenderedPing, share: float) -> PictureDifference:
+    def _change(
+        self, first: RenderedPing, second: RenderedPing, share: float, *, in_the_dark: bool = False
+    ) -> PictureDifference:
         return PictureDifference(
-            self._level_db(first, second, share),
+            self._level_db(first, second, share, in_the_dark=in_the_dark),
             displacement_cells(first.grain, second.grain),
             texture_change(first.grain, second.grain),
         )
 
     def _level_db(
-        self, first: RenderedPing, second: RenderedPing, share: float, brighter: float = 1.0
+        self,
+        first: RenderedPing,
+        second: RenderedPing,
+        share: float,
+        brighter: float = 1.0,
+        *,
+        in_the_dark: bool = False,
     ) -> float:
         cells = self._tolerance.cells
         one, other = (np.float32(brighter) * ping.expected for ping in (first, second))
-        return level_change_db(one, other, self._scenario.sonar, share, (cells, cells))
+        return level_change_db(
+            one, other, self._scenario.sonar, share, (cells, cells), in_the_dark=in_the_dark
+        )
 
     def _pictures(self, physics: Physics, view: PingPreview) -> RenderedPing:
         physics = replace(physics, quantised=False)

@@ -30,9 +30,6 @@ MIN_COSINE = 0.995
 mirror's glint on it is found by its normals."""
 FINER_SHARE = 16
 """At most one in so many pairs of neighbours is traced finer: those farthest apart in range."""
-STEEP_WEIGHT = np.float32(1e-9)
-"""Of a jump in range far off the fan's plane, where the pattern hears 28 dB less at the least: what
-has nothing behind it jumps by 1e6 m and would crowd out the others."""
 BEHIND = 3
 """Surfaces seen behind the first where nothing casts a shadow."""
 PAST_M = 1e-3
@@ -112,14 +109,25 @@ def edges_of(
         MIN_STEP_M,
         MIN_COSINE,
     )
-    most = len(direction) // FINER_SHARE
+    # Steep rays have a share of their own: what has nothing behind it would crowd out the others.
+    steep = np.abs(fan.directions[:, 2]) > math.sin(MAX_ELEVATION_RAD)
+    return np.sort(
+        np.concatenate(
+            [
+                _farthest(edges[steep[edges] == part], met, int(np.sum(steep == part)))
+                for part in (False, True)
+            ]
+        )
+    )
+
+
+def _farthest(edges: NDArray[np.int64], met: Hits, rays: int) -> NDArray[np.int64]:
+    """Those farthest apart in range, of as many rays."""
+    most = rays // FINER_SHARE
     if len(edges) > most:
         reach = np.where(met.face >= 0, met.range_m, np.float32(1e6))
         jump = np.abs(reach[edges + 1] - reach[edges])
-        # Steep ones last: they are hardly heard.
-        steep = np.abs(fan.directions[edges, 2]) > math.sin(MAX_ELEVATION_RAD)
-        jump[steep] *= STEEP_WEIGHT
-        edges = np.sort(edges[np.argsort(-jump, kind="stable")[:most]])
+        edges = edges[np.argsort(-jump, kind="stable")[:most]]
     return edges
 
 
