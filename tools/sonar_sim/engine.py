@@ -116,11 +116,9 @@ class PingEngine:
         # The sonar compensates the water's absorption, even if it is not simulated.
         self._assumed_db_per_m = scene.water.absorption_db_per_m(sonar.frequency_hz)
         self._meshes = Meshes(scene)
+        self._loudest_mu = float(self._meshes.strengths[:, 0].max(initial=0.0))
         self._fan = ray_fan(sonar, elevations)
         self._elevations = elevations
-        self._loudest_mu = max((surface.material.mu for surface in scene.surfaces), default=0.0)
-        if scene.sea is not None:
-            self._loudest_mu = max(self._loudest_mu, 10.0 ** (scene.sea.lambert_db / 10.0))
         self._volume: (
             tuple[tuple[object, ...], tuple[NDArray[np.float32], NDArray[np.float32]]] | None
         ) = None
