@@ -210,9 +210,9 @@ class CsvFile(_TextPoses):
         mark = max(",;\t", key=header.count)
         names = [name.strip().strip("#\"'").strip().lower() for name in header.split(mark)]
         (time,) = self._columns("time", TIMES, names)
-        whats = ("position", "orientation")
+        kinds = ("position", "orientation")
         columns = [
-            self._columns(what, choice, names) for what, choice in zip(whats, choices, strict=False)
+            self._columns(what, choice, names) for what, choice in zip(kinds, choices, strict=False)
         ]
         wanted = {name: names.index(name) for some in ((time,), *columns) for name in some}
         reader = csv.reader(file, delimiter=mark)
