@@ -81,7 +81,7 @@ class PoseFollower:
             return
         try:
             self._transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-                lambda: _Datagrams(self), local_addr=(self._host, self._port)
+                lambda: _FollowedDatagrams(self), local_addr=(self._host, self._port)
             )
         except OSError as error:
             reason = error.strerror or str(error)
@@ -141,7 +141,7 @@ class PoseFollower:
             await asyncio.sleep(RETRY_S)
 
 
-class _Datagrams(asyncio.DatagramProtocol):
+class _FollowedDatagrams(asyncio.DatagramProtocol):
     """Hands datagrams on."""
 
     def __init__(self, follower: PoseFollower) -> None:

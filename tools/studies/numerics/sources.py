@@ -102,11 +102,14 @@ MEASURED: dict[str, tuple[str, ...]] = {
 """Sources by the row that measures them."""
 
 NOT_MEASURED: dict[str, tuple[str, ...]] = {
-    "drawn by a browser or a viewer, whose own width it is": _in(
-        "mapperd/",
-        "foxglove/geometry.py foxglove/map_publisher.py foxglove/messages.py "
-        "viewer/chunks.py viewer/colours.py viewer/map_layer.py viewer/sonar_panel.py "
-        "viewer/tools.py",
+    "drawn by a browser or a viewer, whose own width it is": (
+        *_in(
+            "mapperd/",
+            "foxglove/geometry.py foxglove/map_publisher.py foxglove/messages.py "
+            "viewer/chunks.py viewer/colours.py viewer/map_layer.py viewer/sonar_panel.py "
+            "viewer/tools.py",
+        ),
+        SIMULATOR + "page/scene_view.py",
     ),
     "serves the rules that decide on effects, to tenths of a decibel": _in(
         SIMULATOR,
@@ -119,7 +122,7 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "hands on what other sources made": (
         "cpp/map/src/ping_box.cpp",
-        "mapperd/alignment/report.py",
+        *_in("mapperd/alignment/", "report.py submaps.py"),
         *_in("mapperd/bridges/", "dds.py mavlink.py ros2_messages.py"),
         "mapperd/imaging/filter_chain.py",
         "mapperd/localization/map_io.py",
@@ -127,7 +130,7 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
         *_in(
             SIMULATOR,
             "geometry/matmul.py products/arrays.py products/images.py "
-            "products/point_cloud.py products/sounding.py simulator.py",
+            "products/point_cloud.py products/sounding.py scanning.py simulator.py",
         ),
     ),
     "fitted to images in double precision, whose samples have 8 bits": _in(
