@@ -27,6 +27,7 @@ from mapperd.bridges.vehicle import (
     LinkReporter,
     RateLimit,
     VehiclePose,
+    held,
     map_slice,
     sure_pose,
 )
@@ -121,6 +122,7 @@ class AutopilotBridge:
         """Forget the state of the daemon: it may be old when it comes again."""
         self._vehicle: PoseMessage | None = None
         self._localization: LocalizationMessage | None = None
+        self._localizes: bool | None = None
         self._returns: ReturnsMessage | None = None
 
     def take(self, change: ClientChange, now_s: float) -> Iterator[bytes]:
@@ -137,13 +139,18 @@ class AutopilotBridge:
             case LinkChanged(link):
                 self._connected(is_connected=self._link.take(link))
             case LocalizationMessage():
-                self._localization = change
+                self._localization = held(self._localization, change)
+                state = change.report.get("state")
+                is_off = state == "off" and self._config.poses == "all"
+                if not is_off and (state != "localized" or change.report.get("sure") is not True):
+                    self._doubt("localization: not sure")
             case ReturnsMessage():
                 self._returns = change
             case PoseMessage():
                 self._vehicle = change
                 yield from self._pose(change, now_s)
             case StatusMessage():
+                self._localizes = change.status.get("localization") is not None
                 self._look_at_problems(change.status)
             case EventMessage():
                 self._look_at_event(change.event)
@@ -234,11 +241,13 @@ class AutopilotBridge:
             )
 
     def _pose(self, vehicle: PoseMessage, now_s: float) -> Iterator[bytes]:
-        located = sure_pose(vehicle, self._localization, odometry=self._config.poses == "all")
+        # Without a state, localization may be off, or its state may not have come yet.
+        by_odometry = self._config.poses == "all" and (
+            self._localizes is False or self._localization is not None
+        )
+        located = sure_pose(vehicle, self._localization, odometry=by_odometry)
         if isinstance(located, str):
-            if not self.reason:
-                self._jumps.lose()
-            self.reason = located
+            self._doubt(located)
         else:
             self.reason = ""
             resets = self._jumps.take(located)
@@ -248,6 +257,11 @@ class AutopilotBridge:
             message = self._obstacle_message(VehiclePose.of(vehicle))
             if message is not None:
                 yield self._packed(message)
+
+    def _doubt(self, reason: str) -> None:
+        if not self.reason:
+            self._jumps.lose()
+        self.reason = reason
 
     def _pose_message(self, located: VehiclePose, resets: int) -> Any:  # noqa: ANN401 no types
         is_ned = self._config.frame == "ned"

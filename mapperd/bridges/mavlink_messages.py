@@ -188,26 +188,37 @@ def obstacle_distances(
     sector = np.rint(clockwise / SECTOR_RAD).astype(np.int64) % SECTORS
     nearest_m = np.full(SECTORS, np.inf)
     np.minimum.at(nearest_m, sector, distance_m)
-    nothing = np.where(_is_clear(layer, cell_m, place_m, yaw, range_m), range_m + 0.01, np.nan)
+    hit_m, is_clear = _along_rays(layer, cell_m, place_m, yaw, range_m)
+    nearest_m = np.minimum(nearest_m, hit_m)
+    nothing = np.where(is_clear, range_m + 0.01, np.nan)
     centimetres = np.rint(100 * np.where(np.isfinite(nearest_m), nearest_m, nothing))
     return np.where(np.isnan(centimetres), UNKNOWN_CM, np.maximum(centimetres, 1)).astype(np.uint16)
 
 
-def _is_clear(
+def _along_rays(
     layer: GridLayer | None, cell_m: float, place_m: Floats, yaw: float, range_m: float
-) -> NDArray[np.bool_]:
-    """Return (72,) whether all cells along the middle of a sector are free, outside the vehicle."""
-    if layer is None or range_m <= OWN_M:
-        return np.zeros(SECTORS, np.bool_)
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Look along the middles of the sectors.
+
+    Returns:
+        (72,) metres to the first occupied cell, or infinity; (72,) whether all cells outside the
+        vehicle are free.
+    """
+    if layer is None:
+        return np.full(SECTORS, np.inf), np.zeros(SECTORS, np.bool_)
     bearing = yaw - SECTOR_RAD * np.arange(SECTORS)
-    along_m = np.arange(OWN_M, range_m, cell_m / 2)
+    along_m = np.arange(0.0, range_m, cell_m / 4)
     way = along_m[None, :, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)[:, None]
     index = np.floor((place_m + way) / cell_m).astype(np.int64)
     index -= (layer.window.x, layer.window.y)
     inside = ((index >= 0) & (index < (layer.window.width, layer.window.height))).all(axis=2)
     x, y = np.where(inside[..., None], index, 0).transpose(2, 0, 1)
     value = np.where(inside, layer.values[y, x], UNKNOWN)
-    return np.asarray((value == FREE).all(axis=1))
+    hit = value == OCCUPIED
+    hit_m = np.where(hit.any(axis=1), along_m[hit.argmax(axis=1)], np.inf)
+    outside = along_m >= OWN_M
+    is_clear = (value[:, outside] == FREE).all(axis=1) & bool(outside.any())
+    return hit_m, is_clear
 
 
 TEXT_BYTES = 50

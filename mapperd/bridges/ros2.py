@@ -20,6 +20,7 @@ from mapperd.bridges.vehicle import (
     LinkReporter,
     MapFrames,
     VehiclePose,
+    held,
     map_odom_of,
     map_slice,
     planar_estimate,
@@ -133,6 +134,9 @@ class Ros2Bridge:
         self._map_stamp_ns = 0
         self._map_due_s = -np.inf
         self._is_reset = False
+        self._grid_error = ""
+        self._state: LocalizationMessage | None = None
+        """Of this connection: that of an earlier one may be another session's."""
         self._slow: set[str] = set()
         self._particles_ns = 0
         self._due: set[str] = set()
@@ -144,7 +148,7 @@ class Ros2Bridge:
         self._is_alone: bool | None = None
         self._stamp_ns = 0
         self._handlers: Mapping[type, Callable[[Any], object]] = {
-            LinkChanged: lambda change: self._link.take(change.link),
+            LinkChanged: self._linked,
             MapReset: self._reset,
             MapChanged: self._note,
             PoseMessage: self._pose,
@@ -161,6 +165,10 @@ class Ros2Bridge:
         handler = self._handlers.get(type(change))
         if handler is not None:
             handler(change)
+
+    def _linked(self, change: LinkChanged) -> None:
+        if not self._link.take(change.link):
+            self._state = None
 
     def _reset(self, _: MapReset) -> None:
         self._is_reset = True
@@ -241,7 +249,7 @@ class Ros2Bridge:
 
     def _pose(self, vehicle: PoseMessage) -> None:
         self._stamp_ns = max(self._stamp_ns, vehicle.stamp_ns)
-        localization, frames = self._client.localization, self._frames(vehicle)
+        localization, frames = self._state, self._frames(vehicle)
         if frames is None:
             return
         world, odom, base = (self._frame(name) for name in ("map", "odom", "base"))
@@ -264,9 +272,12 @@ class Ros2Bridge:
 
     def _frames(self, vehicle: PoseMessage) -> MapFrames | None:
         """Return the frames at a pose; None until the state of localization is known."""
-        localization = self._client.localization
-        if localization is None and (self._localizes() or vehicle.source == "localization"):
+        localization = self._state
+        is_corrected = vehicle.source == "localization"
+        if localization is None and (self._localizes() or is_corrected):
             return None
+        if is_corrected and (localization is None or map_odom_of(localization.report) is None):
+            return None  # the pose is in the map, and the odometry's frame is not known
         return MapFrames.of(vehicle, localization)
 
     def _localizes(self) -> bool:
@@ -286,6 +297,7 @@ class Ros2Bridge:
         self._send("tf_static", self.messages.transforms(stamp_ns, turned))
 
     def _localization(self, state: LocalizationMessage) -> None:
+        self._state = held(self._state, state)
         estimate = planar_estimate(state.report)
         stamp_s = state.report.get("t_s")
         if not isinstance(stamp_s, int | float):
@@ -368,8 +380,11 @@ class Ros2Bridge:
         if "grid" in wanted:
             try:
                 layer = map_slice(mirror, *self._heights())
+                self._grid_error = ""
             except ExportError as error:
-                self._report(f"grid: {error}")
+                if self._grid_error != str(error):
+                    self._grid_error = str(error)
+                    self._report(f"grid: {error}")
                 layer = None
             if layer is not None:
                 self._send("grid", self.messages.grid(stamp_ns, frame, layer, mirror.cell_m))
@@ -399,7 +414,7 @@ class Ros2Bridge:
         level = ERROR if problems else OK
         make = self.messages.diagnostic
         statuses = [make(level, "mapperd: daemon", text, vehicle, values)]
-        localization = self._client.localization
+        localization = self._state
         report = localization.report if localization else {}
         if report.get("state", "off") != "off":
             found = report.get("diagnostics") or {}

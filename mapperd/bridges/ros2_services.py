@@ -290,6 +290,10 @@ def odometry_record(message: Any) -> NativeRecord:  # noqa: ANN401 nav_msgs/Odom
         whole = np.reshape(np.asarray(covariance, np.float64), (6, 6))
         return tuple(whole[upper].tolist()) if whole.any() else None
 
+    # All zeros are what publishers without a velocity send.
+    velocity = triangle(message.twist.covariance)
+    moving = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+    is_known = velocity is not None or any(moving)
     return NativeRecord(
         v=1,
         t=message.header.stamp.sec * NS + message.header.stamp.nanosec,
@@ -298,9 +302,9 @@ def odometry_record(message: Any) -> NativeRecord:  # noqa: ANN401 nav_msgs/Odom
         b="flu",
         p=(place.x, place.y, place.z),
         q=(turn.w, turn.x, turn.y, turn.z),
-        u=(linear.x, linear.y, linear.z),
-        r=(angular.x, angular.y, angular.z),
+        u=moving[:3] if is_known else None,
+        r=moving[3:] if is_known else None,
         pc=triangle(message.pose.covariance),
-        uc=triangle(message.twist.covariance),
+        uc=velocity,
         src="ros2",
     )

@@ -185,6 +185,21 @@ def sure_pose(
     return VehiclePose(located.stamp_ns, located.pose, located.velocity_mps, covariance)
 
 
+def held(last: LocalizationMessage | None, new: LocalizationMessage) -> LocalizationMessage:
+    """Return the newest state; a sure one without a transform leaves the last one in force.
+
+    A ping that says nothing of the pose, such as one without echoes, has no transform of its own.
+
+    Args:
+        last: state in force; None if there is none.
+        new: as it came.
+    """
+    is_sure = new.report.get("state") == "localized" and new.report.get("sure") is True
+    if last is None or not is_sure or map_odom_of(new.report) is not None:
+        return new
+    return new if map_odom_of(last.report) is None else last
+
+
 def map_odom_of(report: Mapping[str, Any]) -> Pose | None:
     """Return the pose of the odometry's frame in the map; None while it is not published."""
     transform = report.get("map_odom")

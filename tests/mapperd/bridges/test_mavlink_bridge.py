@@ -162,6 +162,23 @@ def test_nothing_is_sent_while_localization_is_not_sure(doubt: dict[str, Any]) -
     assert again.reset_counter == 1  # it may be another estimate
 
 
+def test_a_doubt_without_a_pose_counts_as_a_reset() -> None:
+    # With mapping: corrected the daemon has no pose while it is not sure.
+    peer = Peer(POSES)
+    assert peer.give(sure(), a_pose(0.0))[0].reset_counter == 0
+    peer.now_s += 1
+    assert peer.give(sure(state="ambiguous")) == []
+    assert peer.give(sure(), a_pose(1.0))[0].reset_counter == 1
+
+
+def test_a_ping_without_a_transform_of_its_own_is_no_doubt() -> None:
+    peer = Peer(POSES)
+    first, *_ = peer.give(sure(), a_pose(0.0, source="odometry"))
+    peer.now_s += 1
+    again, *_ = peer.give(sure(map_odom=None), a_pose(1.0, source="odometry"))
+    assert again.reset_counter == first.reset_counter
+
+
 def test_nothing_is_sent_before_localization_states_that_it_is_sure() -> None:
     peer = Peer(POSES)
     assert peer.give(a_pose(0.0)) == []
@@ -200,7 +217,10 @@ def test_a_broken_link_to_the_same_session_is_none() -> None:
 
 def test_odometry_of_a_slam_is_sent_where_it_is_wanted() -> None:
     peer = Peer(msgspec.structs.replace(POSES, poses="all"))
-    (message,) = peer.give(a_pose(source="odometry"))
+    # Until the state is known, this may be a vehicle that localizes, in another frame.
+    assert peer.give(a_pose(source="odometry")) == []
+    peer.now_s += 1
+    (message,) = peer.give(a_status(localization=None), a_pose(1.0, source="odometry"))
     assert (message.x, message.y) == pytest.approx((2.0, 1.0))
 
 
