@@ -78,6 +78,9 @@ def test_native_records_of_both_axes_are_the_same_pose() -> None:
         {"q": [0.0, 0.0, 0.0, 0.0]},
         {"q": [1.0, 0.0, 0.0]},
         {"t": "noon"},
+        {"t": math.nan},
+        {"u": [1e308, 0.0, 0.0]},
+        {"r": [1e200, 0.0, 0.0]},
         {"unknown": 1},
     ],
 )
@@ -85,9 +88,34 @@ def test_what_is_no_native_record_is_malformed(change: dict[str, Any]) -> None:
     assert list(NativeRecords().decode(msgpack.packb(NATIVE | change), 0.0)) == [None]
 
 
-@pytest.mark.parametrize("data", [b"", b"\xc1", b"{", b"[1]", b"\x93\x01", b"{}"])
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"\xc1", b"{", b"[1]", b"\x93\x01", b"{}", b'{"v":' + b"[" * 2000, b" " * 5000],
+)
 def test_what_is_no_record_at_all_is_malformed(data: bytes) -> None:
     assert list(NativeRecords().decode(data, 0.0)) == [None]
+
+
+def test_numbers_of_hundreds_of_digits_are_malformed() -> None:
+    for field in ("t", "p"):
+        digits = "1" + "0" * 400
+        value = digits if field == "t" else f"[{digits}, 0, 0]"
+        text = json.dumps({key: NATIVE[key] for key in NATIVE if key != field})
+        data = f'{text[:-1]}, "{field}": {value}}}'.encode()
+        assert list(NativeRecords().decode(data, 0.0)) == [None]
+
+
+@pytest.mark.parametrize(("child", "ahead"), [(8, True), (12, True), (1, False), (20, False)])
+def test_velocities_of_odometry_are_in_the_axes_that_it_names(child: int, ahead: bool) -> None:  # noqa: FBT001
+    # Heading east: ahead is east.
+    half = math.sqrt(0.5)
+    message = common.MAVLink_odometry_message(
+        1_000_000, 1, child, 1, 2, 3, [half, 0, 0, half], 1, 0, 0, 0, 0, 0, [0] * 21, [0] * 21
+    )
+    record = only(MavlinkRecords(ORIGIN), Autopilot()(message))
+    assert record.rotation is not None
+    moving = record.map_mps if record.body_mps is None else record.rotation @ record.body_mps
+    assert moving == pytest.approx([1.0, 0.0, 0.0] if ahead else [0.0, 1.0, 0.0], abs=1e-6)
 
 
 def test_mavlink_is_turned_from_north_east_down() -> None:

@@ -98,6 +98,23 @@ def test_path_to_a_point_is_the_circle_of_a_constant_gradient(seed: int) -> None
     assert np.cross(ray.direction, away)[2] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("depth_m", "speed_mps"),
+    [((0.0, 50.0), (1500.0, 1500.0)), ((0.0, 5.0, 10.0, 20.0), (1500.0, 1500.0, 1480.0, 1478.0))],
+)
+def test_no_point_is_lost_where_sound_goes_straight(
+    depth_m: tuple[float, ...], speed_mps: tuple[float, ...]
+) -> None:
+    layers = SoundSpeedProfile(np.array(depth_m), np.array(speed_mps))
+    rng = np.random.default_rng(5)
+    for _ in range(40):
+        start = np.array([0.0, 0.0, -rng.uniform(0.5, 18.0)])
+        end = np.array([rng.uniform(2.0, 12.0), rng.uniform(-5.0, 5.0), -rng.uniform(0.5, 18.0)])
+        rays = eigenrays(layers, start, end, 1500.0)
+        assert len(rays) == 1
+        assert rays[0].corner_m[-1] == pytest.approx(end, abs=1e-3)
+
+
 def test_straight_up_and_down_paths_are_straight() -> None:
     start = np.array([1.0, 2.0, -3.0])
     for rise in (-10.0, 2.5):

@@ -21,7 +21,12 @@ from sonar_sim.scene.vehicle import Vehicle, metres_per_degree
 
 Vector = NDArray[np.float64]
 NATIVE_KEYS = {"v", "t", "clk", "w", "b", "p", "q", "u", "r", "a", "pc", "uc", "rst", "src"}
-MAX_REACH_M = 1e6
+MAX_RECORD_BYTES = 2048
+MAX_REACH_M, MAX_SPEED_MPS, MAX_TURN_RPS = 1e6, 100.0, 100.0
+"""What a vehicle stays below; a pose that is not finite would stop the simulator."""
+MALFORMED = (ValueError, TypeError, KeyError, OverflowError, RecursionError)
+LOCAL_FRAMES, BODY_FRAMES = (1, 20), (8, 12)
+"""MAV_FRAME of positions in the map, LOCAL_NED and LOCAL_FRD, and of velocities along the body."""
 JUMP_MPS, JUMP_M = 20.0, 1.0
 """What moves farther than this was put somewhere else."""
 CLOCK_STEP_S = 1.0
@@ -66,11 +71,31 @@ class NativeRecords:
     def decode(self, data: bytes, arrival_s: float) -> Iterator[PoseRecord | None]:
         """Decode one record."""
         del arrival_s
+        if len(data) > MAX_RECORD_BYTES:
+            yield None
+            return
         try:
             fields = json.loads(data) if data[:1] == b"{" else msgpack.unpackb(data)
-            yield _native(fields)
-        except (ValueError, TypeError, KeyError, msgpack.exceptions.UnpackException):
+            record = _native(fields)
+            yield record if _is_plausible(record) else None
+        except (*MALFORMED, msgpack.exceptions.UnpackException):
             yield None
+
+
+def _is_plausible(record: PoseRecord) -> bool:
+    """Whether all numbers are finite and those of a vehicle."""
+    bounds = (
+        (record.position_m, MAX_REACH_M),
+        (record.map_mps, MAX_SPEED_MPS),
+        (record.body_mps, MAX_SPEED_MPS),
+        (record.rates_rps, MAX_TURN_RPS),
+        (record.rotation, 1.1),
+    )
+    is_timed = record.stamp_s is None or math.isfinite(record.stamp_s)
+    return is_timed and all(
+        values is None or bool(np.all(np.abs(values) <= most))  # NaN is not
+        for values, most in bounds
+    )
 
 
 def _native(fields: Any) -> PoseRecord:  # noqa: ANN401 whatever a datagram holds
@@ -147,9 +172,7 @@ class MavlinkRecords:
             elif kind == "GLOBAL_POSITION_INT" and arrival_s - self._local_s < LOCAL_S:
                 continue  # the local one is finer
             record = _READERS[kind](message, self._vehicle)
-            parts = (record.position_m, record.rotation, record.map_mps, record.rates_rps)
-            finite = all(part is None or np.isfinite(part).all() for part in parts)
-            yield record if finite else None
+            yield record if _is_plausible(record) else None
 
     def interval_requests(self, period_us: int) -> bytes:
         """Ask for position and attitude at a period, by MAV_CMD_SET_MESSAGE_INTERVAL."""
@@ -230,14 +253,19 @@ def _global_position(message: Any, vehicle: Vehicle) -> PoseRecord:  # noqa: ANN
 def _odometry(message: Any, vehicle: Vehicle) -> PoseRecord:  # noqa: ANN401
     del vehicle
     quaternion = np.array(message.q, dtype=np.float64)
-    if not np.linalg.norm(quaternion) > 0.0 or message.frame_id not in (1, 20):
+    if not np.linalg.norm(quaternion) > 0.0 or message.frame_id not in LOCAL_FRAMES:
         return PoseRecord(None, position_m=np.full(3, np.nan))
     rates = np.array([message.rollspeed, message.pitchspeed, message.yawspeed])
+    velocity = np.array([message.vx, message.vy, message.vz])
+    in_the_map = message.child_frame_id in LOCAL_FRAMES
+    if not in_the_map and message.child_frame_id not in BODY_FRAMES:
+        return PoseRecord(None, position_m=np.full(3, np.nan))
     return PoseRecord(
         message.time_usec / 1e6,
         position_m=NED_R_ENU @ np.array([message.x, message.y, message.z]),
         rotation=NED_R_ENU @ rotation_of_quaternion(quaternion) @ FRD_R_FLU,
-        body_mps=FRD_R_FLU @ np.array([message.vx, message.vy, message.vz]),
+        map_mps=NED_R_ENU @ velocity if in_the_map else None,
+        body_mps=None if in_the_map else FRD_R_FLU @ velocity,
         rates_rps=FRD_R_FLU @ rates,
     )
 

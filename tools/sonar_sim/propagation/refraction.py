@@ -81,7 +81,8 @@ def _followed(
     """Directions in which rays leave, map frame, (N, 3), and what they meet, first and behind."""
     start = directions.astype(np.float64) @ here.pose.rotation.T
     found = [_Found.nothing(start) for _ in range(1 if here.physics.shadows else 1 + BEHIND)]
-    segments = _segments(layers, reach_m)
+    # Without shadows, each piece shows one layer of what lies behind.
+    segments = _segments(layers, reach_m) if here.physics.shadows else SEGMENTS[1]
     step_m = reach_m / segments
     # Rays that are still on their way.
     ray = np.arange(len(start))
@@ -171,14 +172,14 @@ def eigenrays(
             between = np.linspace(low, high, LAUNCHES)
             off, range_m, corner_m = _launched(layers, from_m, plane, between, **know)
             change = np.flatnonzero((off[:-1] <= 0.0) != (off[1:] <= 0.0))
-            if len(change) == 0:
-                break
-            low, high = between[change[0]], between[change[0] + 1]
-            best = int(change[0] + np.argmin(np.abs(off[change[0] : change[0] + 2])))
-            leaving = np.cos(between[best]) * plane[0] + np.sin(between[best]) * plane[1]
-            found = EigenRay(leaving, float(range_m[best]), corner_m[:, best])
-        else:
-            rays.append(found)
+            if len(change):
+                first = int(change[0])
+            else:  # rounding moved a root out that lies at an end, as of a straight path
+                first = 0 if abs(off[0]) <= abs(off[-1]) else LAUNCHES - 2
+            low, high = between[first], between[first + 1]
+            best = first + int(np.argmin(np.abs(off[first : first + 2])))
+        leaving = np.cos(between[best]) * plane[0] + np.sin(between[best]) * plane[1]
+        rays.append(EigenRay(leaving, float(range_m[best]), corner_m[:, best]))
     return rays
 
 

@@ -68,6 +68,9 @@ def _table(path: Path) -> Floats:
     return heights
 
 
+MAX_POINTS = 50_000_000
+
+
 def _geotiff(path: Path, origin: tuple[float, float] | None) -> tuple[Floats, Floats, Floats]:
     """Read the first band of a GeoTIFF.
 
@@ -85,12 +88,18 @@ def _geotiff(path: Path, origin: tuple[float, float] | None) -> tuple[Floats, Fl
     try:
         with (
             warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning),
-            rasterio.open(path) as raster,
+            rasterio.open(path, driver="GTiff") as raster,  # other formats name further files
         ):
+            if raster.width * raster.height > MAX_POINTS:
+                raise SceneError(
+                    f"{path}: {raster.width} x {raster.height} points; cut it or coarsen it first"
+                )
             place, geographic = (
                 raster.transform,
                 raster.crs is not None and raster.crs.is_geographic,
             )
+            is_projected = raster.crs is not None and raster.crs.is_projected
+            unit_m = raster.crs.linear_units_factor[1] if is_projected else 1.0
             values = raster.read(1, masked=True).astype(np.float64).filled(np.nan)
     except RasterioError as error:
         raise SceneError(f"{path}: not a GeoTIFF: {error}") from error
@@ -107,7 +116,7 @@ def _geotiff(path: Path, origin: tuple[float, float] | None) -> tuple[Floats, Fl
         per_north_m, per_east_m = metres_per_degree(north_0)
         east, north = (east - east_0) * per_east_m, (north - north_0) * per_north_m
     else:
-        east, north = east - east_0, north - north_0
+        east, north = (east - east_0) * unit_m, (north - north_0) * unit_m
     if place.e < 0.0:  # north up, as nearly all
         north, values = north[::-1], values[::-1]
     return north, east, values
