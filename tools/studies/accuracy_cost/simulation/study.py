@@ -144,11 +144,7 @@ TOLERANCES = (
         "Pixels that may differ by more than the tolerated level.",
     ),
 )
-NOT_RECORDED = frozenset({"all_elevations", "near_field", "reverberation", "ring_down"})
-"""Effects that the recorded results do not hold."""
-EFFECT_KNOBS = tuple(
-    _switched(effect) for name, effect in EFFECTS.items() if name not in NOT_RECORDED
-)
+EFFECT_KNOBS = tuple(_switched(effect) for effect in EFFECTS.values())
 
 KNOBS = (*SAMPLING, *TOLERANCES, *EFFECT_KNOBS)
 
