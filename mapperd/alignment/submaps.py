@@ -79,7 +79,9 @@ def inverse(a: Floats) -> Floats:
     return np.stack([x, y, -a[..., 2]], axis=-1)
 
 
-def front_of_returns(image: PingImage, threshold: float, depth_m: float) -> PingImage:
+def front_of_returns(
+    image: PingImage, threshold: float, min_range_m: float, depth_m: float
+) -> PingImage:
     """Keep the front of each return along a beam.
 
     Walls and piles echo at many elevations, the nearest first. What follows is put too near or too
@@ -90,12 +92,14 @@ def front_of_returns(image: PingImage, threshold: float, depth_m: float) -> Ping
     Args:
         image: of a ping.
         threshold: samples above it are returns; they are separate if `RETURN_GAP_M` apart.
+        min_range_m: nearer samples are none: the transmitter rings down, and the vehicle is there.
         depth_m: that is kept from the first sample of a return.
     """
     intensity, edge_m = image.intensity, image.range_resolution_m
     row = np.arange(len(intensity), dtype=np.int32)[:, None]
     far = np.int32(-len(intensity) - math.ceil(RETURN_GAP_M / edge_m))
-    seen = np.where(intensity > threshold, row, far)
+    is_return = (intensity > threshold) & (row >= math.ceil(min_range_m / edge_m))
+    seen = np.where(is_return, row, far)
     before = np.vstack([np.full_like(seen[:1], far), np.maximum.accumulate(seen[:-1], axis=0)])
     begins = (seen == row) & (row - before > RETURN_GAP_M / edge_m)
     front = np.maximum.accumulate(np.where(begins, row, far), axis=0)
@@ -263,7 +267,8 @@ class _SubmapMapper(SonarMap):
         yaw = math.atan2(matrix[1, 0], matrix[0, 0])
         base = np.array([matrix[0, 3], matrix[1, 3], yaw])
         depth_m = RETURN_VOXELS * self.resolution_m
-        front = front_of_returns(image, self.config.filtering.intensity_threshold, depth_m)
+        filtering = self.config.filtering
+        front = front_of_returns(image, filtering.intensity_threshold, filtering.min_range, depth_m)
         ping = _HeldPing(front, map_T_sonar, motion, posed.t_ns, base, posed.pose.segment)
         if self._ends_before(ping):
             self.finish()

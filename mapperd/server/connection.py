@@ -271,7 +271,9 @@ class ClientConnection(asyncio.BufferedProtocol):
         self._context.gone(self)
 
     def turn(self) -> None:
-        """Send what is due."""
+        """Send what is due, unless the connection has ended while an answer was made."""
+        if self.is_over:
+            return
         self.measure()
         now_s = self._context.clock()
         try:

@@ -296,13 +296,7 @@ def add_changes(command: argparse.ArgumentParser) -> None:
         type=Path,
         help="the known map, of the same frame: a daemon's map, .map, .bt, .ot",
     )
-    add(
-        "--radius",
-        metavar="M",
-        type=_radius,
-        default=0.0,
-        help="only the map within this radius of the vehicle",
-    )
+    _add_radius(command)
     _add_damaged(command)
 
 
@@ -354,7 +348,11 @@ def _add_interest(command: argparse.ArgumentParser) -> None:
         default=0,
         help=f"cells of 2**N voxels along an edge, 0 to {MAX_LEVEL}: less data",
     )
-    add(
+    _add_radius(command)
+
+
+def _add_radius(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
         "--radius",
         metavar="M",
         type=_radius,

@@ -9,6 +9,7 @@ from mapperd.imaging.ping_image import PingImage
 
 EDGE_M = 0.1
 THRESHOLD = 50.0
+MIN_RANGE_M = 0.5
 
 
 def image_of(beams: dict[int, list[tuple[int, int]]], rows: int) -> PingImage:
@@ -21,7 +22,7 @@ def image_of(beams: dict[int, list[tuple[int, int]]], rows: int) -> PingImage:
 
 
 def rows_kept(image: PingImage, beam: int, depth_m: float = 0.35) -> NDArray[np.intp]:
-    kept = front_of_returns(image, THRESHOLD, depth_m).intensity
+    kept = front_of_returns(image, THRESHOLD, MIN_RANGE_M, depth_m).intensity
     return np.flatnonzero(kept[:, beam] > THRESHOLD)
 
 
@@ -30,10 +31,10 @@ SHORT = int(FIRST_ONLY_M / EDGE_M) - 50
 
 
 def test_the_front_of_each_return_is_kept() -> None:
-    image = image_of({1: [(20, 40), (60, 62)], 2: [(0, 10)]}, LONG)
+    image = image_of({1: [(20, 40), (60, 62)], 2: [(5, 10)]}, LONG)
     assert rows_kept(image, 0).tolist() == []
     assert rows_kept(image, 1).tolist() == [20, 21, 22, 23, 60, 61]
-    assert rows_kept(image, 2).tolist() == [0, 1, 2, 3]
+    assert rows_kept(image, 2).tolist() == [5, 6, 7, 8]
 
 
 def test_speckle_does_not_divide_a_return() -> None:
@@ -48,10 +49,17 @@ def test_at_short_range_only_the_first_return_is_kept() -> None:
 
 
 @pytest.mark.parametrize("rows", [SHORT, LONG])
-def test_what_is_no_return_before_it_stays(rows: int) -> None:
-    # Free space ends at the first return, so samples before it must stay below the threshold.
+def test_no_other_sample_becomes_a_return_and_the_ping_stays(rows: int) -> None:
+    # Free space ends at the first return.
     image = image_of({1: [(20, 40)]}, rows)
-    kept = front_of_returns(image, THRESHOLD, 0.3).intensity
+    kept = front_of_returns(image, THRESHOLD, MIN_RANGE_M, 0.3).intensity
     assert kept.dtype == np.float32
-    assert (kept[:20, 1] <= THRESHOLD).all()
+    assert (kept[kept > THRESHOLD] == image.intensity[kept > THRESHOLD]).all()
+    assert (kept[:20] <= THRESHOLD).all()
     assert (image.intensity[20:40, 1] == 100.0).all()
+
+
+@pytest.mark.parametrize("rows", [SHORT, LONG])
+def test_the_ringing_of_the_transmitter_hides_nothing(rows: int) -> None:
+    image = image_of({1: [(0, 3), (20, 40)]}, rows)
+    assert [row for row in rows_kept(image, 1) if row > 3] == [20, 21, 22, 23]

@@ -231,6 +231,19 @@ def test_a_vehicle_that_is_put_elsewhere_does_not_fly_there() -> None:
     assert np.linalg.norm(live.velocity_mps(10.65)) < 5.0
 
 
+def test_a_position_that_is_no_longer_heard_is_no_motion() -> None:
+    live = LivePath(FramePose(np.zeros(3), np.eye(3)))
+    assembler = PoseAssembler(live)
+    moving = np.array([1.0, 0.0, 0.0])
+    assembler.take(PoseRecord(None, rotation=np.eye(3)), 10.0)
+    assembler.take(PoseRecord(None, position_m=np.zeros(3), map_mps=moving), 10.0)
+    assert live.velocity_mps(10.0)[0] == pytest.approx(1.0)
+    for second in range(1, 6):
+        assembler.take(PoseRecord(None, rotation=np.eye(3)), 10.0 + second)
+    assert live.velocity_mps(15.0) == pytest.approx([0.0, 0.0, 0.0])
+    assert live.pose(15.0).position_m[0] == pytest.approx(2.0)
+
+
 def test_a_sender_that_begins_again_is_followed_on() -> None:
     live = LivePath(FramePose(np.zeros(3), np.eye(3)))
     assembler = PoseAssembler(live)

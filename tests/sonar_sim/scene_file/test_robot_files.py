@@ -182,3 +182,16 @@ def test_a_world_that_includes_itself_ends(tmp_path: Path) -> None:
     path.write_text('<sdf><model name="m"><include><uri>loop.sdf</uri></include></model></sdf>')
     with pytest.raises(SceneError, match="deep"):
         read_parts(path)
+
+
+def test_a_visual_may_stand_relative_to_another_frame(tmp_path: Path) -> None:
+    path = tmp_path / "one.sdf"
+    path.write_text(
+        """<sdf version="1.9"><model name="m">
+  <frame name="mast"><pose>5 0 0 0 0 0</pose></frame>
+  <link name="base"><pose>0 3 0 0 0 0</pose>
+    <visual name="lamp"><pose relative_to="mast">0 0 2 0 0 0</pose>
+      <geometry><box><size>1 1 1</size></box></geometry></visual></link>
+</model></sdf>"""
+    )
+    assert bounds(list(read_parts(path))).mean(axis=0) == pytest.approx([5.0, 0.0, 2.0])

@@ -130,11 +130,11 @@ class PoseFollower:
     async def _read(self) -> None:
         """Read from an autopilot, and connect again whenever it goes."""
         while True:
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError, UnicodeError):  # TimeoutError is an OSError
                 reader, writer = await asyncio.open_connection(self._host, self._port)
                 self._asked_s = -ASK_S
                 try:
-                    while data := await reader.read(MAX_READ):
+                    while data := await asyncio.wait_for(reader.read(MAX_READ), ASK_S):
                         self.take(data, writer.write)
                 finally:
                     writer.close()

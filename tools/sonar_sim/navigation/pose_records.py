@@ -340,6 +340,9 @@ class PoseAssembler:
             position_m + map_mps * min(at_s - placed_s, LOCAL_S),
             rotation @ rotation_by(rates_rps * min(at_s - turned_s, LOCAL_S)),
         )
+        # What has not been heard for long is no motion any more.
+        map_mps = map_mps if at_s - placed_s <= LOCAL_S else np.zeros(3)
+        rates_rps = rates_rps if at_s - turned_s <= LOCAL_S else np.zeros(3)
         passed_s = at_s - self._path.last_s
         leap_m = float(np.linalg.norm(pose.position_m - self._path.pose(at_s).position_m))
         if self._path.updates == 0 or leap_m > JUMP_M + JUMP_MPS * max(passed_s, 0.0):

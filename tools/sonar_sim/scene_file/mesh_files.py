@@ -120,7 +120,8 @@ def _gltf(path: Path) -> Iterator[_Part]:
 def _obj(path: Path) -> Iterator[_Part]:
     """Read objects and materials by name alone: colours and pictures make no echo."""
     lines = path.read_bytes().splitlines()
-    used = {line.split(maxsplit=1)[1].strip() for line in lines if line.startswith(b"usemtl ")}
+    named = [line.split(maxsplit=1) for line in lines if line.startswith(b"usemtl")]
+    used = {words[1].strip() for words in named if len(words) == 2}  # noqa: PLR2004
     kept = [line for line in lines if not line.startswith(b"mtllib")]
     materials = b"".join(b"newmtl %s\n" % name for name in sorted(used))
     scene = trimesh.load_scene(

@@ -172,7 +172,11 @@ class _Sdf:
             for visual in link.findall("visual") or link.findall("collision"):
                 label = f"{name}/{link_name}/{visual.get('name', '')}"
                 where = f"{self._path}: {label}"
-                pose = at @ _sdf_pose(visual.find("pose"), where)
+                own = visual.find("pose")
+                if own is not None and own.get("relative_to"):
+                    pose = transform @ frames.resolved(own)
+                else:
+                    pose = at @ _sdf_pose(own, where)
                 material = visual.findtext("material/script/name", "").strip()
                 found = self._geometry(visual, pose, (label, material), where)
                 if found is not None:
