@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.alignment.align import Alignment, DiveInput, align, odometry_step
+from mapperd.alignment.align import Alignment, DiveInput, _DiveNodes, align, odometry_step
 from mapperd.alignment.submaps import DiveSubmaps, OdometryTrack, compose, inverse
 from mapperd.errors import ReplayError
 
@@ -81,6 +81,15 @@ def test_fixes_bend_a_long_line_whatever_their_deviation(deviation_m: float) -> 
     drift_m = rms_m(odometry, line())
     assert rms_m(found.dives[0].poses_at(T_NS), known()) < 0.05 * drift_m
     assert found.figures["fixes_accepted"] == 5
+
+
+def test_the_frame_of_the_fixes_has_their_heading() -> None:
+    own_T_line = np.array([-30.0, 5.0, 1.1])  # noqa: N806 frames
+    odometry = compose(np.broadcast_to(own_T_line, (COUNT, 3)), line())
+    dive = given(fixes_at((0.0, 0.4, 1.0), 0.3), odometry, "dive")
+    frame, has_heading = _DiveNodes.of(dive, dive.read(None)).frame_by_fixes()
+    assert has_heading
+    assert frame == pytest.approx(compose(SITE_T_LINE, inverse(own_T_line)), abs=1e-6)
 
 
 def test_a_wrong_fix_is_refused() -> None:

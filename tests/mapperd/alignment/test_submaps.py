@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.alignment.submaps import FIRST_ONLY_M, front_of_returns
+from mapperd.alignment.submaps import (
+    FIRST_ONLY_M,
+    _HeldPing,
+    _SubmapMapper,
+    front_of_returns,
+    matrix_of,
+)
+from mapperd.config.tree import Config
+from mapperd.geometry.motion import PingMotion
 from mapperd.imaging.ping_image import PingImage
 
 EDGE_M = 0.1
@@ -63,3 +71,35 @@ def test_no_other_sample_becomes_a_return_and_the_ping_stays(rows: int) -> None:
 def test_the_ringing_of_the_transmitter_hides_nothing(rows: int) -> None:
     image = image_of({1: [(0, 3), (20, 40)]}, rows)
     assert [row for row in rows_kept(image, 1) if row > 3] == [20, 21, 22, 23]
+
+
+def mapper_of(heading: float, pings: int = 9) -> _SubmapMapper:
+    """Pings at one place, at a speed along a heading of the map that displaces what they see."""
+    intensity = np.full((SHORT, 64), 20.0, dtype=np.float32)
+    intensity[60:64] = 200.0
+    image = PingImage(intensity, np.linspace(-0.5, 0.5, 64), EDGE_M)
+    mapper = _SubmapMapper(Config(), None)
+    start = np.array([3.0, -2.0, heading])
+    ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
+    for k in range(pings):
+        motion = PingMotion(30.0 * ahead, np.zeros(3), 0.0, 1500.0)
+        mapper._held.append(_HeldPing(image, matrix_of(start), motion, k * 10**8, start, 0))
+    mapper.finish()
+    return mapper
+
+
+@pytest.mark.parametrize("heading", [1.5707963267948966, 3.141592653589793])
+def test_a_submap_does_not_depend_on_the_heading_of_its_dive(heading: float) -> None:
+    [east], [turned] = mapper_of(0.0).submaps, mapper_of(heading).submaps
+    ours, theirs = ({tuple(voxel) for voxel in one.occupied.tolist()} for one in (east, turned))
+    assert len(ours) > 20
+    # Rounding moves voxels that lie on an edge.
+    assert len(ours ^ theirs) < 0.1 * len(ours)
+
+
+def test_fragments_are_thirds_of_a_submap() -> None:
+    mapper = mapper_of(0.0)
+    assert [one.pings for one in mapper.fragments] == [3, 3, 3]
+    assert [one.anchor_ns for one in mapper.fragments] == [10**8, 4 * 10**8, 7 * 10**8]
+    assert mapper.submaps[0].anchor_ns == 4 * 10**8
+    assert [len(mapper_of(0.0, pings).fragments) for pings in (3, 8)] == [0, 2]

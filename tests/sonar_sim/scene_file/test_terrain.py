@@ -124,6 +124,32 @@ def test_geotiff_lies_about_its_origin_north_up(tmp_path: Path) -> None:
     assert middle(x_m[:1], y_m[:1]) == pytest.approx([-10.0])
 
 
+def test_geotiff_in_feet_is_laid_out_in_metres(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    depths = np.arange(16.0).reshape(1, 4, 4)
+    place = rasterio.Affine(10.0, 0.0, 6e6, 0.0, -10.0, 2e6)
+    form = {"driver": "GTiff", "count": 1, "height": 4, "width": 4, "dtype": "float32"}
+    with rasterio.open(  # California's zone 3, in US survey feet
+        tmp_path / "d.tif", "w", crs="EPSG:2227", transform=place, **form
+    ) as raster:
+        raster.write(depths.astype(np.float32))
+    height_m = height_of(terrain(schema.HeightField(file="d.tif", scale=-1.0)), tmp_path)
+    end_m = 15.0 * 1200.0 / 3937.0
+    corners = height_m(np.array([-end_m, end_m]) * 0.9999, np.array([end_m, -end_m]) * 0.9999)
+    assert corners == pytest.approx([0.0, -15.0], abs=5e-3)
+
+
+def test_a_file_that_only_names_a_raster_is_refused(tmp_path: Path) -> None:
+    geotiff(tmp_path / "real.tif", np.full((4, 4), -5.0), corner=(0.0, 0.0))
+    (tmp_path / "d.tif").write_text(
+        '<VRTDataset rasterXSize="4" rasterYSize="4"><VRTRasterBand dataType="Float32" band="1">'
+        "<SimpleSource><SourceFilename>real.tif</SourceFilename></SimpleSource></VRTRasterBand>"
+        "</VRTDataset>"
+    )
+    with pytest.raises(SceneError, match="not a GeoTIFF"):
+        height_of(terrain(schema.HeightField(file="d.tif")), tmp_path)
+
+
 def test_geotiff_of_depths_in_degrees_is_laid_out_in_metres(tmp_path: Path) -> None:
     depths = np.arange(16.0).reshape(4, 4)
     geotiff(tmp_path / "d.tif", depths, corner=(8.0, 60.0), kind=2, cell=1e-3)
