@@ -142,8 +142,10 @@ def test_geotiff_in_feet_is_laid_out_in_metres(tmp_path: Path) -> None:
 def test_a_file_that_only_names_a_raster_is_refused(tmp_path: Path) -> None:
     geotiff(tmp_path / "real.tif", np.full((4, 4), -5.0), corner=(0.0, 0.0))
     (tmp_path / "d.tif").write_text(
-        '<VRTDataset rasterXSize="4" rasterYSize="4"><VRTRasterBand dataType="Float32" band="1">'
-        "<SimpleSource><SourceFilename>real.tif</SourceFilename></SimpleSource></VRTRasterBand>"
+        '<VRTDataset rasterXSize="4" rasterYSize="4"><GeoTransform>0, 2, 0, 0, 0, -1'
+        '</GeoTransform><VRTRasterBand dataType="Float32" band="1"><SimpleSource>'
+        '<SourceFilename relativeToVRT="1">real.tif</SourceFilename><SourceBand>1</SourceBand>'
+        "</SimpleSource></VRTRasterBand>"
         "</VRTDataset>"
     )
     with pytest.raises(SceneError, match="not a GeoTIFF"):
