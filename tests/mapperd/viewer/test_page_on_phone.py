@@ -139,7 +139,7 @@ def test_without_a_daemon_the_banner_fits_and_names_the_remedy(
             "if (!e?.textContent.includes('no daemon answers: start mapperd, or give --address'))"
             " return null;"
             "const { left, right } = e.getBoundingClientRect();"
-            "return { left, right, cut: e.scrollWidth > e.clientWidth }; }"
+            "return right > left && { left, right, cut: e.scrollWidth > e.clientWidth }; }"
         ).json_value()
         assert 0 < place["left"] < place["right"] < 390
         assert not place["cut"]
