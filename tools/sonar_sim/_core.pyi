@@ -4,12 +4,10 @@ Rows are ranges, nearest first. A field is complex64, a power float32. How many 
 changes a byte of what comes out. Arrays of wrong shape raise ValueError.
 """
 
-from typing import Literal, TypeVar, overload
+from typing import Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
-
-_Any = TypeVar("_Any", bound=np.generic)
 
 def complex_gaussian(key: int, count: int) -> NDArray[np.complex64]:
     """Circular complex Gaussian numbers of mean power 1, (count,), of a 64-bit key's stream."""
@@ -282,13 +280,73 @@ def spans(
         size_m: longest edge of each face, (F,).
     """
 
-def inserted(rows: NDArray[_Any], after: NDArray[np.int64], more: NDArray[_Any]) -> NDArray[_Any]:
-    """Rows with others between them: as many after each place, (N + M, ...).
+class EdgeTable:
+    """Edges of a mesh at which its outline may lie."""
+
+    def __init__(
+        self,
+        corners_m: NDArray[np.float32],
+        normals: NDArray[np.float32],
+        surface: NDArray[np.int32],
+    ) -> None:
+        """Join corners at the same place.
+
+        Args:
+            corners_m: of the faces, (F, 3, 3).
+            normals: of the faces, (F, 3).
+            surface: that each face belongs to, (F,).
+        """
+
+    def __len__(self) -> int:
+        """Number of edges; those within a plane are left out."""
+
+class MeshView:
+    """A mesh as seen from the sonar."""
+
+    def __init__(self, table: EdgeTable, pose: NDArray[np.float64]) -> None:
+        """Keep the table.
+
+        Args:
+            table: of the mesh's edges.
+            pose: rotation sonar from mesh, row by row; origin of the mesh in the sonar's frame;
+                the sonar in the mesh's frame, (15,).
+        """
+
+def refined_rays(
+    direction: NDArray[np.float32],
+    cell: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    row_edges: NDArray[np.float64],
+    rays: NDArray[np.int32],
+    first_s: float,
+    s_pitch: float,
+    meshes: list[MeshView],
+    pairs: NDArray[np.int64],
+    reach_m: float,
+    layers: NDArray[np.float64],
+    up: NDArray[np.float64],
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+    """Cut a fan's cells along the outlines of what it sees, into parts of one surface each.
 
     Args:
-        rows: (N, ...), C-contiguous.
-        after: rows behind which others come, in order, (P,), at least one.
-        more: (M, ...), as many for each of them.
+        direction: sonar frame, (N, 3).
+        cell: s from, s to, w from, w to of each ray's cell, (N, 4).
+        range_m: at which each ray met something, (N,).
+        row_edges: sines of elevation between the rows of cells, (rows + 1,).
+        rays: of each cell, -1 where it has none, (columns, rows).
+        first_s: s where the first column begins.
+        s_pitch: of the columns.
+        meshes: what may have an outline.
+        pairs: rays whose upper neighbour met something else, in order; where no outline is between
+            them, rays are laid there.
+        reach_m: what lies farther is not seen.
+        layers: depth in m and speed of sound in m/s, in order of depth, (L, 2); of none, rays are
+            straight.
+        up: the upward direction in the sonar's frame, and the sonar's height over the sea, (4,).
+
+    Returns:
+        Directions (M, 3), cells (M, 4) and columns (M,) of the finer fan; and the ray of the given
+        fan that each is, -1 for new ones, (M,).
     """
 
 def scatter_field(

@@ -160,6 +160,10 @@ class PingEngine:
         self._fill(cells, here, rays, former, ping_id)
         clock.lap("cells")
         beams: Cells = former.form(cells, self._threads)  # type: ignore[type-var, assignment]
+        if not physics.speckle:
+            # The weights between columns have negative lobes, which the beams' patterns fill; what
+            # is left is rounding. Before that, a thin object alone would gain what is cut off.
+            np.clip(beams, 0.0, None, out=beams)
         if physics.crosstalk_db is not None:
             add_crosstalk(beams, physics.crosstalk_db, stream_key(self._seed, "crosstalk"))
         clock.lap("beams")
@@ -230,9 +234,6 @@ class PingEngine:
         add_targets(
             cells, self.scene.targets, here, self.sonar, loss=loss, taps=taps, turns_per_m=turns
         )
-        if not physics.speckle:
-            # The weights between columns have small negative lobes.
-            np.clip(cells, 0.0, None, out=cells)
         return cells
 
     def _setting(self, physics: Physics, taps: NDArray[np.float32]) -> _core.ScatterSetting:

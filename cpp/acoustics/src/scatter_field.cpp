@@ -13,8 +13,11 @@ namespace mapperd::acoustics {
 
 namespace {
 
-constexpr std::size_t kAhead = 8;   // hits
-constexpr double kRowsApart = 0.5;  // rows between nodes along the range, at most
+constexpr std::size_t kAhead = 8;     // hits
+constexpr double kWholeCell = 0.999;  // columns: a narrower cell is one that an outline has cut
+constexpr double kSmallTurn = 0.3;  // rad, by which the surface of a small object turns in a patch
+constexpr double kMinSmallNodes = 8.0;  // of a patch of a small object
+constexpr double kRowsApart = 0.5;      // rows between nodes along the range, at most
 
 // Indices of some nodes in a row, as one value to the compiler.
 using Indices = std::int32_t __attribute__((vector_size(kLanes * sizeof(std::int32_t))));
@@ -45,8 +48,12 @@ class Speckler {
     const double wide = static_cast<double>(cell[1] - cell[0]) / e_.grid.sine_pitch;
     const double cells =
         std::max((footprint_.far_m - footprint_.near_m) / row_m, 1.0) * std::max(wide, 1.0);
-    const Lattice lattice =
-        lattice_at(hit, axes, shadow / (e_.model.nodes_per_cell * cells), row_m);
+    double nodes = e_.model.nodes_per_cell * cells;
+    // Few patches may be all that there is of a small object.
+    if (wide < kWholeCell || is_small_object(hit, shadow)) {
+      nodes = std::max(nodes, kMinSmallNodes);
+    }
+    const Lattice lattice = lattice_at(hit, axes, shadow / nodes, row_m);
     begin(hit, axes, lattice);
     fill();
     placed();
@@ -75,6 +82,13 @@ class Speckler {
     const int along = level_of(along_m);
     return lattice_of(e_.model.key, e_.faces.objects[e_.hits.face[hit]],
                       {axes, along, level_of(node_m2 / step_of(along)), turn_of(u, v)});
+  }
+
+  // Whether the surface turns much within the patch.
+  [[nodiscard]] bool is_small_object(std::size_t hit, double patch_m2) const {
+    const std::int32_t smooth = e_.faces.smooth[e_.hits.face[hit]];
+    return smooth >= 0 &&
+           turn_per_m(e_.faces.curved_normal + 12 * smooth) * std::sqrt(patch_m2) > kSmallTurn;
   }
 
   void begin(std::size_t hit, const Axes& axes, const Lattice& lattice) {

@@ -1,14 +1,15 @@
 #include "tracing.hpp"
 
 #include <pybind11/numpy.h>
+#include <pybind11/stl.h>
 
 #include <algorithm>
-#include <cstring>
 #include <string>
 #include <vector>
 
 #include "checked_array.hpp"
 #include "mapperd/acoustics/neighbours.hpp"
+#include "mapperd/acoustics/silhouettes.hpp"
 
 namespace acoustics = mapperd::acoustics;
 
@@ -62,40 +63,68 @@ py::array spans(const Array<float>& range_m, const Array<std::int32_t>& face,
   return out;
 }
 
-// Copies rows of any kind.
-py::array inserted(const py::array& rows, const Array<std::int64_t>& after, const py::array& more) {
-  constexpr int kPlain = py::array::c_style;
-  require((rows.flags() & kPlain) != 0 && (more.flags() & kPlain) != 0 && rows.ndim() >= 1 &&
-              rows.ndim() == more.ndim() && rows.dtype().is(more.dtype()) &&
-              std::equal(rows.shape() + 1, rows.shape() + rows.ndim(), more.shape() + 1),
-          "rows and more must be C-contiguous and of one kind");
-  const py::ssize_t count = rows.shape(0);
-  const py::ssize_t places = after.size();
-  require(places > 0 && more.shape(0) % places == 0, "more must be as many for each place");
-  const std::int64_t* at = after.data();
-  require(std::is_sorted(at, at + places) && at[0] >= 0 && at[places - 1] < count,
-          "after must be sorted and within rows");
-  std::vector<py::ssize_t> shape(rows.shape(), rows.shape() + rows.ndim());
-  shape[0] += more.shape(0);
-  py::array out(rows.dtype(), shape);
-  const auto row = static_cast<std::size_t>(rows.nbytes() / std::max<py::ssize_t>(count, 1));
-  const std::size_t some = row * static_cast<std::size_t>(more.shape(0) / places);
-  const char* from = static_cast<const char*>(rows.data());
-  const char* added = static_cast<const char*>(more.data());
-  auto* to = static_cast<char*>(out.mutable_data());
-  const auto copy = [&to](const char* what, std::size_t bytes) {
-    std::memcpy(to, what, bytes);
-    to += bytes;
-  };
-  std::size_t done = 0;
-  for (py::ssize_t i = 0; i < places; ++i) {
-    const std::size_t end = row * static_cast<std::size_t>(at[i] + 1);
-    copy(from + done, end - done);
-    copy(added + some * static_cast<std::size_t>(i), some);
-    done = end;
+acoustics::MeshEdges edge_table(const Array<float>& corners_m, const Array<float>& normals,
+                                const Array<std::int32_t>& surface) {
+  const py::ssize_t count = surface.size();
+  require(corners_m.size() == 9 * count && normals.size() == 3 * count,
+          "corners_m must be (F, 3, 3), normals (F, 3), surface (F,)");
+  const py::gil_scoped_release unlocked;
+  return acoustics::mesh_edges(corners_m.data(), normals.data(), surface.data(),
+                               static_cast<std::size_t>(count));
+}
+
+acoustics::SeenMesh mesh_view(const acoustics::MeshEdges& table, const Array<double>& pose) {
+  require(pose.size() == 15, "pose must be rotation (9), origin (3), sonar (3)");
+  const double* p = pose.data();
+  acoustics::SeenMesh mesh{&table, {}, {p[9], p[10], p[11]}, {p[12], p[13], p[14]}};
+  std::copy_n(p, 9, mesh.rotation.begin());
+  return mesh;
+}
+
+template <typename T>
+py::array rows_of(const std::vector<T>& values, py::ssize_t wide) {
+  const auto count = static_cast<py::ssize_t>(values.size()) / wide;
+  if (wide == 1) return Array<T>(count, values.data());
+  return Array<T>({count, wide}, values.data());
+}
+
+py::tuple refined_rays(const Array<float>& direction, const Array<float>& cell,
+                       const Array<float>& range_m, const Array<double>& row_edges,
+                       const Array<std::int32_t>& rays, double first_s, double s_pitch,
+                       const std::vector<acoustics::SeenMesh>& meshes,
+                       const Array<std::int64_t>& pairs, double reach_m,
+                       const Array<double>& layers, const Array<double>& up) {
+  const py::ssize_t count = range_m.size();
+  require(direction.size() == 3 * count && cell.size() == 4 * count,
+          "direction must be (N, 3), cell (N, 4), range_m (N,)");
+  require(rays.ndim() == 2 && row_edges.size() == rays.shape(1) + 1,
+          "rays must be (columns, rows), row_edges (rows + 1,)");
+  require(std::all_of(rays.data(), rays.data() + rays.size(),
+                      [count](std::int32_t ray) { return ray < count; }),
+          "ray beyond the fan");
+  const std::int64_t* at = pairs.data();
+  require(std::all_of(at, at + pairs.size(),
+                      [count](std::int64_t ray) { return ray >= 0 && ray + 1 < count; }),
+          "pair beyond the fan");
+  const std::vector<std::int64_t> lower(at, at + pairs.size());
+  require(layers.ndim() == 2 && layers.shape(1) == 2 && up.size() == 4,
+          "layers must be (L, 2), up (4,)");
+  acoustics::SoundLayers sound{{}, {}, {up.data()[0], up.data()[1], up.data()[2]}, up.data()[3]};
+  for (py::ssize_t i = 0; i < layers.shape(0); ++i) {
+    sound.depth_m.push_back(layers.data()[2 * i]);
+    sound.speed_mps.push_back(layers.data()[2 * i + 1]);
   }
-  copy(from + done, row * static_cast<std::size_t>(count) - done);
-  return out;
+  acoustics::RefinedRays found;
+  {
+    const py::gil_scoped_release unlocked;
+    found = acoustics::refined_rays(
+        {static_cast<std::size_t>(rays.shape(0)), static_cast<std::size_t>(rays.shape(1)), first_s,
+         s_pitch, row_edges.data(), rays.data()},
+        {static_cast<std::size_t>(count), range_m.data(), direction.data(), cell.data()}, meshes,
+        lower, reach_m, sound);
+  }
+  return py::make_tuple(rows_of(found.direction, 3), rows_of(found.cell, 4),
+                        rows_of(found.column, 1), rows_of(found.from, 1));
 }
 
 }  // namespace
@@ -107,5 +136,12 @@ void bind_tracing(py::module_& module) {
              arg("turned"));
   module.def("spans", &spans, arg("range_m"), arg("face"), arg("column"), arg("up"), arg("surface"),
              arg("size_m"));
-  module.def("inserted", &inserted, arg("rows"), arg("after"), arg("more"));
+  py::class_<acoustics::MeshEdges>(module, "EdgeTable")
+      .def(py::init(&edge_table), arg("corners_m"), arg("normals"), arg("surface"))
+      .def("__len__", [](const acoustics::MeshEdges& table) { return table.edges.size(); });
+  py::class_<acoustics::SeenMesh>(module, "MeshView")
+      .def(py::init(&mesh_view), arg("table"), arg("pose"), py::keep_alive<1, 2>());
+  module.def("refined_rays", &refined_rays, arg("direction"), arg("cell"), arg("range_m"),
+             arg("row_edges"), arg("rays"), arg("first_s"), arg("s_pitch"), arg("meshes"),
+             arg("pairs"), arg("reach_m"), arg("layers"), arg("up"));
 }

@@ -117,22 +117,6 @@ def test_a_step_off_the_plane_is_an_edge() -> None:
         assert got.tolist() == edge
 
 
-@pytest.mark.parametrize("shape", [(), (3,)])
-def test_rows_are_inserted_as_numpy_does_it(shape: tuple[int, ...]) -> None:
-    rows = RNG.normal(size=(6, *shape)).astype(np.float32)
-    more = RNG.normal(size=(4, *shape)).astype(np.float32)
-    wanted = np.insert(rows, [1, 1, 6, 6], more, axis=0)
-    np.testing.assert_array_equal(_core.inserted(rows, np.array([0, 5]), more), wanted)
-
-
-@pytest.mark.parametrize(
-    ("after", "count"), [([1, 0], 2), ([0, 6], 2), ([-1, 2], 2), ([0, 1], 3), ([], 0)]
-)
-def test_places_out_of_order_or_out_of_range_are_refused(after: list[int], count: int) -> None:
-    with pytest.raises(ValueError, match=r"after|more"):
-        _core.inserted(np.zeros(6), np.array(after, dtype=np.int64), np.zeros(count))
-
-
 def test_faces_out_of_the_table_are_refused() -> None:
     with pytest.raises(ValueError, match="face out of the table"):
         _core.spans(RANGE_M, FACE, COLUMN, UP.astype(np.float32), SURFACE[:2], SIZE_M[:2])

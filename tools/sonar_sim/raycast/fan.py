@@ -23,8 +23,19 @@ MARGIN_BEAMS = 12
 STRIPS = 4
 MIN_CELL_SINE = 1e-5
 """A cell whose part of directions is narrower than this is left out."""
-REFINED_RAYS = 8
-"""Rays cast between two neighbours that met different things."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FanGrid:
+    """The cells of a fan before it was refined.
+
+    Attributes:
+        row_edges: sines of elevation between the rows, ascending, (rows + 1,).
+        rays: of each cell; -1 where it holds no direction, (columns, rows).
+    """
+
+    row_edges: NDArray[np.float64]
+    rays: NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +48,7 @@ class RayFan:
         column: of the echo grid, (N,), from 0.
         columns: beams and a margin on both sides.
         sine_pitch: of the columns.
+        grid: of its cells.
     """
 
     directions: NDArray[np.float32]
@@ -44,6 +56,7 @@ class RayFan:
     column: NDArray[np.int32]
     columns: int
     sine_pitch: float
+    grid: FanGrid
 
     @property
     def first_sine(self) -> float:
@@ -94,11 +107,13 @@ def ray_fan(sonar: SonarSettings, elevations: int = ELEVATIONS) -> RayFan:
     ss, ww, halves = ss[real], ww[real], halves[real]
     most = np.sqrt(1.0 - ww**2)
     middle = (np.clip(ss - half, -most, most) + np.clip(ss + half, -most, most)) / 2.0
+    rays = np.where(real, np.cumsum(real, dtype=np.int32) - 1, -1).astype(np.int32)
     return RayFan(
         *_rays(middle, ww, (ss - half, ss + half), halves),
         np.repeat(column, elevations)[real],
         columns,
         sonar.sine_pitch,
+        FanGrid(edges, rays.reshape(columns, elevations)),
     )
 
 
@@ -109,25 +124,6 @@ def _up_sines(elevations: int) -> NDArray[np.float64]:
         CENTRE_SINE * part + (math.sin(MAX_ELEVATION_RAD) - CENTRE_SINE) * part**5
     )
     return sines
-
-
-def refined_fan(fan: RayFan, below: NDArray[np.int64]) -> RayFan:
-    """Rays between each of the given rays and the next one of its column.
-
-    Returns:
-        `REFINED_RAYS` rays for each, together covering what lies between the two.
-    """
-    start = fan.directions[below].astype(np.float64)
-    step = (fan.directions[below + 1, 2] - start[:, 2]) / REFINED_RAYS
-    ww = (start[:, 2, None] + (np.arange(REFINED_RAYS) + 0.5) * step[:, None]).ravel()
-    ss = np.repeat(-start[:, 1], REFINED_RAYS)
-    edges = np.repeat(fan.cell[below, :2].astype(np.float64), REFINED_RAYS, axis=0)
-    directions, cell = _rays(
-        ss, ww, (edges[:, 0], edges[:, 1]), np.repeat(step / 2.0, REFINED_RAYS)
-    )
-    return RayFan(
-        directions, cell, np.repeat(fan.column[below], REFINED_RAYS), fan.columns, fan.sine_pitch
-    )
 
 
 def _rays(

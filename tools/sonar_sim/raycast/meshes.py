@@ -50,6 +50,7 @@ class FrameGroup:
         centre_m: keeps float32 precise in scenes far from the map's origin, (3,).
         pose: map_T_object at a time.
         first_face: in the table of faces.
+        edges: of their triangles, moved by -centre_m.
     """
 
     embree: EmbreeScene
@@ -57,6 +58,16 @@ class FrameGroup:
     centre_m: NDArray[np.float64]
     pose: Callable[[float], FramePose]
     first_face: int
+    edges: _core.EdgeTable
+
+    def seen_from(self, map_T_sonar: FramePose, time_s: float) -> _core.MeshView:  # noqa: N803
+        """The edges from a sonar's pose, at a time."""
+        pose = self.pose(time_s)
+        turn = map_T_sonar.rotation.T @ pose.rotation
+        away_m = pose.position_m - map_T_sonar.position_m
+        origin = map_T_sonar.rotation.T @ away_m + turn @ self.centre_m
+        sonar = -pose.rotation.T @ away_m - self.centre_m
+        return _core.MeshView(self.edges, np.concatenate([turn.ravel(), origin, sonar]))
 
 
 class Meshes:
@@ -252,8 +263,12 @@ class _MeshPart:
         points = self._corners.reshape(-1, 3)
         centre = (points.min(axis=0) + points.max(axis=0)) / 2.0 if len(points) else np.zeros(3)
         embree = EmbreeScene()
-        mesh = TriangleMesh(embree, (self._corners - centre).astype(np.float32))
-        return FrameGroup(embree, mesh, centre, self._pose, first_face)
+        corners = (self._corners - centre).astype(np.float32)
+        mesh = TriangleMesh(embree, corners)
+        edges = _core.EdgeTable(
+            corners, self.planes[:, :3].astype(np.float32), self.surface.astype(np.int32)
+        )
+        return FrameGroup(embree, mesh, centre, self._pose, first_face, edges)
 
 
 def _pose_of(surface: Surface) -> Callable[[float], FramePose]:

@@ -1,4 +1,9 @@
-"""Trace a ping's rays: what each direction hits, with edges of objects traced finer.
+"""Trace a ping's rays: what each direction hits, with outlines of objects traced exactly.
+
+A ray stands for a cell of directions. Where the outline of a mesh crosses a cell, as its edges
+tell, the cell is cut along it, and each part gets a ray of its own: no object is too thin to be
+met. Where surfaces pass into each other without an outline, rays are laid between neighbours that
+met different ones.
 
 How far a face's plane stands for the surface about a hit.
 
@@ -16,10 +21,10 @@ from numpy.typing import NDArray
 from sonar_sim import _core
 from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.geometry.pose import FramePose
-from sonar_sim.raycast.fan import RayFan, refined_fan
+from sonar_sim.raycast.fan import RayFan
 from sonar_sim.raycast.meshes import NOTHING, Hits, Meshes
 
-Number = TypeVar("Number", np.float32, np.int32)
+Number = TypeVar("Number", np.float32, np.float64, np.int32)
 
 MAX_SLOPE = 0.15
 """Neighbours met one surface if neither leaves the other's plane by more than this slope."""
@@ -27,8 +32,6 @@ MIN_STEP_M = 0.02
 MIN_COSINE = 0.995
 """Neighbours on a round surface stand for each other up to this cosine between their normals: a
 mirror's glint on it is found by its normals."""
-FINER_SHARE = 16
-"""At most one in so many pairs of neighbours is traced finer: those farthest apart in range."""
 BEHIND = 3
 """Surfaces seen behind the first where nothing casts a shadow."""
 PAST_M = 1e-3
@@ -77,12 +80,17 @@ def trace(
     direction = chunked_matmul(fan.directions, turn)
     met = meshes.cast(origin, direction, time_s, reach_m, threads)
     edges = edges_of(meshes, fan, direction, met)
-    if len(edges):
-        more = refined_fan(fan, edges)
-        more_direction = chunked_matmul(more.directions, turn)
-        more_met = meshes.cast(origin, more_direction, time_s, reach_m, threads)
-        fan, direction, met = _joined(
-            fan, edges, direction, met, more=more, more_direction=more_direction, more_met=more_met
+    fan, source = refined_fan(
+        meshes, fan, met, edges, map_T_sonar=map_T_sonar, time_s=time_s, reach_m=reach_m
+    )
+    new = np.flatnonzero(source < 0)
+    if len(new):
+        direction = chunked_matmul(fan.directions, turn)
+        more = meshes.cast(origin, direction[new], time_s, reach_m, threads)
+        met = Hits(
+            merged(met.range_m, source, more.range_m),
+            merged(met.face, source, more.face),
+            merged(met.group, source, more.group),
         )
     layers = [met]
     if not shadows:
@@ -96,7 +104,7 @@ def edges_of(
     meshes: Meshes, fan: RayFan, direction: NDArray[np.float32], met: Hits
 ) -> NDArray[np.int64]:
     """Rays whose upper neighbour in the column met something else."""
-    edges = _core.edges(
+    return _core.edges(
         direction,
         met.range_m,
         met.face,
@@ -108,49 +116,58 @@ def edges_of(
         MIN_STEP_M,
         MIN_COSINE,
     )
-    most = len(direction) // FINER_SHARE
-    if len(edges) > most:
-        reach = np.where(met.face >= 0, met.range_m, np.float32(1e6))
-        jump = np.abs(reach[edges + 1] - reach[edges])
-        edges = np.sort(edges[np.argsort(-jump, kind="stable")[:most]])
-    return edges
 
 
-def _joined(
+def refined_fan(
+    meshes: Meshes,
     fan: RayFan,
-    edges: NDArray[np.int64],
-    direction: NDArray[np.float32],
     met: Hits,
+    edges: NDArray[np.int64],
     *,
-    more: RayFan,
-    more_direction: NDArray[np.float32],
-    more_met: Hits,
-) -> tuple[RayFan, NDArray[np.float32], Hits]:
-    """Both fans and what they met in one."""
+    map_T_sonar: FramePose,  # noqa: N803
+    time_s: float,
+    reach_m: float,
+    layers: NDArray[np.float64] | None = None,
+) -> tuple[RayFan, NDArray[np.int32]]:
+    """The fan with its cells cut along the outlines of what it sees.
 
-    def both(coarse: NDArray[Number], fine: NDArray[Number]) -> NDArray[Number]:
-        return _core.inserted(coarse, edges, fine)
+    Args:
+        meshes: what can be met.
+        fan: that was cast.
+        met: by its rays.
+        edges: rays whose upper neighbour met something else.
+        map_T_sonar: the sonar.
+        time_s: at which moving objects are met.
+        reach_m: what lies farther is not seen.
+        layers: depths and speeds of sound that bend the rays, (L, 2).
 
-    all_met = Hits(
-        both(met.range_m, more_met.range_m),
-        both(met.face, more_met.face),
-        both(met.group, more_met.group),
-    )
-    return joined_fan(fan, edges, more), both(direction, more_direction), all_met
-
-
-def joined_fan(fan: RayFan, edges: NDArray[np.int64], more: RayFan) -> RayFan:
-    """Both fans in one; the coarse cells give way to the finer ones."""
-    cell = fan.cell.copy()
-    cell[edges, 3] = fan.directions[edges, 2]
-    cell[edges + 1, 2] = fan.directions[edges + 1, 2]
-    return RayFan(
-        _core.inserted(fan.directions, edges, more.directions),
-        _core.inserted(cell, edges, more.cell),
-        _core.inserted(fan.column, edges, more.column),
-        fan.columns,
+    Returns:
+        The finer fan, and the ray of the other that each of its rays is; -1 for those to be cast.
+    """
+    directions, cell, column, source = _core.refined_rays(
+        fan.directions,
+        fan.cell,
+        met.range_m,
+        fan.grid.row_edges,
+        fan.grid.rays,
+        fan.first_sine - fan.sine_pitch / 2.0,
         fan.sine_pitch,
+        [group.seen_from(map_T_sonar, time_s) for group in meshes.groups],
+        edges,
+        reach_m,
+        np.empty((0, 2)) if layers is None else layers,
+        np.append(map_T_sonar.rotation[2], map_T_sonar.position_m[2]),
     )
+    return RayFan(directions, cell, column, fan.columns, fan.sine_pitch, fan.grid), source
+
+
+def merged(
+    known: NDArray[Number], source: NDArray[np.int32], new: NDArray[Number]
+) -> NDArray[Number]:
+    """What rays of a finer fan met, (M, ...): the known of some, and the new ones, in order."""
+    both = known[source]
+    both[source < 0] = new
+    return both
 
 
 def _behind(

@@ -21,6 +21,7 @@ from sonar_sim.validation.repeatability import v18_classic, v19_determinism
 from sonar_sim.validation.scattering import v03_lambert_floor, v04_spheres, v05_plate, v12_elevation
 from sonar_sim.validation.speckle import v07_speckle, v08_ping_correlation, v09_range_lines
 from sonar_sim.validation.tank import v20_tank
+from sonar_sim.validation.thin import v21_thin_objects
 from sonar_sim.validation.timing import v15_timing, v16_motion
 
 CASES: MappingProxyType[str, Callable[[], ValidationResult]] = MappingProxyType(
@@ -45,6 +46,7 @@ CASES: MappingProxyType[str, Callable[[], ValidationResult]] = MappingProxyType(
         "V18": v18_classic,
         "V19": v19_determinism,
         "V20": v20_tank,
+        "V21": v21_thin_objects,
     }
 )
 

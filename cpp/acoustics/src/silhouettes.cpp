@@ -1,0 +1,518 @@
+#include "mapperd/acoustics/silhouettes.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace mapperd::acoustics {
+
+namespace {
+
+constexpr double kPiece = 0.02;   // rad, to which a straight edge is a straight line of s and w
+constexpr double kMinCut = 2e-5;  // of s and w: cuts closer than that are one
+constexpr std::size_t kMaxSlabs = 16;  // of a cell
+constexpr std::size_t kMaxCuts = 24;   // of a slab
+constexpr double kHiddenFactor = 1.02;
+constexpr double kHiddenM = 0.02;    // so far behind all that was met about it, an edge is hidden
+constexpr std::size_t kBetween = 8;  // rays between two that met different surfaces
+constexpr std::size_t kPairShare = 32;  // at most one pair to so many rays
+constexpr double kRimPart = 1.0 - 1e-5;
+
+// A piece of an outline within one cell.
+struct Segment {
+  std::int32_t cell;
+  float s[2], w[2];
+  float turn;    // sign: on which side of the way from the first end the face is; 0: on both
+  bool outline;  // otherwise a crease of what is seen
+  bool round;
+};
+
+// The other way round: w for s.
+Segment transposed(const Segment& segment) {
+  Segment other = segment;
+  std::copy_n(segment.s, 2, other.w);
+  std::copy_n(segment.w, 2, other.s);
+  other.turn = -segment.turn;
+  return other;
+}
+
+struct SinePoint {
+  double s, w, range_m;
+};
+
+SinePoint sine_point(const Vec3& p) {
+  const double range_m = std::sqrt(std::max(dot(p, p), 1e-18));
+  return {-p.y / range_m, p.z / range_m, range_m};
+}
+
+// Growth of the speed of sound with height.
+double speed_gradient(const SoundLayers& layers, double depth_m, double& speed_mps) {
+  const auto& depths = layers.depth_m;
+  const auto above = static_cast<std::size_t>(
+      std::upper_bound(depths.begin(), depths.end(), depth_m) - depths.begin());
+  if (above == 0 || above == depths.size()) {
+    speed_mps = layers.speed_mps[above == 0 ? 0 : above - 1];
+    return 0.0;
+  }
+  const double slope =
+      (layers.speed_mps[above] - layers.speed_mps[above - 1]) / (depths[above] - depths[above - 1]);
+  speed_mps = layers.speed_mps[above - 1] + slope * (depth_m - depths[above - 1]);
+  return -slope;
+}
+
+// Where a point seems to be by the direction in which the ray to it leaves. A ray's elevation
+// changes by -(dc/dz) cos / c along the way (Snell); the chord's is the mean over the way.
+Vec3 by_departure(const SoundLayers& layers, const Vec3& p) {
+  constexpr int kSteps = 8;
+  const double range_m = norm(p);
+  if (layers.depth_m.empty() || range_m < 1e-9) return p;
+  const double rise = dot(p, layers.up) / range_m;
+  const double level = std::sqrt(std::max(1.0 - rise * rise, 1e-12));
+  double turn = 0.0;
+  for (int k = 0; k < kSteps; ++k) {
+    const double part = (k + 0.5) / kSteps;
+    double speed_mps = 0.0;
+    const double gradient =
+        speed_gradient(layers, -(layers.height_m + part * range_m * rise), speed_mps);
+    turn -= (1.0 - part) * gradient * level / speed_mps * range_m / kSteps;
+  }
+  const Vec3 upright = (1.0 / level) * (layers.up - (rise / range_m) * p);
+  return std::cos(turn) * p - (range_m * std::sin(turn)) * upright;
+}
+
+// Lays edges into the cells of a grid.
+class Rasteriser {
+ public:
+  Rasteriser(const FanGrid& grid, const FanHits& hits, double reach_m, const SoundLayers& layers)
+      : grid_(grid),
+        hits_(hits),
+        reach_m_(reach_m),
+        layers_(layers),
+        far_m_(grid.columns * grid.rows, -1.0F) {
+    const double low = grid.row_edges[0];
+    const double wide = (grid.row_edges[grid.rows] - low) / static_cast<double>(kGuesses);
+    for (std::size_t i = 0; i < kGuesses; ++i) {
+      guess_[i] = row_from(low + wide * static_cast<double>(i), 0);
+    }
+    per_guess_ = 1.0 / wide;
+  }
+
+  void add(const SeenMesh& mesh) {
+    const auto o =
+        std::array<float, 3>{static_cast<float>(mesh.sonar_m.x), static_cast<float>(mesh.sonar_m.y),
+                             static_cast<float>(mesh.sonar_m.z)};
+    for (const EdgeBlock& block : mesh.mesh->blocks) {
+      if (!may_show(block, o)) continue;
+      for (std::size_t i = block.first; i < block.last; ++i) {
+        const MeshEdge& edge = mesh.mesh->edges[i];
+        const bool outline = edge.border || front(edge.plane[0], o) != front(edge.plane[1], o);
+        if (outline || edge.crease) add_edge(mesh, edge, outline);
+      }
+    }
+  }
+
+  std::vector<Segment> take() { return std::move(segments_); }
+
+ private:
+  static bool front(const float* plane, const std::array<float, 3>& from) {
+    return plane[0] * from[0] + plane[1] * from[1] + plane[2] * from[2] > plane[3];
+  }
+
+  // False where all faces of a block show the same side, or are out of reach.
+  [[nodiscard]] bool may_show(const EdgeBlock& block, const std::array<float, 3>& from) const {
+    float squares = 0.0F, along = 0.0F;
+    for (std::size_t k = 0; k < 3; ++k) {
+      const float away = from[k] - block.centre_m[k];
+      squares += away * away;
+      along += away * block.axis[k];
+    }
+    const float range_m = std::sqrt(squares);
+    if (range_m > static_cast<float>(reach_m_) + block.radius_m) return false;
+    if (!block.smooth || block.cosine <= 0.0F) return true;
+    // The cosine between a normal and the way to the sonar is at least that of the sum of angles.
+    const float cosine = std::fabs(along);
+    const float sine = std::sqrt(std::max(squares - along * along, 0.0F));
+    const float cone_sine = std::sqrt(std::max(1.0F - block.cosine * block.cosine, 0.0F));
+    return cosine * block.cosine - sine * cone_sine <= block.radius_m;
+  }
+
+  static Vec3 seen(const SeenMesh& mesh, const float* point_m) {
+    const auto& m = mesh.rotation;
+    const double x = static_cast<double>(point_m[0]), y = static_cast<double>(point_m[1]);
+    const double z = static_cast<double>(point_m[2]);
+    return mesh.origin_m + Vec3{m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z,
+                                m[6] * x + m[7] * y + m[8] * z};
+  }
+
+  void add_edge(const SeenMesh& mesh, const MeshEdge& edge, bool outline) {
+    Vec3 a = seen(mesh, edge.end_m[0]);
+    Vec3 b = seen(mesh, edge.end_m[1]);
+    if (a.x <= 0.0 && b.x <= 0.0) return;
+    // What lies behind the sonar is cut off.
+    if (a.x < 0.0) a = a + (a.x / (a.x - b.x)) * (b - a);
+    if (b.x < 0.0) b = b + (b.x / (b.x - a.x)) * (a - b);
+    const Vec3 way = b - a;
+    const double length2 = dot(way, way);
+    const double nearest = std::clamp(-dot(a, way) / std::max(length2, 1e-18), 0.0, 1.0);
+    const Vec3 near = a + nearest * way;
+    const double near_m = std::sqrt(dot(near, near));
+    if (near_m > reach_m_ || near_m < 1e-6) return;
+    proto_.outline = outline;
+    proto_.round = outline && edge.round;
+    proto_.turn = outline ? turn_of(a, b, seen(mesh, edge.inner_m)) : 0.0F;
+    const double angle = std::sqrt(length2) / near_m;
+    const auto pieces = static_cast<std::size_t>(std::clamp(angle / kPiece, 0.0, 4000.0)) + 1;
+    SinePoint from = sine_point(by_departure(layers_, a));
+    for (std::size_t k = 1; k <= pieces; ++k) {
+      const double part = static_cast<double>(k) / static_cast<double>(pieces);
+      const SinePoint to = sine_point(by_departure(layers_, k == pieces ? b : a + part * way));
+      add_piece(from, to);
+      from = to;
+    }
+  }
+
+  // Sign of the triangle a, b, c in s and w.
+  static float turn_of(const Vec3& a, const Vec3& b, const Vec3& c) {
+    // Of the plane through the origin, a and b: its normal's side does not depend on ranges.
+    const double side = dot(cross(a, b), c);
+    return side > 0.0 ? -1.0F : 1.0F;
+  }
+
+  [[nodiscard]] std::size_t row_from(double w, std::size_t row) const {
+    while (row + 1 < grid_.rows && w >= grid_.row_edges[row + 1]) ++row;
+    return row;
+  }
+
+  [[nodiscard]] std::size_t row_of(double w) const {
+    const double at = (w - grid_.row_edges[0]) * per_guess_;
+    if (at <= 0.0) return 0;
+    const auto guess = std::min(static_cast<std::size_t>(at), kGuesses - 1);
+    return row_from(w, guess_[guess]);
+  }
+
+  [[nodiscard]] double column_of(double s) const { return (s - grid_.first_s) / grid_.s_pitch; }
+
+  void add_piece(const SinePoint& a, const SinePoint& b) {
+    const double low_w = grid_.row_edges[0], high_w = grid_.row_edges[grid_.rows];
+    const auto columns = static_cast<double>(grid_.columns);
+    const double c0 = column_of(a.s), c1 = column_of(b.s);
+    if ((a.w < low_w && b.w < low_w) || (a.w >= high_w && b.w >= high_w) ||
+        (c0 < 0.0 && c1 < 0.0) || (c0 >= columns && c1 >= columns)) {
+      return;
+    }
+    // Cut by rows, then by columns; parameters run from a to b.
+    const std::size_t row0 = row_of(std::min(a.w, b.w)), row1 = row_of(std::max(a.w, b.w));
+    for (std::size_t row = row0; row <= row1; ++row) {
+      double t0 = 0.0, t1 = 1.0;
+      if (!clip(a.w, b.w, grid_.row_edges[row], grid_.row_edges[row + 1], t0, t1)) continue;
+      const double d0 = c0 + t0 * (c1 - c0), d1 = c0 + t1 * (c1 - c0);
+      const double first = std::max(std::floor(std::min(d0, d1)), 0.0);
+      const double last = std::min(std::floor(std::max(d0, d1)), columns - 1.0);
+      for (double column = first; column <= last; column += 1.0) {
+        double u0 = t0, u1 = t1;
+        if (!clip(c0, c1, column, column + 1.0, u0, u1)) continue;
+        add_segment(a, b, u0, u1, static_cast<std::size_t>(column), row);
+      }
+    }
+  }
+
+  // Parameters between which a line from a to b is from low to high.
+  static bool clip(double a, double b, double low, double high, double& t0, double& t1) {
+    const double step = b - a;
+    if (std::fabs(step) < 1e-15) return a >= low && a < high;
+    const double enter = ((step > 0.0 ? low : high) - a) / step;
+    const double leave = ((step > 0.0 ? high : low) - a) / step;
+    t0 = std::max(t0, enter);
+    t1 = std::min(t1, leave);
+    return t0 < t1;
+  }
+
+  void add_segment(const SinePoint& a, const SinePoint& b, double t0, double t1, std::size_t column,
+                   std::size_t row) {
+    const std::size_t cell = column * grid_.rows + row;
+    if (grid_.rays[cell] < 0) return;
+    const double range_m = std::min(a.range_m + t0 * (b.range_m - a.range_m),
+                                    a.range_m + t1 * (b.range_m - a.range_m));
+    if (range_m > reach_m_ || range_m > far_about(column, row)) return;
+    Segment segment = proto_;
+    segment.cell = static_cast<std::int32_t>(cell);
+    segment.s[0] = static_cast<float>(a.s + t0 * (b.s - a.s));
+    segment.s[1] = static_cast<float>(a.s + t1 * (b.s - a.s));
+    segment.w[0] = static_cast<float>(a.w + t0 * (b.w - a.w));
+    segment.w[1] = static_cast<float>(a.w + t1 * (b.w - a.w));
+    segments_.push_back(segment);
+  }
+
+  // Beyond it all is hidden by what the rays in and beside a cell met.
+  double far_about(std::size_t column, std::size_t row) {
+    float& far_m = far_m_[column * grid_.rows + row];
+    if (far_m < 0.0F) {
+      far_m = 0.0F;
+      for (std::size_t c = column - (column > 0); c <= column + 1 && c < grid_.columns; ++c) {
+        for (std::size_t r = row - (row > 0); r <= row + 1 && r < grid_.rows; ++r) {
+          const std::int32_t ray = grid_.rays[c * grid_.rows + r];
+          if (ray >= 0) far_m = std::max(far_m, hits_.range_m[ray]);
+        }
+      }
+    }
+    return kHiddenFactor * static_cast<double>(far_m) + kHiddenM;
+  }
+
+  static constexpr std::size_t kGuesses = 512;
+
+  const FanGrid& grid_;
+  const FanHits& hits_;
+  double reach_m_;
+  const SoundLayers& layers_;
+  std::vector<float> far_m_;  // farthest hit in and about each cell; negative: not known yet
+  std::array<std::size_t, kGuesses> guess_{};
+  double per_guess_ = 0.0;
+  Segment proto_{};
+  std::vector<Segment> segments_;
+};
+
+// Where a slab's middle crosses an outline.
+struct Cut {
+  double at;
+  bool face_below, face_above, round;
+};
+
+struct Box {
+  double s0, s1, w0, w1;
+};
+
+// Cuts cells into parts of one surface each: slabs in w between the ends of segments, in them parts
+// in s between the segments. A part is a rectangle as large as the trapezium that it stands for.
+class Cutter {
+ public:
+  // Boxes that together are the cell.
+  const std::vector<Box>& cut(const Box& cell, const Segment* segments, std::size_t count) {
+    boxes_.clear();
+    ends(cell.w0, cell.w1, segments, count, false, slabs_);
+    ends(cell.s0, cell.s1, segments, count, true, others_);
+    if (slabs_.size() <= others_.size()) {
+      slabs(cell, segments, count);
+    } else {
+      turned_.resize(count);
+      std::transform(segments, segments + count, turned_.begin(), transposed);
+      slabs_.swap(others_);
+      slabs({cell.w0, cell.w1, cell.s0, cell.s1}, turned_.data(), count);
+      for (Box& box : boxes_) box = {box.w0, box.w1, box.s0, box.s1};
+    }
+    return boxes_;
+  }
+
+ private:
+  // Borders of the slabs.
+  static void ends(double low, double high, const Segment* segments, std::size_t count, bool across,
+                   std::vector<double>& to) {
+    to.clear();
+    for (std::size_t i = 0; i < count; ++i) {
+      for (const float end : across ? segments[i].s : segments[i].w) {
+        const auto at = static_cast<double>(end);
+        if (at > low + kMinCut && at < high - kMinCut) to.push_back(at);
+      }
+    }
+    std::sort(to.begin(), to.end());
+    to.erase(std::unique(to.begin(), to.end(), [](double a, double b) { return b - a < kMinCut; }),
+             to.end());
+    if (to.size() >= kMaxSlabs) {
+      const double first = to.front(), last = to.back();
+      to.resize(kMaxSlabs - 1);
+      for (std::size_t k = 0; k < to.size(); ++k) {
+        to[k] =
+            first + (last - first) * static_cast<double>(k) / static_cast<double>(to.size() - 1);
+      }
+    }
+    to.insert(to.begin(), low);
+    to.push_back(high);
+  }
+
+  void slabs(const Box& cell, const Segment* segments, std::size_t count) {
+    for (std::size_t k = 0; k + 1 < slabs_.size(); ++k) {
+      const double w0 = slabs_[k], w1 = slabs_[k + 1];
+      cross(0.5 * (w0 + w1), segments, count);
+      parts(cell, w0, w1);
+    }
+  }
+
+  void cross(double w, const Segment* segments, std::size_t count) {
+    cuts_.clear();
+    for (std::size_t i = 0; i < count; ++i) {
+      const Segment& g = segments[i];
+      const double a = static_cast<double>(g.w[0]), b = static_cast<double>(g.w[1]);
+      if ((a <= w) == (b <= w)) continue;
+      const double s0 = static_cast<double>(g.s[0]), s1 = static_cast<double>(g.s[1]);
+      const float upwards = b > a ? g.turn : -g.turn;  // positive: towards smaller s
+      cuts_.push_back(
+          {s0 + (w - a) / (b - a) * (s1 - s0), upwards > 0.0F, upwards < 0.0F, g.round});
+    }
+    std::sort(cuts_.begin(), cuts_.end(), [](const Cut& a, const Cut& b) { return a.at < b.at; });
+    while (cuts_.size() > kMaxCuts) {
+      for (std::size_t k = 0; 2 * k < cuts_.size(); ++k) cuts_[k] = cuts_[2 * k];
+      cuts_.resize((cuts_.size() + 1) / 2);
+    }
+  }
+
+  void parts(const Box& cell, double w0, double w1) {
+    double from = cell.s0;
+    bool face_above = false, round_before = false;
+    for (std::size_t k = 0; k <= cuts_.size(); ++k) {
+      const bool last = k == cuts_.size();
+      const double to = last ? cell.s1 : std::clamp(cuts_[k].at, from, cell.s1);
+      if (to - from > (last ? 0.0 : kMinCut)) {
+        // A round surface turns away from its middle to its outline.
+        const int round = static_cast<int>(face_above && round_before) +
+                          static_cast<int>(!last && cuts_[k].face_below && cuts_[k].round);
+        add(from, to, w0, w1, round == 0 ? 1 : 3 * round);
+        from = to;
+      }
+      if (!last) {
+        face_above = cuts_[k].face_above;
+        round_before = cuts_[k].round;
+      }
+    }
+  }
+
+  void add(double s0, double s1, double w0, double w1, int pieces) {
+    for (int k = 0; k < pieces; ++k) {
+      boxes_.push_back({s0 + (s1 - s0) * k / pieces, s0 + (s1 - s0) * (k + 1) / pieces, w0, w1});
+    }
+  }
+
+  std::vector<Box> boxes_;
+  std::vector<double> slabs_, others_;
+  std::vector<Cut> cuts_;
+  std::vector<Segment> turned_;
+};
+
+// Segments cell after cell.
+struct Sorted {
+  std::vector<Segment> segments;
+  std::vector<std::uint32_t> first;  // of each cell, and the end, (cells + 1,)
+};
+
+Sorted sorted(const std::vector<Segment>& segments, std::size_t cells) {
+  Sorted to;
+  to.first.assign(cells + 1, 0);
+  for (const Segment& g : segments) ++to.first[static_cast<std::size_t>(g.cell) + 1];
+  for (std::size_t i = 0; i < cells; ++i) to.first[i + 1] += to.first[i];
+  std::vector<std::uint32_t> next(to.first.begin(), to.first.end() - 1);
+  to.segments.resize(segments.size());
+  for (const Segment& g : segments) to.segments[next[static_cast<std::size_t>(g.cell)]++] = g;
+  return to;
+}
+
+bool has_outline(const Segment* first, const Segment* last) {
+  return std::any_of(first, last, [](const Segment& g) { return g.outline; });
+}
+
+class Refiner {
+ public:
+  Refiner(const FanHits& hits, RefinedRays& to) : hits_(hits), to_(to) {}
+
+  void keep(std::int32_t ray, std::int32_t column, float w0, float w1) {
+    const float* cell = hits_.cell + 4 * ray;
+    const float* direction = hits_.direction + 3 * ray;
+    to_.direction.insert(to_.direction.end(), direction, direction + 3);
+    to_.cell.insert(to_.cell.end(), {cell[0], cell[1], w0, w1});
+    to_.column.push_back(column);
+    to_.from.push_back(ray);
+  }
+
+  void add(const Box& box, std::int32_t column) {
+    const double w = 0.5 * (box.w0 + box.w1);
+    const double most = std::sqrt(std::max(1.0 - w * w, 0.0)) * kRimPart;
+    if (box.s0 >= most || box.s1 <= -most) return;
+    const double s = 0.5 * (std::max(box.s0, -most) + std::min(box.s1, most));
+    const double ahead = std::sqrt(std::max(1.0 - s * s - w * w, 0.0));
+    for (const double axis : {ahead, -s, w}) to_.direction.push_back(static_cast<float>(axis));
+    for (const double edge : {box.s0, box.s1, box.w0, box.w1}) {
+      to_.cell.push_back(static_cast<float>(edge));
+    }
+    to_.column.push_back(column);
+    to_.from.push_back(-1);
+  }
+
+ private:
+  const FanHits& hits_;
+  RefinedRays& to_;
+};
+
+// Of pairs without an outline those farthest apart, as a mark for each ray.
+std::vector<char> lower_rays(const FanHits& hits, const std::vector<std::int64_t>& pairs,
+                             const std::vector<char>& marked) {
+  const auto range = [&hits](std::int64_t ray) { return std::min(hits.range_m[ray], 1e6F); };
+  std::vector<std::pair<float, std::int64_t>> left;
+  for (const std::int64_t ray : pairs) {
+    if (!marked[static_cast<std::size_t>(ray)] && !marked[static_cast<std::size_t>(ray) + 1]) {
+      left.emplace_back(-std::fabs(range(ray + 1) - range(ray)), ray);
+    }
+  }
+  const std::size_t most = hits.count / kPairShare;
+  if (left.size() > most) {
+    std::nth_element(left.begin(), left.begin() + static_cast<std::ptrdiff_t>(most), left.end());
+    left.resize(most);
+  }
+  std::vector<char> lower(hits.count, 0);
+  for (const auto& pair : left) lower[static_cast<std::size_t>(pair.second)] = 1;
+  return lower;
+}
+
+}  // namespace
+
+RefinedRays refined_rays(const FanGrid& grid, const FanHits& hits,
+                         const std::vector<SeenMesh>& meshes,
+                         const std::vector<std::int64_t>& pairs, double reach_m,
+                         const SoundLayers& layers) {
+  Rasteriser rasteriser(grid, hits, reach_m, layers);
+  for (const SeenMesh& mesh : meshes) rasteriser.add(mesh);
+  const std::size_t cells = grid.columns * grid.rows;
+  const Sorted outlines = sorted(rasteriser.take(), cells);
+  const Segment* segments = outlines.segments.data();
+  std::vector<char> marked(hits.count, 0);
+  for (std::size_t cell = 0; cell < cells; ++cell) {
+    if (grid.rays[cell] >= 0) {
+      marked[static_cast<std::size_t>(grid.rays[cell])] =
+          has_outline(segments + outlines.first[cell], segments + outlines.first[cell + 1]);
+    }
+  }
+  const std::vector<char> lower = lower_rays(hits, pairs, marked);
+  RefinedRays to;
+  Refiner refiner(hits, to);
+  Cutter cutter;
+  for (std::size_t cell = 0; cell < cells; ++cell) {
+    const std::int32_t ray = grid.rays[cell];
+    if (ray < 0) continue;
+    const auto column = static_cast<std::int32_t>(cell / grid.rows);
+    const float* edges = hits.cell + 4 * ray;
+    const auto at = static_cast<std::size_t>(ray);
+    if (marked[at]) {
+      const Box box{static_cast<double>(edges[0]), static_cast<double>(edges[1]),
+                    static_cast<double>(edges[2]), static_cast<double>(edges[3])};
+      const std::uint32_t first = outlines.first[cell];
+      for (const Box& part : cutter.cut(box, segments + first, outlines.first[cell + 1] - first)) {
+        refiner.add(part, column);
+      }
+      continue;
+    }
+    // Cells beside rays that are laid between them end at their own rays.
+    const float own_w = hits.direction[3 * ray + 2];
+    const bool below = lower[at], above = ray > 0 && lower[at - 1];
+    if (!above || !below) {
+      refiner.keep(ray, column, above ? own_w : edges[2], below ? own_w : edges[3]);
+    }
+    if (below) {
+      const double w0 = static_cast<double>(own_w);
+      const double step = (static_cast<double>(hits.direction[3 * (ray + 1) + 2]) - w0) / kBetween;
+      for (std::size_t k = 0; k < kBetween; ++k) {
+        const double low = w0 + step * static_cast<double>(k);
+        refiner.add({static_cast<double>(edges[0]), static_cast<double>(edges[1]), low, low + step},
+                    column);
+      }
+    }
+  }
+  return to;
+}
+
+}  // namespace mapperd::acoustics
