@@ -49,9 +49,11 @@ def test_echo_off_the_plane_shows_at_the_bearing_of_its_cone(
         ]
     )
     across = (0.1 * math.sin(azimuth), 0.1 * math.cos(azimuth), 0.0)
-    image = Simulator(plate(tuple(at), across, (0.0, 0.0, 0.1)), SONAR).ping(level_pose, 0).image
+    small = plate(tuple(at), across, (0.0, 0.0, 0.1))
+    images = [Simulator(small, SONAR, seed).ping(level_pose, 0).image for seed in range(5)]
     table_deg = bearing_table_cdeg(SONAR.beams, SONAR.half_aperture_rad) / 100.0
-    assert table_deg[brightest(image)[1]] == pytest.approx(39.27, abs=0.5)
+    found = [table_deg[brightest(image)[1]] for image in images]
+    assert np.median(found) == pytest.approx(39.27, abs=0.5)
 
 
 def test_mounting_looks_down_with_the_fan_across_and_roll_turns_it_to_port(plate: Plate) -> None:
@@ -117,9 +119,9 @@ def test_seen_surface_is_what_lies_in_the_aperture_and_is_not_hidden(
 def test_rays_and_scatterers_are_as_asked_for(plate: Plate, level_pose: FramePose) -> None:
     scene = plate((4.0, 0.0, 0.0), (0.0, 30.0, 0.0), (0.0, 0.0, 8.0))
     usual = Simulator(scene, SONAR).ping(level_pose)
-    fewer_rays = Simulator(scene, SONAR, elevations=32).ping(level_pose)
+    fewer_rays = Simulator(scene, SONAR, elevations=16).ping(level_pose)
     fewer_scatterers = Simulator(scene, SONAR, nodes_per_beam=2.0).ping(level_pose)
     # As many points in sight as rays meet the plate.
-    assert len(fewer_rays.seen_m) == pytest.approx(len(usual.seen_m) / 4, rel=0.1)
+    assert len(fewer_rays.seen_m) == pytest.approx(len(usual.seen_m) / 4, rel=0.2)
     assert np.array_equal(fewer_scatterers.seen_m, usual.seen_m)
     assert not np.array_equal(fewer_scatterers.image, usual.image)

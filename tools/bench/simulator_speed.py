@@ -100,6 +100,17 @@ def _published() -> str:
 
 
 SCENE = "harbour"
+SCENES = (
+    "flat_floor",
+    "harbour",
+    "open_water",
+    "pile_field",
+    "pipeline",
+    "ship_hull",
+    "tank",
+    "wreck",
+)
+SCENE_RATE_HZ = 10.0
 SIZES = ((256, 500, 40.0), (512, 1000, 20.0))
 """Beams, rows, and the pings a second that are asked for."""
 STRETCHES = 4
@@ -190,9 +201,9 @@ def _work(
     results.put((used, time.process_time() - start_s))
 
 
-def _scenario(beams: int, rows: int) -> Scenario:
-    """The shipped scenario with a picture of another size."""
-    scenario = load_scenario(SCENE)
+def _scenario(beams: int, rows: int, name: str = SCENE) -> Scenario:
+    """A shipped scenario with a picture of another size."""
+    scenario = load_scenario(name)
     return replace(scenario, sonar=replace(scenario.sonar, beams=beams, forced_rows=rows))
 
 
@@ -202,6 +213,41 @@ def _times_s(duration_s: float, rate_hz: float, pings: int) -> list[float]:
     span_s = each / rate_hz
     starts_s = [(duration_s - span_s) * k / max(STRETCHES - 1, 1) for k in range(STRETCHES)]
     return [start_s + n / rate_hz for start_s in starts_s for n in range(each)][:pings]
+
+
+def scene_costs_ms(name: str, pings: int) -> list[float]:
+    """CPU time of a ping of a scene, one thread: by size, with `auto` and with `all`."""
+    costs = []
+    for beams, rows, _ in SIZES:
+        scenario = _scenario(beams, rows, name)
+        times_s = _times_s(scenario.trajectory.duration_s, SCENE_RATE_HZ, pings)
+        for effects in ("auto", "all"):
+            simulator = Simulator(scenario.scene, scenario.sonar, effects=effects, threads=1)
+            simulator.ping(sonar_pose(scenario, 0.0))  # the first one warms up
+            start_s = time.process_time()
+            for number, t in enumerate(times_s):
+                simulator.ping(sonar_pose(scenario, t), number, t, sonar_motion(scenario, t))
+            costs.append(1e3 * (time.process_time() - start_s) / len(times_s))
+    return costs
+
+
+def scenes_table(costs_ms: dict[str, list[float]]) -> str:
+    """The scenes' costs as Markdown."""
+    sizes = [f"{beams} x {rows}" for beams, rows, _ in SIZES]
+    header = ["scene"]
+    for size in sizes:
+        header += [f"{size}, `auto`, ms", "`all`, ms", "pings a second and core"]
+    rows = []
+    for name, costs in costs_ms.items():
+        row = [name]
+        for auto, everything in zip(costs[::2], costs[1::2], strict=True):
+            row += [f"{auto:.1f}", f"{everything:.1f}", f"{1e3 / auto:.0f}"]
+        rows.append(row)
+    note = (
+        f"CPU time of a ping in every shipped scene, pings at {SCENE_RATE_HZ:g} Hz in stretches "
+        "of its trajectory, deciding and ray casting included."
+    )
+    return note + "\n\n" + _table(header, rows)
 
 
 def _stages(scenario: Scenario, simulator: Simulator, times_s: Sequence[float]) -> dict[str, float]:
@@ -230,8 +276,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--pings", type=int, default=100)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--scenes", action="store_true", help="only the table of all scenes")
     parser.add_argument("--write", action="store_true", help="into docs/reports/performance.md")
     args = parser.parse_args()
+    scenes = scenes_table({name: scene_costs_ms(name, args.pings) for name in SCENES})
+    print(scenes)
+    if args.write:
+        write_section(
+            PAGES["performance"], "simulator-scenes", scenes, "python -m bench simulator-speed"
+        )
+    if args.scenes:
+        return
     scenario = load_scenario(SCENE)
     load = os.getloadavg()[0]
     speeds = []

@@ -42,18 +42,23 @@ MAPPERD_VECTORISED void flat_cosines(const float* height_m, const Sights& from, 
 // Cosines on the round surface that the plane stands for, and the area seen over the plane's.
 MAPPERD_VECTORISED void round_cosines(const Nodes& nodes, const Sights& out, const Sights& back,
                                       Each<float>* cosine, float* area) {
+  constexpr auto kLeast = static_cast<float>(kMinCosine);
   for (std::size_t i = 0; i < nodes.count; ++i) {
-    const double nx = nodes.normal[0][i];
-    const double ny = nodes.normal[1][i];
-    const double nz = nodes.normal[2][i];
-    const double part = 1.0 / std::sqrt(nx * nx + ny * ny + nz * nz + 1e-30);
-    const double there = nx * out.way[0][i] + ny * out.way[1][i] + nz * out.way[2][i];
-    const double here = nx * back.way[0][i] + ny * back.way[1][i] + nz * back.way[2][i];
-    const double transmit = std::fabs(there) * part;
-    cosine[0][i] = static_cast<float>(transmit);
-    cosine[1][i] = static_cast<float>(std::fabs(here) * part);
-    const double least = transmit > kMinCosine ? transmit : kMinCosine;
-    area[i] = static_cast<float>(nodes.height_m[0][i] / (out.range_m[i] * least));
+    const auto nx = static_cast<float>(nodes.normal[0][i]);
+    const auto ny = static_cast<float>(nodes.normal[1][i]);
+    const auto nz = static_cast<float>(nodes.normal[2][i]);
+    const auto ox = static_cast<float>(out.way[0][i]);
+    const auto oy = static_cast<float>(out.way[1][i]);
+    const auto oz = static_cast<float>(out.way[2][i]);
+    const auto bx = static_cast<float>(back.way[0][i]);
+    const auto by = static_cast<float>(back.way[1][i]);
+    const auto bz = static_cast<float>(back.way[2][i]);
+    const float part = 1.0F / std::sqrt(nx * nx + ny * ny + nz * nz + 1e-30F);
+    const float transmit = std::fabs(nx * ox + ny * oy + nz * oz) * part;
+    cosine[0][i] = transmit;
+    cosine[1][i] = std::fabs(nx * bx + ny * by + nz * bz) * part;
+    const float least = transmit > kLeast ? transmit : kLeast;
+    area[i] = nodes.height_m[0][i] / (static_cast<float>(out.range_m[i]) * least);
   }
 }
 
@@ -125,9 +130,9 @@ MAPPERD_VECTORISED void hear(const ScatterInput& e, const Leg& receive, const Si
     const double turns = both_m * turns_per_m;
     to.turns[i] = static_cast<float>(turns - static_cast<double>(static_cast<std::int32_t>(turns)));
     to.column[i] = (back.s[i] - first_sine) * columns_per_sine;
-    const double spread = out.range_m[i] * back.range_m[i];
-    const double part = spreading ? 1.0 / spread : 1.0;
-    to.pressure[i] = static_cast<float>(part) * (nodes.gain[i] * std::sqrt(section[i]));
+    const auto spread = static_cast<float>(out.range_m[i] * back.range_m[i]);
+    const float part = spreading ? 1.0F / spread : 1.0F;
+    to.pressure[i] = part * (nodes.gain[i] * std::sqrt(section[i]));
   }
 }
 

@@ -11,11 +11,13 @@ namespace {
 double min_of(const double* x) { return std::min(std::min(x[0], x[1]), std::min(x[2], x[3])); }
 double max_of(const double* x) { return std::max(std::max(x[0], x[1]), std::max(x[2], x[3])); }
 
+constexpr std::size_t kLinesAtOnce = 4;  // most patches have fewer lines
+
 // Where a line crosses the sides. Loops run to a multiple of the vectors' length.
 MAPPERD_VECTORISED void cross(const Outline& o, double row, std::size_t count,
                               std::int32_t* __restrict first, std::int32_t* __restrict nodes) {
-  for (std::size_t start = 0; start < count; start += kLanes) {
-    for (std::size_t i = start; i < start + kLanes; ++i) {
+  for (std::size_t start = 0; start < count; start += kLinesAtOnce) {
+    for (std::size_t i = start; i < start + kLinesAtOnce; ++i) {
       const double at = row + static_cast<double>(static_cast<std::int32_t>(i));
       double from = HUGE_VAL;
       double to = -HUGE_VAL;

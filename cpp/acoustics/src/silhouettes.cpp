@@ -8,7 +8,7 @@ namespace mapperd::acoustics {
 
 namespace {
 
-constexpr double kPiece = 0.02;   // rad, to which a straight edge is a straight line of s and w
+constexpr double kPiece = 0.005;  // rad, to which a straight edge is a straight line of s and w
 constexpr double kMinCut = 2e-5;  // of s and w: cuts closer than that are one
 constexpr std::size_t kMaxSlabs = 16;  // of a cell
 constexpr std::size_t kMaxCuts = 24;   // of a slab
@@ -308,9 +308,12 @@ class Cutter {
                    std::vector<double>& to) {
     to.clear();
     for (std::size_t i = 0; i < count; ++i) {
-      for (const float end : across ? segments[i].s : segments[i].w) {
-        const auto at = static_cast<double>(end);
-        if (at > low + kMinCut && at < high - kMinCut) to.push_back(at);
+      for (std::size_t end = 0; end < 2; ++end) {
+        const float* along = across ? segments[i].s : segments[i].w;
+        const auto at = static_cast<double>(along[end]);
+        if (at > low + kMinCut && at < high - kMinCut && !goes_on(segments, count, i, end)) {
+          to.push_back(at);
+        }
       }
     }
     std::sort(to.begin(), to.end());
@@ -326,6 +329,29 @@ class Cutter {
     }
     to.insert(to.begin(), low);
     to.push_back(high);
+  }
+
+  // Whether another segment goes straight on from a segment's end: how finely an edge is divided
+  // then changes nothing.
+  static bool goes_on(const Segment* segments, std::size_t count, std::size_t i, std::size_t end) {
+    constexpr float kSame = 1e-6F;
+    constexpr float kStraight = 0.01F;  // sine of the angle
+    const Segment& one = segments[i];
+    const float s = one.s[end], w = one.w[end];
+    const float ds = one.s[1 - end] - s, dw = one.w[1 - end] - w;
+    std::size_t found = 0;
+    bool straight = false;
+    for (std::size_t j = 0; j < count; ++j) {
+      for (std::size_t k = 0; k < 2 && j != i; ++k) {
+        const Segment& other = segments[j];
+        if (std::fabs(other.s[k] - s) > kSame || std::fabs(other.w[k] - w) > kSame) continue;
+        const float es = other.s[1 - k] - s, ew = other.w[1 - k] - w;
+        const float size = std::sqrt((ds * ds + dw * dw) * (es * es + ew * ew));
+        ++found;
+        straight = ds * es + dw * ew < 0.0F && std::fabs(ds * ew - dw * es) < kStraight * size;
+      }
+    }
+    return found == 1 && straight;
   }
 
   void slabs(const Box& cell, const Segment* segments, std::size_t count) {

@@ -2,30 +2,30 @@
 
 Looking and asking all rules costs more than a ping can spare, and their answers hardly change from
 one ping to the next. So poses and times are rounded before they are looked from, and what came out
-is kept for the next ping of the same cell. Where a rule is in doubt about a cell, each of its pings
-looks from its own pose. What motion displaces and what other sonars send is
+is kept for the next pings of the same cell. What motion displaces and what other sonars send is
 asked of every ping, by its own motion and time. A decision thus depends on the ping alone, never on
 which pings went before: that would make the bytes depend on who computes which ping.
 
-How certain a rule's result is when it is taken from near a ping's own pose.
-
 From the middle of a cell of poses a ping is seen a little brighter or dimmer than it is, and most
-changes show or not by a step of the quantiser. So a rule is asked for a brighter ping, and for a
-dimmer one where that calls for its effect. Equal results are certain; else the rule is left to the
-ping itself.
+changes show or not by a step of the quantiser. So a rule is asked for a brighter ping, and an
+effect is computed from half of the tolerated change on: in doubt it is. What costs next to nothing
+is decided by bounds, without a look: a thin object's few pixels would not call for it, and are
+right only with it. A cloud is computed wherever a ping of the cell may have it in its fan.
 """
 
 import math
 from collections import OrderedDict
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from threading import Lock
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sonar_sim.effects.displacement import DISPLACING_EFFECTS
+from sonar_sim.effects.effect import RuleResult
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import AUTO, Decision, EffectPlan, EffectSelection
 from sonar_sim.effects.preview import PingInstance, PingPreview
@@ -33,48 +33,87 @@ from sonar_sim.effects.previewer import Previewer
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.physics import Physics
+from sonar_sim.raycast.fan import MAX_ELEVATION_RAD
+from sonar_sim.scene.scene import Bubbles, Sediment
 
 MARGIN_DB = 1.5
 """How much brighter or dimmer a ping may be than its cell's middle."""
-OFF, ON = 0.5, 2.0
-"""Parts of the tolerated level: below the one and above the other a predicted change is clear."""
-CLEAR_DB = 6.0
-"""More is no matter of a step."""
+DOUBT = 0.5
+"""Part of the tolerated level from which on an effect is computed."""
 
 
 @dataclass(frozen=True, slots=True)
-class CellDecision:
-    """Results of the rules for a cell of poses.
+class _Bound:
+    """A decision that needs no look: whether an effect that costs next to nothing can show."""
 
-    Attributes:
-        plan: every effect's verdict.
-        doubtful: effects that each of the cell's pings must be asked for itself.
-    """
+    may_show: Callable[[PingPreview, Tolerance], bool]
+    reason: str
 
-    plan: EffectPlan
-    doubtful: frozenset[str]
+
+_BOUNDS = {
+    "spreading": _Bound(lambda _view, _tolerance: True, "echoes have ranges"),
+    "absorption": _Bound(
+        lambda view, tolerance: 2.0 * view.water_db_per_m * view.sonar.range_m > tolerance.level_db,
+        "2 alpha R at the last row",
+    ),
+    "vertical_pattern": _Bound(lambda _view, _tolerance: True, "rays leave the fan's plane"),
+    "shadows": _Bound(lambda view, _tolerance: bool(view.scene.surfaces), "surfaces hide others"),
+    "lambert": _Bound(lambda view, _tolerance: bool(view.scene.surfaces), "surfaces have slopes"),
+    "saturation": _Bound(lambda _view, _tolerance: True, "pixels have a greatest value"),
+}
+
+BY_BOUNDS = frozenset(_BOUNDS)
+"""Effects that cost next to nothing."""
 
 
 def decide_cell(
     view: PingPreview, wish: EffectSelection, tolerance: Tolerance, names: Collection[str]
-) -> CellDecision:
-    """Ask the rules of some effects, and how sure they are."""
+) -> EffectPlan:
+    """Decide on some effects for a cell of poses, in doubt for them."""
     bright = replace(tolerance, brighter_db=MARGIN_DB)
-    plan = EffectPlan.make(view, wish, bright, names)
     if wish.ground != AUTO:
-        return CellDecision(plan, frozenset())
-    asked = [d for d in plan.decisions if d.effect.name not in wish.forced]
-    doubtful = [d.effect.name for d in asked if _doubtful(d, view, tolerance)]
-    return CellDecision(plan, frozenset(doubtful))
+        return EffectPlan.make(view, wish, bright, names)
+    plan = EffectPlan.make(view, wish, bright, frozenset(names) - frozenset(_BOUNDS))
+    decisions = [_in_doubt_on(decision, view, wish, tolerance) for decision in plan.decisions]
+    for name, bound in _BOUNDS.items():
+        if name in names:
+            on = bound.may_show(view, tolerance)
+            verdict = RuleResult(on, f"costs next to nothing; {bound.reason}", math.inf)
+            decisions.append(Decision(EFFECTS[name], verdict, wish.on(name, verdict)))
+    return EffectPlan((), auto=True).with_more(EffectPlan(tuple(decisions), auto=True))
 
 
-def _doubtful(decision: Decision, view: PingPreview, tolerance: Tolerance) -> bool:
-    predicted_db = decision.verdict.predicted_db
-    if predicted_db <= OFF * tolerance.level_db or predicted_db > CLEAR_DB:
-        return False
-    dim = replace(tolerance, brighter_db=-MARGIN_DB)
-    dimmer = decision.effect.decide(view, dim)
-    return not dimmer.on or dimmer.predicted_db <= ON * tolerance.level_db
+def _in_doubt_on(
+    decision: Decision, view: PingPreview, wish: EffectSelection, tolerance: Tolerance
+) -> Decision:
+    verdict, name = decision.verdict, decision.effect.name
+    cloudy = name in CLOUD_EFFECTS and _clouds_in_fan(view, CLOUD_EFFECTS[name])
+    if verdict.on or not (cloudy or verdict.predicted_db > DOUBT * tolerance.level_db):
+        return decision
+    doubt = replace(verdict, on=True, reason=f"{verdict.reason}; in doubt")
+    return Decision(decision.effect, doubt, wish.on(name, doubt))
+
+
+def _clouds_in_fan(view: PingPreview, kind: type[Bubbles] | type[Sediment]) -> bool:
+    """Whether a ping near the view's pose may have a cloud of a kind in its fan."""
+    slack_m = view.sonar.range_m / CELLS_IN_RANGE[0]
+    for cloud in view.clouds_of(kind):
+        low_m, high_m = np.array(cloud.spec.low_m), np.array(cloud.spec.high_m)
+        away_m = ((low_m + high_m) / 2.0 - view.map_T_sonar.position_m) @ view.map_T_sonar.rotation
+        range_m = float(np.linalg.norm(away_m))
+        reach_m = float(np.linalg.norm(high_m - low_m)) / 2.0 + slack_m
+        if range_m <= reach_m:
+            return True
+        slack_rad = math.asin(reach_m / range_m) + ANGLE_RAD
+        bearing_rad = abs(math.atan2(away_m[1], away_m[0]))
+        up_rad = abs(math.asin(away_m[2] / range_m))
+        if (
+            range_m < view.sonar.range_m + reach_m
+            and bearing_rad < view.sonar.half_aperture_rad + slack_rad
+            and up_rad < MAX_ELEVATION_RAD + slack_rad
+        ):
+            return True
+    return False
 
 
 CELLS_IN_RANGE = (16, 48)
@@ -88,13 +127,10 @@ MAX_PREVIEWS = 8
 """Views at a time; each holds a few MB."""
 PER_PING = frozenset({*DISPLACING_EFFECTS, "interference"})
 """Effects that are decided for each ping: by its motion, and by other sonars in range."""
-CLOUD_EFFECTS = frozenset({"bubbles", "turbidity"})
-"""Effects that each ping looks for itself where a cloud is in range: a plume at the edge of the
-vertical pattern comes and goes by fewer degrees than a cell has."""
+CLOUD_EFFECTS: Mapping[str, type[Bubbles] | type[Sediment]] = MappingProxyType(
+    {"bubbles": Bubbles, "turbidity": Sediment}
+)
 SHARED = frozenset(EFFECTS) - PER_PING
-CAUTION_DB = 0.5
-"""How much brighter than its own coarse picture a ping is taken to be: what is left out without
-need shows more than what is computed without need."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,18 +174,14 @@ class _Shared:
     """What a cell's pings have in common.
 
     Attributes:
-        plan: of what the rules are sure of.
-        doubtful: what each ping looks closer at.
+        plan: of what does not depend on motion.
         physics: the settings of the plan.
         view: from the cell's middle.
-        closer: view from the ping itself, if there is one already.
     """
 
     plan: EffectPlan
-    doubtful: frozenset[str]
     physics: Physics
     view: PingPreview
-    closer: PingPreview | None
 
 
 class Planner:
@@ -167,7 +199,6 @@ class Planner:
         self._tolerance = tolerance
         self._known: OrderedDict[_Cell, _Shared] = OrderedDict()
         self._lock = Lock()
-        self._cloudy = CLOUD_EFFECTS if look.scene.clouds else frozenset()
 
     def at(
         self,
@@ -182,7 +213,7 @@ class Planner:
         if cell is not None:
             return self._own(self._of(cell), ping)
         view = self._look.at(map_T_sonar, ping_id, time_s)
-        return self._own(self._judged(view, view), ping)
+        return self._own(self._judged(view), ping)
 
     def _near(self, map_T_sonar: FramePose, time_s: float) -> _Cell | None:  # noqa: N803
         """The ping's cell, unless its middle is behind a wall."""
@@ -203,11 +234,10 @@ class Planner:
                     self._known.popitem(last=False)
         return shared
 
-    def _judged(self, view: PingPreview, closer: PingPreview | None = None) -> _Shared:
+    def _judged(self, view: PingPreview) -> _Shared:
         """What does not depend on motion."""
-        found = decide_cell(view, self._wish, self._tolerance, SHARED - self._cloudy)
-        sure = found.plan.without(found.doubtful)
-        return _Shared(sure, found.doubtful, sure.physics(view), view, closer)
+        plan = decide_cell(view, self._wish, self._tolerance, SHARED)
+        return _Shared(plan, plan.physics(view), view)
 
     def _own(self, shared: _Shared, ping: PingInstance) -> PlannedPing:
         """Add the effects that are decided for each ping."""
@@ -215,22 +245,7 @@ class Planner:
         own = EffectPlan.make(view, self._wish, self._tolerance, PER_PING)
         physics = replace(shared.physics)
         own.configure(physics, view)
-        closer = shared.doubtful | self._cloudy
-        if closer:
-            near = view
-            if shared.doubtful or self._clouds_near(ping.map_T_sonar):
-                near = shared.closer or self._look.at(ping.map_T_sonar, 0, ping.time_s)
-            careful = replace(self._tolerance, brighter_db=CAUTION_DB)
-            more = EffectPlan.make(near, self._wish, careful, closer)
-            more.configure(physics, near)
-            own = own.with_more(more)
         return PlannedPing(shared.plan.with_more(own), physics, view)
-
-    def _clouds_near(self, map_T_sonar: FramePose) -> bool:  # noqa: N803
-        position_m, reach_m = map_T_sonar.position_m, self._look.sonar.range_m
-        clouds = self._look.scene.clouds
-        nearest = (np.clip(position_m, cloud.low_m, cloud.high_m) for cloud in clouds)
-        return any(np.linalg.norm(point_m - position_m) < reach_m for point_m in nearest)
 
     def _cell(self, pose: FramePose, time_s: float, step_m: float) -> _Cell:
         return _Cell(

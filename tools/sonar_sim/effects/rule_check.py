@@ -24,7 +24,7 @@ from sonar_sim.effects.image_difference import (
     quantiser_change_db,
 )
 from sonar_sim.effects.plan import Decision, EffectPlan, EffectSelection
-from sonar_sim.effects.planner import Planner
+from sonar_sim.effects.planner import BY_BOUNDS, MARGIN_DB, Planner
 from sonar_sim.effects.preview import PingPreview
 from sonar_sim.effects.previewer import Previewer
 from sonar_sim.effects.registry import EFFECTS
@@ -69,18 +69,25 @@ class RuleCheck:
         without: from what they chose to the same without one effect, for each that is on; where
             the level already exceeds its tolerance, cells and texture stay 0.
         tolerance: by which they decided.
+        excused: effects that need not show: those in doubt, which a dimmer ping would not call for,
+            and those that cost next to nothing.
     """
 
     plan: EffectPlan
     left_out: PictureDifference
     without: Mapping[str, PictureDifference]
     tolerance: Tolerance
+    excused: frozenset[str] = frozenset()
 
     @property
     def faults(self) -> tuple[str, ...]:
         """What is wrong, a line each."""
         wrong = [] if self.left_out.within(self.tolerance) else [f"left out: {self.left_out}"]
-        idle = [f"{n}: {c}" for n, c in self.without.items() if c.within(self.tolerance)]
+        idle = [
+            f"{n}: {c}"
+            for n, c in self.without.items()
+            if c.within(self.tolerance) and n not in self.excused
+        ]
         return (*wrong, *idle)
 
 
@@ -133,7 +140,12 @@ class RuleChecker:
         everything = self._pictures(all_on.physics(view), view)
         left_out = self._change(chosen, everything, self._tolerance.share)
         without = {name: self._change_without(name, chosen, plan, view) for name in plan.names}
-        return RuleCheck(plan, left_out, without, self._tolerance)
+        return RuleCheck(plan, left_out, without, self._tolerance, self._excused(plan, view))
+
+    def _excused(self, plan: EffectPlan, view: PingPreview) -> frozenset[str]:
+        dim = replace(self._tolerance, brighter_db=-MARGIN_DB)
+        doubtful = (d.effect.name for d in plan.decisions if not d.effect.decide(view, dim).on)
+        return frozenset(doubtful) | BY_BOUNDS
 
     def _change_without(
         self, name: str, everything: RenderedPing, plan: EffectPlan, view: PingPreview

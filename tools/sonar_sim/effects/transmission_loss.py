@@ -34,7 +34,7 @@ SPREADING = Effect(
     needs="ranges",
     formula="two-way loss 40 log R",
     source="spherical waves; Urick, Principles of Underwater Sound",
-    rule="40 log R of what is heard changes the picture by more than the tolerance",
+    rule="always: it costs next to nothing",
     cost=Cost.FREE,
     parameters=(),
     decide=decide_spreading,
@@ -63,7 +63,7 @@ ABSORPTION = Effect(
     needs="temperature, salinity, depth, acidity",
     formula="A1 P1 f1 f²/(f²+f1²) + A2 P2 f2 f²/(f²+f2²) + A3 P3 f², dB/km, f in kHz",
     source="Francois and Garrison 1982; Ainslie and McColm 1998 as the alternative",
-    rule="2 alpha R changes the picture by more than the tolerance where it is above the noise",
+    rule="2 alpha R of the last row is above the tolerance",
     cost=Cost.ROW,
     parameters=(
         EffectParameter("water.temperature_c", "°C", "temperature"),

@@ -1,5 +1,6 @@
 """Bubbles and sediment in boxes: what they swallow on the way, and what they send back."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -7,8 +8,12 @@ from numpy.typing import NDArray
 
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.physics import Cloud, Physics
+from sonar_sim.raycast.fan import solid_angle_sr
 from sonar_sim.raycast.tracing import Trace
 from sonar_sim.scene.sonar import SonarSettings
+
+MAX_EXPONENT = 300.0
+"""Of a factor of power; more is silence."""
 
 
 def box_crossing(
@@ -66,44 +71,47 @@ def cloud_power(
     end = np.where(first.face >= 0, first.range_m, np.inf).astype(np.float64)
     row_m = sonar.range_resolution_m / physics.range_scale
     power = np.zeros((sonar.rows, trace.fan.columns))
-    weight = trace.fan.solid_angle_sr
-    if physics.vertical_width_rad is not None:
-        up = trace.fan.directions[:, 2].astype(np.float64)
-        weight = weight * vertical_two_way_power(up, physics.vertical_width_rad)
     middle_m = sonar.row_centres_m[:, None] / physics.range_scale
     for cloud in physics.clouds:
         enter, leave = box_crossing(cloud, trace.origin_m, trace.direction, end)
         inside = np.flatnonzero(leave > enter)
         column = trace.fan.column[inside]
-        share = weight[inside]
-        filled = _filled(enter[inside] / row_m, column, share, power.shape)
-        filled -= _filled(leave[inside] / row_m, column, share, power.shape)
+        share = solid_angle_sr(*trace.fan.cell[inside].T.astype(np.float64))
+        if physics.vertical_width_rad is not None:
+            up = trace.fan.directions[inside, 2].astype(np.float64)
+            share *= vertical_two_way_power(up, physics.vertical_width_rad)
+        filled = _filled(enter[inside] / row_m, leave[inside] / row_m, column, share, power.shape)
         total = np.maximum(np.bincount(column, share, trace.fan.columns), 1e-30)
         mean_enter = np.bincount(column, share * enter[inside], trace.fan.columns) / total
-        depth_m = np.maximum(middle_m - mean_enter, 0.0)
-        swallowed = 10.0 ** (-0.2 * cloud.attenuation_db_per_m * depth_m)
-        strength = 10.0 ** (cloud.volume_strength_db / 10.0) * row_m
-        power += strength * np.maximum(filled, 0.0) * swallowed
+        # exp(-k (R - entry)) beyond the entry, as a product of a row's and a column's part.
+        per_m = 0.2 * math.log(10.0) * cloud.attenuation_db_per_m
+        begin_m = float(mean_enter.min(initial=0.0))
+        behind = np.exp(np.minimum(per_m * (mean_enter - begin_m), MAX_EXPONENT))
+        faded = np.exp(-np.minimum(per_m * (middle_m - begin_m), MAX_EXPONENT))
+        filled *= np.minimum(faded * behind, 1.0)
+        filled *= 10.0 ** (cloud.volume_strength_db / 10.0) * row_m
+        power += filled
     if not physics.spreading:
         power *= np.square(np.square(middle_m))
-    total_power: NDArray[np.float32] = (
-        power * np.square(loss[:, None].astype(np.float64)) / np.square(middle_m)
-    ).astype(np.float32)
-    return total_power
+    power *= np.square(loss[:, None].astype(np.float64) / middle_m)
+    return power.astype(np.float32)
 
 
 def _filled(
-    start_row: NDArray[np.float64],
+    enter_row: NDArray[np.float64],
+    leave_row: NDArray[np.float64],
     column: NDArray[np.int32],
     weight: NDArray[np.float64],
     shape: tuple[int, int],
 ) -> NDArray[np.float64]:
-    """Weights of rays summed over all rows from each one's start on."""
+    """Weights of rays summed over the rows between entry and exit, in parts of a row, (R, C)."""
     rows, columns = shape
-    whole = np.minimum(start_row, rows).astype(np.int64)
-    part = np.where(whole < rows, start_row - whole, 0.0)
-    size = (rows + 2) * columns
-    steps = np.bincount(whole * columns + column, weight * (1.0 - part), size)
-    steps = steps + np.bincount((whole + 1) * columns + column, weight * part, size)
-    summed = np.cumsum(steps.reshape(rows + 2, columns), axis=0, dtype=np.float64)
-    return summed[:rows]
+    cells, weights = [], []
+    for start_row, sign in ((enter_row, 1.0), (leave_row, -1.0)):
+        whole = np.minimum(start_row, rows).astype(np.int64)
+        part = np.where(whole < rows, start_row - whole, 0.0)
+        cells += [whole * columns + column, (whole + 1) * columns + column]
+        weights += [sign * weight * (1.0 - part), sign * weight * part]
+    steps = np.bincount(np.concatenate(cells), np.concatenate(weights), (rows + 2) * columns)
+    summed = np.cumsum(steps.reshape(rows + 2, columns)[:rows], axis=0, dtype=np.float64)
+    return np.maximum(summed, 0.0, out=summed)

@@ -5,8 +5,8 @@ follows from the travel time, its direction is that of arrival, and it is turned
 leaves in the original direction.
 """
 
+import math
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +15,13 @@ from sonar_sim import _core
 from sonar_sim.propagation.clouds import cloud_gain
 from sonar_sim.propagation.physics import SoundSpeedProfile
 from sonar_sim.propagation.propagation_path import LEG_SIZE, PingGeometry
-from sonar_sim.raycast.fan import RayFan, refined_fan
+from sonar_sim.raycast.fan import RayFan
 from sonar_sim.raycast.meshes import NOTHING, Hits
-from sonar_sim.raycast.tracing import BEHIND, Trace, edges_of, joined_fan, spans
+from sonar_sim.raycast.tracing import BEHIND, Trace, edges_of, merged, refined_fan, spans
 
-Number = TypeVar("Number", np.float32, np.float64, np.int32)
-
-SEGMENTS = 16
-"""Straight pieces of a bent ray."""
+SEGMENTS = (2, 16)
+"""Straight pieces of a bent ray: as few as keep each within `SAGITTA_M` of its arc."""
+SAGITTA_M = 1e-3
 STEEP = 1e-6
 
 
@@ -41,29 +40,48 @@ def refracted_paths(
     Returns:
         The rays, with ranges by time along the directions in which they left; and the ways.
     """
-    start, found = _followed(here, layers, fan, reach_m, speed_mps)
-    edges = edges_of(here.meshes, fan, start.astype(np.float32), found[0].met)
-    if len(edges):
-        more = refined_fan(fan, edges)
-        fan = joined_fan(fan, edges, more)
-        more_start, more_found = _followed(here, layers, more, reach_m, speed_mps)
-        start = _core.inserted(start, edges, more_start)
-        found = [a.with_more(edges, b) for a, b in zip(found, more_found, strict=True)]
+    start, found = _followed(here, layers, fan.directions, reach_m, speed_mps)
+    met = found[0].met
+    edges = edges_of(here.meshes, fan, start.astype(np.float32), met)
+    bending = np.stack([layers.depth_m, layers.speed_mps], axis=1).astype(np.float64)
+    fan, source = refined_fan(
+        here.meshes,
+        fan,
+        met,
+        edges,
+        map_T_sonar=here.pose,
+        time_s=here.time_s,
+        reach_m=reach_m,
+        layers=bending,
+    )
+    new = source < 0
+    if new.any():
+        more_start, more = _followed(here, layers, fan.directions[new], reach_m, speed_mps)
+        start = merged(start, source, more_start)
+        found = [a.with_more(source, b) for a, b in zip(found, more, strict=True)]
     mets = tuple(layer.met for layer in found)
     trace = Trace(fan, start.astype(np.float32), here.pose.position_m, mets)
     return trace, [_ways(here, fan, start, layer) for layer in found]
 
 
 def _followed(
-    here: PingGeometry, layers: SoundSpeedProfile, fan: RayFan, reach_m: float, speed_mps: float
+    here: PingGeometry,
+    layers: SoundSpeedProfile,
+    directions: NDArray[np.float32],
+    reach_m: float,
+    speed_mps: float,
 ) -> tuple[NDArray[np.float64], list["_Found"]]:
     """Directions in which rays leave, map frame, (N, 3), and what they meet, first and behind."""
-    start = fan.directions.astype(np.float64) @ here.pose.rotation.T
-    point = np.broadcast_to(here.pose.position_m, start.shape).copy()
-    direction, step_m = start.copy(), reach_m / SEGMENTS
+    start = directions.astype(np.float64) @ here.pose.rotation.T
     found = [_Found.nothing(start) for _ in range(1 if here.physics.shadows else 1 + BEHIND)]
-    passed_m = np.zeros(len(start))
-    for segment in range(SEGMENTS):
+    # Without shadows, each piece shows one layer of what lies behind.
+    segments = _segments(layers, reach_m) if here.physics.shadows else SEGMENTS[1]
+    step_m = reach_m / segments
+    # Rays that are still on their way.
+    ray = np.arange(len(start))
+    point = np.broadcast_to(here.pose.position_m, start.shape).copy()
+    direction, passed_m = start.copy(), np.zeros(len(start))
+    for segment in range(segments):
         speed, direction = _turned(layers, point, direction, step_m)
         # From the sonar, and not from points of its own, rays leave the face that it may lie in.
         start_m = point if segment else here.pose.position_m
@@ -72,16 +90,27 @@ def _followed(
         )
         new = np.flatnonzero(met.face >= 0)
         for layer in found:
-            rays = new[layer.face[new] == NOTHING]
-            way_m = met.range_m[rays].astype(np.float64)
-            layer.face[rays], layer.group[rays] = met.face[rays], met.group[rays]
-            layer.arrival[rays] = direction[rays]
-            layer.place_m[rays] = point[rays] + way_m[:, None] * direction[rays]
-            layer.range_m[rays] = passed_m[rays] + way_m * speed_mps / speed[rays]
-            new = np.setdiff1d(new, rays, assume_unique=True)
-        point += step_m * direction
-        passed_m += step_m * speed_mps / speed
+            own = new[layer.face[ray[new]] == NOTHING]
+            way_m, its = met.range_m[own].astype(np.float64), ray[own]
+            layer.face[its], layer.group[its] = met.face[own], met.group[own]
+            layer.arrival[its] = direction[own]
+            layer.place_m[its] = point[own] + way_m[:, None] * direction[own]
+            layer.range_m[its] = passed_m[own] + way_m * speed_mps / speed[own]
+            new = np.setdiff1d(new, own, assume_unique=True)
+        going = found[-1].face[ray] == NOTHING
+        ray, direction = ray[going], direction[going]
+        point = point[going] + step_m * direction
+        passed_m = passed_m[going] + step_m * speed_mps / speed[going]
     return start, found
+
+
+def _segments(layers: SoundSpeedProfile, reach_m: float) -> int:
+    """Pieces of a ray: over a length L, an arc of curvature k leaves its chord by k L² / 8."""
+    depth_m, speed_mps = np.asarray(layers.depth_m), np.asarray(layers.speed_mps)
+    slope = np.abs(np.diff(speed_mps) / np.maximum(np.diff(depth_m), 1e-9))
+    curvature = float(slope.max(initial=0.0) / speed_mps.min())
+    wanted = math.ceil(reach_m * math.sqrt(curvature / (8.0 * SAGITTA_M)))
+    return min(max(wanted, SEGMENTS[0]), SEGMENTS[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,18 +130,14 @@ class _Found:
         group = np.zeros(count, dtype=np.int32)
         return cls(np.full(count, np.inf), face, group, start.copy(), np.zeros_like(start))
 
-    def with_more(self, after: NDArray[np.int64], more: "_Found") -> "_Found":
-        """With others between them, as many after each place."""
-
-        def both(own: NDArray[Number], others: NDArray[Number]) -> NDArray[Number]:
-            return _core.inserted(np.ascontiguousarray(own), after, np.ascontiguousarray(others))
-
+    def with_more(self, source: NDArray[np.int32], more: "_Found") -> "_Found":
+        """Of a finer fan's rays; see `merged`."""
         return _Found(
-            both(self.range_m, more.range_m),
-            both(self.face, more.face),
-            both(self.group, more.group),
-            both(self.arrival, more.arrival),
-            both(self.place_m, more.place_m),
+            merged(self.range_m, source, more.range_m),
+            merged(self.face, source, more.face),
+            merged(self.group, source, more.group),
+            merged(self.arrival, source, more.arrival),
+            merged(self.place_m, source, more.place_m),
         )
 
     @property

@@ -15,7 +15,7 @@ from sonar_sim.scene.sonar import SonarSettings
 
 MAX_ELEVATION_RAD = math.radians(40.0)
 """Out to the vertical pattern's first side lobe and a little beyond."""
-ELEVATIONS = 128
+ELEVATIONS = 64
 CENTRE_SINE = 0.3
 """Half of a column would reach so high if all its rays were as close as on the fan's plane."""
 MARGIN_BEAMS = 12
@@ -26,7 +26,7 @@ MIN_CELL_SINE = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FanGrid:
+class FanCells:
     """The cells of a fan before it was refined.
 
     Attributes:
@@ -56,7 +56,7 @@ class RayFan:
     column: NDArray[np.int32]
     columns: int
     sine_pitch: float
-    grid: FanGrid
+    grid: FanCells
 
     @property
     def first_sine(self) -> float:
@@ -113,7 +113,7 @@ def ray_fan(sonar: SonarSettings, elevations: int = ELEVATIONS) -> RayFan:
         np.repeat(column, elevations)[real],
         columns,
         sonar.sine_pitch,
-        FanGrid(edges, rays.reshape(columns, elevations)),
+        FanCells(edges, rays.reshape(columns, elevations)),
     )
 
 

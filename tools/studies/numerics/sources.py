@@ -60,8 +60,8 @@ MEASURED: dict[str, tuple[str, ...]] = {
     "pictures of pings": _in("oculus_driver/", "fan.py render/painter.py ping.py"),
     "`meshes`, `tracing` (Embree)": (
         "cpp/python/acoustics/tracing.cpp",
-        ACOUSTICS + "neighbours.cpp",
-        HEARD + "neighbours.hpp",
+        *_in(ACOUSTICS, "mesh_edges.cpp neighbours.cpp silhouettes.cpp"),
+        *_in(HEARD, "mesh_edges.hpp neighbours.hpp silhouettes.hpp"),
         *_in(
             SIMULATOR,
             "navigation/odometry_output.py propagation/ground_truth.py "

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from sonar_sim import load_scenario, sonar_preset
 from sonar_sim.effects.registry import EFFECTS
-from sonar_sim.engine import NODES_PER_BEAM
 from sonar_sim.errors import EffectError
-from sonar_sim.raycast.fan import ELEVATIONS, MARGIN_BEAMS
+from sonar_sim.raycast.fan import MARGIN_BEAMS
 from studies.accuracy_cost.simulation import STUDY, ours, scenes
 from studies.accuracy_cost.simulation.ours import widened
 from studies.accuracy_cost.simulation.reference import (
@@ -22,7 +21,7 @@ from studies.accuracy_cost.simulation.reference import (
     load_reference,
     margin_beams,
 )
-from studies.accuracy_cost.simulation.scenes import making_of
+from studies.accuracy_cost.simulation.scenes import ELEVATIONS, NODES_PER_BEAM, making_of
 from studies.accuracy_cost.study import Setting, StudyDive
 
 
@@ -46,7 +45,7 @@ def test_names_are_read_into_effects_tolerance_and_sampling() -> None:
     assert making_of({"sim.camera": "760x169"}).camera == (760, 169)
 
 
-def test_without_overrides_all_is_as_the_simulator_has_it() -> None:
+def test_without_overrides_all_is_as_recorded() -> None:
     making = making_of({})
     assert making.effects.ground == "auto"
     assert not making.effects.forced

@@ -7,14 +7,17 @@ from dataclasses import dataclass, fields
 from sonar_sim import load_scenario
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import EffectSelection
-from sonar_sim.engine import NODES_PER_BEAM
 from sonar_sim.geometry.pose import FramePose, SonarMotion
-from sonar_sim.raycast.fan import ELEVATIONS
 from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
 
 from studies.accuracy_cost.study import StudyDive, Value
 
 EFFECT, TOLERANCE = "sim.effect.", "sim.tolerance."
+
+
+ELEVATIONS = 128
+NODES_PER_BEAM = 8.0
+"""Rays of a column and scatterers in a row of a beam with which the figures are recorded."""
 
 
 @dataclass(frozen=True, slots=True)

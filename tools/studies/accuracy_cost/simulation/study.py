@@ -10,8 +10,6 @@ from sonar_sim.effects.effect import Effect
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import EffectWarning
 from sonar_sim.effects.registry import EFFECTS
-from sonar_sim.engine import NODES_PER_BEAM
-from sonar_sim.raycast.fan import ELEVATIONS
 
 from studies.accuracy_cost.simulation.error import grain_errors, kept_grain, picture_errors, rounded
 from studies.accuracy_cost.simulation.ours import Ours
@@ -23,6 +21,8 @@ from studies.accuracy_cost.simulation.reference import (
 )
 from studies.accuracy_cost.simulation.scenes import (
     DIVES,
+    ELEVATIONS,
+    NODES_PER_BEAM,
     Making,
     grain_seeds,
     making_of,

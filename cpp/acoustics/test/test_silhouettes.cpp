@@ -1,0 +1,132 @@
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "mapperd/acoustics/mesh_edges.hpp"
+#include "mapperd/acoustics/silhouettes.hpp"
+#include "testing.hpp"
+
+namespace acoustics = mapperd::acoustics;
+
+namespace {
+
+constexpr std::size_t kSide = 8;
+constexpr double kStep = 0.05;
+
+// A fan of 8 x 8 cells about straight ahead, whose rays met nothing.
+struct Fan {
+  std::vector<float> direction, cell, range_m;
+  std::vector<double> row_edges;
+  std::vector<std::int32_t> rays;
+
+  Fan() {
+    for (std::size_t k = 0; k <= kSide; ++k) {
+      row_edges.push_back(kStep * (static_cast<double>(k) - 0.5 * kSide));
+    }
+    for (std::size_t column = 0; column < kSide; ++column) {
+      for (std::size_t row = 0; row < kSide; ++row) {
+        const double s = row_edges[column] + 0.5 * kStep, w = row_edges[row] + 0.5 * kStep;
+        for (const double axis : {std::sqrt(1.0 - s * s - w * w), -s, w}) {
+          direction.push_back(static_cast<float>(axis));
+        }
+        for (const double edge :
+             {row_edges[column], row_edges[column + 1], row_edges[row], row_edges[row + 1]}) {
+          cell.push_back(static_cast<float>(edge));
+        }
+        rays.push_back(static_cast<std::int32_t>(range_m.size()));
+        range_m.push_back(std::numeric_limits<float>::infinity());
+      }
+    }
+  }
+
+  [[nodiscard]] acoustics::RefinedRays refined(const acoustics::MeshEdges& mesh) const {
+    const acoustics::SeenMesh seen{&mesh, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {}, {}};
+    return acoustics::refined_rays(
+        {kSide, kSide, row_edges[0], kStep, row_edges.data(), rays.data()},
+        {range_m.size(), range_m.data(), direction.data(), cell.data()}, {seen}, {}, 20.0,
+        {{}, {}, {0, 0, 1}, 0.0});
+  }
+};
+
+// A triangle across the way at 10 m.
+acoustics::MeshEdges triangle(const std::vector<float>& y_z) {
+  std::vector<float> corners;
+  for (std::size_t k = 0; k < 3; ++k) {
+    corners.insert(corners.end(), {10.0F, y_z[2 * k], y_z[2 * k + 1]});
+  }
+  const float normal[3] = {-1.0F, 0.0F, 0.0F};
+  const std::int32_t surface = 0;
+  return acoustics::mesh_edges(corners.data(), normal, &surface, 1);
+}
+
+double area_of(const acoustics::RefinedRays& rays, const std::vector<float>& y_z, bool inside) {
+  double area = 0.0;
+  for (std::size_t i = 0; i < rays.column.size(); ++i) {
+    const float* d = rays.direction.data() + 3 * i;
+    const float y = 10.0F * d[1] / d[0], z = 10.0F * d[2] / d[0];
+    bool in = true;
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::size_t n = (k + 1) % 3;
+      const float turn = (y_z[2 * n] - y_z[2 * k]) * (z - y_z[2 * k + 1]) -
+                         (y_z[2 * n + 1] - y_z[2 * k + 1]) * (y - y_z[2 * k]);
+      in = in && turn > 0.0F;
+    }
+    const float* cell = rays.cell.data() + 4 * i;
+    if (in || !inside) {
+      area += static_cast<double>(cell[1] - cell[0]) * static_cast<double>(cell[3] - cell[2]);
+    }
+  }
+  return area;
+}
+
+TEST_CASE("a triangle that no ray meets gets rays, and its own area") {
+  const Fan fan;
+  for (const float size : {1.0F, 0.1F, 0.01F}) {
+    const std::vector<float> y_z{
+        0.11F, 0.12F, 0.11F + size, 0.12F + 0.1F * size, 0.11F + 0.2F * size, 0.12F + size};
+    const acoustics::RefinedRays rays = fan.refined(triangle(y_z));
+    const double whole = std::pow(kStep * static_cast<double>(kSide), 2);
+    CHECK(area_of(rays, y_z, false) == near(whole, 1e-5));
+    const auto twice = static_cast<double>((y_z[2] - y_z[0]) * (y_z[5] - y_z[1]) -
+                                           (y_z[3] - y_z[1]) * (y_z[4] - y_z[0]));
+    CHECK(area_of(rays, y_z, true) / (0.5 * twice / 100.0) == near(1.0, 0.02));
+  }
+}
+
+TEST_CASE("without an outline every ray is kept as it is") {
+  const Fan fan;
+  const acoustics::RefinedRays rays = fan.refined(triangle({5.0F, 5.0F, 6.0F, 5.0F, 5.0F, 6.0F}));
+  CHECK(rays.cell == fan.cell);
+  CHECK(rays.direction == fan.direction);
+  for (std::size_t i = 0; i < rays.from.size(); ++i) {
+    CHECK(rays.from[i] == static_cast<std::int32_t>(i));
+  }
+}
+
+TEST_CASE("an outline behind what all rays about it met is hidden") {
+  Fan fan;
+  fan.range_m.assign(fan.range_m.size(), 5.0F);
+  const acoustics::RefinedRays rays = fan.refined(triangle({0.0F, 0.0F, 0.5F, 0.0F, 0.0F, 0.5F}));
+  CHECK(rays.from.size() == fan.rays.size());
+}
+
+TEST_CASE("edges within a plane are left out, creases and borders are told apart") {
+  // Two faces of a square, and one that stands on its side.
+  const std::vector<float> corners{0, 0, 0, 1, 0, 0, 1, 1, 0,  //
+                                   0, 0, 0, 1, 1, 0, 0, 1, 0,  //
+                                   1, 0, 0, 1, 0, 1, 1, 1, 0};
+  const std::vector<float> normals{0, 0, 1, 0, 0, 1, -1, 0, 0};
+  const std::vector<std::int32_t> surface{0, 0, 0};
+  const acoustics::MeshEdges mesh =
+      acoustics::mesh_edges(corners.data(), normals.data(), surface.data(), 3);
+  std::size_t borders = 0, creases = 0;
+  for (const acoustics::MeshEdge& edge : mesh.edges) {
+    borders += edge.border ? 1 : 0;
+    creases += edge.crease ? 1 : 0;
+  }
+  CHECK(mesh.edges.size() == 6);
+  CHECK(borders == 5);
+  CHECK(creases == 1);
+}
+
+}  // namespace
