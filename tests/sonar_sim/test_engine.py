@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from sonar_sim.engine import PingEngine
 from sonar_sim.errors import SceneError
-from sonar_sim.geometry.pose import SonarMotion
+from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.geometry.trajectory import Drift
 from sonar_sim.propagation.physics import Cloud, Mirror, Physics, SoundSpeedProfile
 from sonar_sim.raycast.meshes import NOTHING, SEA
@@ -408,3 +408,24 @@ def test_a_small_plate_far_away_is_seen() -> None:
         engine = PingEngine(Scene((plate,)), sonar)
         power = cell_power(engine, pose_at((0.0, 0.0, float(lift_m))), MEAN).sum()
         assert decibel(power * 100.0**4 / plate.material.mu) == pytest.approx(-0.6, abs=1.0)
+
+
+@pytest.mark.parametrize("gain_percent", [50.0, 70.0])
+def test_the_ring_lights_the_first_rows_alike_in_each_ping(gain_percent: float) -> None:
+    sonar = SonarSettings(demanded_range_m=2.0, gain_percent=gain_percent)
+    engine = PingEngine(Scene(), sonar)
+    physics = Physics(
+        beam_width_rad=sonar.beam_width_rad,
+        side_lobe_db=30.0,
+        sine_bearings=True,
+        speckle=True,
+        tvg=True,
+        gain=True,
+        ring_down_db=-31.0,
+    )
+    pose = FramePose(np.zeros(3), np.eye(3))
+    shown = [engine.ping(pose, physics, ping_id).amplitude for ping_id in (1, 2)]
+    level_db = 10.0 * np.log10(np.square(shown[0][:4, 50:-50]).mean(axis=1))
+    expected = -31.0 - 1300.0 * sonar.row_centres_m[:4] + 0.96 * (gain_percent - 50.0)
+    assert level_db == pytest.approx(expected, abs=1.0)
+    assert np.array_equal(shown[0], shown[1])

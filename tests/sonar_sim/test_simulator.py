@@ -3,8 +3,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from sonar_sim.geometry.pose import FramePose, Mounting, rotation_of
-from sonar_sim.scene.scene import Scene
+from sonar_sim.scene.material import MATERIALS
+from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.simulator import Simulator
 
@@ -73,10 +75,26 @@ def test_mounting_looks_down_with_the_fan_across_and_roll_turns_it_to_port(plate
 
 def test_noise_rises_with_range_and_stays_below_the_echoes() -> None:
     empty = Scene(())
-    sonar = SonarSettings(demanded_range_m=10.0)
+    sonar = SonarSettings(demanded_range_m=10.0, gain_percent=70.0)
     image = Simulator(empty, sonar).ping(FramePose(np.zeros(3), np.eye(3)), 0).image
     assert image[:100].mean() < image[-100:].mean() < 35.0
     assert image[-100:].mean() > 1.0
+
+
+@pytest.mark.parametrize("pitch_deg", [0.0, 10.0])
+def test_sand_two_metres_below_is_seen_to_fifteen(pitch_deg: float) -> None:
+    """Its rows are at least 6 dB above the noise, and brighter in the pixels."""
+    sonar = SonarSettings(demanded_range_m=20.0, gain_percent=70.0)
+    turned = Rotation.from_euler("y", pitch_deg, degrees=True).as_matrix()
+    look = FramePose(np.array([0.0, 0.0, -2.0]), turned)
+    corners = 200.0 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) - [0.0, 0.0, 4.0]
+    sand = Surface("sand", corners, np.array([[0, 1, 2], [0, 2, 3]]), MATERIALS["sand"])
+    seen, empty = (Simulator(scene, sonar).ping(look) for scene in (Scene((sand,)), Scene(())))
+    rows = np.abs(sonar.row_centres_m - 14.5) < 0.5
+    powers = [np.square(ping.amplitude[rows, 128:-128]).mean() for ping in (seen, empty)]
+    assert 10.0 * np.log10(powers[0] / powers[1] - 1.0) > 6.0
+    pixels = [ping.image[rows, 128:-128].mean() for ping in (seen, empty)]
+    assert pixels[0] > 1.5 * pixels[1]
 
 
 def test_equal_seed_pose_and_number_give_equal_bytes(plate: Plate, level_pose: FramePose) -> None:

@@ -8,7 +8,7 @@ from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.scene.vehicle import Vehicle
 from sonar_sim.world import World, WorldPing
 
-SONAR = SonarSettings(demanded_range_m=5.0, beams=64, forced_rows=200)
+SONAR = SonarSettings(demanded_range_m=5.0, beams=64, forced_rows=200, gain_percent=75.0)
 AHEAD = Mounting((0.0, 0.0, 0.0), pitch_deg=0.0)
 PATTERN = "spreading,azimuth_pattern"
 pytestmark = pytest.mark.filterwarnings("ignore::sonar_sim.effects.plan.EffectWarning")

@@ -22,18 +22,21 @@ from sonar_sim.propagation.propagation_path import (
     mirror_paths,
 )
 from sonar_sim.propagation.refraction import refracted_paths
-from sonar_sim.raycast.fan import ELEVATIONS, MARGIN_BEAMS, ray_fan
+from sonar_sim.raycast.fan import ELEVATIONS, MARGIN_BEAMS, RayFan, ray_fan
 from sonar_sim.raycast.meshes import Meshes
 from sonar_sim.raycast.tracing import Trace, trace
 from sonar_sim.raycast.visible_surface import visible_points
 from sonar_sim.receiver.beamformer import BeamFormer, beam_former, column_taps
 from sonar_sim.receiver.gain import amplitude as received
-from sonar_sim.receiver.gain import quantise, row_gain
+from sonar_sim.receiver.gain import quantise, ring_down_power_db, row_gain
 from sonar_sim.receiver.noise import (
     add_arrival,
     add_crosstalk,
     add_random,
+    add_tail,
+    diffuse_limit_m2,
     noise_rms,
+    pose_key,
     stream_key,
     volume_rms,
 )
@@ -113,7 +116,9 @@ class PingEngine:
         # The sonar compensates the water's absorption, even if it is not simulated.
         self._assumed_db_per_m = scene.water.absorption_db_per_m(sonar.frequency_hz)
         self._meshes = Meshes(scene)
+        self._loudest_mu = float(self._meshes.strengths[:, 0].max(initial=0.0))
         self._fan = ray_fan(sonar, elevations)
+        self._elevations = elevations
         self._volume: (
             tuple[tuple[object, ...], tuple[NDArray[np.float32], NDArray[np.float32]]] | None
         ) = None
@@ -195,13 +200,14 @@ class PingEngine:
     def _ways(self, here: PingGeometry) -> tuple[Trace, list[_core.Rays]]:
         """Where the rays go, and the ways of the sound from there."""
         physics, reach_m = here.physics, REACH * here.range_m
+        fan = self._all_around if physics.all_elevations else self._fan
         if physics.layers is not None:
             speed = self.scene.water.speed_of_sound_mps
-            rays, ways = refracted_paths(here, physics.layers, self._fan, reach_m, speed)
+            rays, ways = refracted_paths(here, physics.layers, fan, reach_m, speed)
         else:
             rays = trace(
                 self._meshes,
-                self._fan,
+                fan,
                 here.pose,
                 here.time_s,
                 reach_m,
@@ -212,6 +218,11 @@ class PingEngine:
         for mirror in physics.mirrors:
             ways += mirror_paths(here, rays, mirror)
         return rays, ways
+
+    @cached_property
+    def _all_around(self) -> RayFan:
+        """The fan with rays in all directions ahead; of the same columns."""
+        return ray_fan(self.sonar, self._elevations, all_around=True)
 
     def _surfaces(self, here: PingGeometry, ways: list[_core.Rays]) -> Cells:
         """What surfaces and targets send back, by all ways, (rows, columns)."""
@@ -266,6 +277,21 @@ class PingEngine:
     ) -> None:
         """Add what is no surface: water, clouds, noise, other sonars."""
         physics, seed = here.physics, self._seed
+        if physics.reverberation is not None:
+            wavelength_m = self.scene.water.speed_of_sound_mps / self.sonar.frequency_hz
+            key = pose_key(seed, here.pose, wavelength_m)
+            limit = diffuse_limit_m2(self.sonar, self._loudest_mu)
+            limit *= np.square(self._loss(physics), dtype=np.float64)
+            if physics.spreading:
+                limit /= (self.sonar.row_centres_m / physics.range_scale) ** 4
+            add_tail(
+                cells,
+                physics.reverberation,
+                self.sonar,
+                limit=limit,
+                key=key,
+                threads=self._threads,
+            )
         if physics.volume_strength_db is not None:
             row_rms, column_rms = self._volume_rms(physics)
             # Plankton drifts on between two pings.
@@ -283,6 +309,12 @@ class PingEngine:
             row_rms = noise_rms(self.sonar, physics, former.noise_gain)
             level = np.ones(self._fan.columns, dtype=np.float32)
             add_random(cells, row_rms, level, stream_key(seed, "noise", ping_id), self._threads)
+        if physics.ring_down_db is not None:
+            level_db = ring_down_power_db(self.sonar, physics.ring_down_db, self._assumed_db_per_m)
+            rms = (10.0 ** (level_db / 20.0) / former.noise_gain).astype(np.float32)
+            level = np.ones(self._fan.columns, dtype=np.float32)
+            # The electronics ring alike after each transmission.
+            add_random(cells, rms, level, stream_key(seed, "ring"), self._threads)
         for number, arrival in enumerate(physics.arrivals):
             key = stream_key(seed, "arrival", ping_id, number)
             speed = self.scene.water.speed_of_sound_mps
@@ -305,6 +337,7 @@ class PingEngine:
         shape = (
             physics.beam_width_rad,
             physics.side_lobe_db,
+            physics.focus_m,
             physics.range_spread,
             physics.sine_bearings,
         )

@@ -22,6 +22,7 @@ from sonar_sim.scene.scenario import Scenario, sonar_pose
 from sonar_sim.scene_file import load_scenario, scene_names
 from sonar_sim.validation import tank
 from sonar_sim.validation import tank as v20_tank
+from sonar_sim.validation.recording import read_recording, simulate_floor, simulate_recording
 
 from oculus_driver.render import Style
 
@@ -38,13 +39,28 @@ def main() -> None:
     """Draw all."""
     parser = argparse.ArgumentParser(description="Draw the simulator's pages.")
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
-    out: Path = parser.parse_args().out
+    parser.add_argument("--recording", type=Path, help="public recording of three pings")
+    arguments = parser.parse_args()
+    out: Path = arguments.out
     out.mkdir(parents=True, exist_ok=True)
     ahead = harbour_ahead()
     draw(out / "simulator-classic.png", classic_page(ahead), 2)
     draw(out / "simulator-products.png", product_page(ahead), 3)
     draw(out / "simulator-tank.png", tank_page(), 4)
-    draw(out / "simulator-pings.png", [scene_ping(name) for name in scene_names()], 4)
+    if arguments.recording is not None:
+        draw(out / "simulator-recording.png", recording_page(arguments.recording), 3)
+    draw(out / "simulator-pings.png", [scene_ping(name) for name in scene_names()], 3)
+
+
+def recording_page(path: Path) -> list[Picture]:
+    """A recorded ping beside its simulations, range upwards."""
+    recorded = read_recording(path)
+    pictures = (
+        ("recorded: M1200d, 2.1 MHz, 2 m", recorded.pixels[0]),
+        ("simulated from its echoes up to 1.3 m", simulate_recording(recorded, 1)[0]),
+        ("simulated over an even floor", simulate_floor(recorded, 1)[0]),
+    )
+    return [(title, pixels[::-1]) for title, pixels in pictures]
 
 
 def harbour_ahead() -> PingProducts:

@@ -56,7 +56,9 @@ def simulated() -> Callable[[str, float], Image]:
         "floor": Scene((Surface("floor", sand, faces, MATERIALS["sand"]),)),
         "harbour": load_scenario("harbour").scene,
     }
-    simulators = {name: Simulator(scene, SonarSettings(), 1) for name, scene in scenes.items()}
+    # A noisy receiver: what is dark is not silent.
+    sonar = SonarSettings(noise_excess_db=40.0)
+    simulators = {name: Simulator(scene, sonar, 1) for name, scene in scenes.items()}
 
     def image(scene: str, pitch_deg: float) -> Image:
         rotation = rotation_of(0.0, math.radians(pitch_deg), 0.0)

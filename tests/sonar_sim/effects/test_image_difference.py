@@ -1,11 +1,13 @@
 """How much two pictures differ: level, displacement, grain."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from sonar_sim.effects.image_difference import (
+    DARK_WEIGHT,
     expected_clipped,
     level_change_db,
     quantiser_change_db,
@@ -39,19 +41,48 @@ def test_a_share_of_the_pixels_may_differ() -> None:
     assert level_change_db(FLAT, spot, SONAR, 0.001) == 0.0
 
 
-def test_less_than_a_step_is_not_seen() -> None:
-    coarse = replace(SONAR, bits=8)
-    dark = np.full((10, 10), 1.0 / 255.0, dtype=np.float32)
-    assert level_change_db(dark, 1.9 * dark, coarse, 0.0) == 0.0
-    assert level_change_db(dark, 2.5 * dark, coarse, 0.0) == pytest.approx(7.96, abs=0.01)
+def with_dark(amplitude: float) -> np.ndarray:
+    """Bright but for two of ten columns: too few for their mean to be looked at."""
+    picture = np.full((10, 10), 0.5, dtype=np.float32)
+    picture[:, :2] = amplitude
+    return picture
+
+
+def test_less_than_a_step_is_not_seen_in_single_pixels() -> None:
+    coarse, dark = replace(SONAR, bits=8), with_dark(1.0 / 255.0)
+    assert level_change_db(dark, with_dark(1.9 / 255.0), coarse, 0.0) == 0.0
+    brighter = level_change_db(dark, with_dark(2.5 / 255.0), coarse, 0.0)
+    assert brighter == pytest.approx(7.96, abs=0.01)
 
 
 def test_gamma_makes_steps_of_dark_pixels_finer() -> None:
-    dark = np.full((10, 10), 1e-3, dtype=np.float32)
     linear = replace(SONAR, bits=8)
     curved = replace(linear, gamma_byte=127)
-    assert level_change_db(dark, 2 * dark, linear, 0.0) == 0.0
-    assert level_change_db(dark, 2 * dark, curved, 0.0) == pytest.approx(6.02, abs=0.01)
+    assert level_change_db(with_dark(1e-3), with_dark(2e-3), linear, 0.0) == 0.0
+    change_db = level_change_db(with_dark(1e-3), with_dark(2e-3), curved, 0.0)
+    assert change_db == pytest.approx(6.02, abs=0.01)
+
+
+@pytest.mark.parametrize("gamma_byte", [127, 255])
+@pytest.mark.parametrize("steps", [0.5, 0.9, 1.4])
+def test_what_fills_the_dark_is_seen_in_the_mean_of_its_pixels(
+    steps: float, gamma_byte: int
+) -> None:
+    """Against the pixels of a million speckles."""
+    sonar = replace(SONAR, bits=8, gamma_byte=gamma_byte)
+    gamma = 1.0 if gamma_byte == 255 else gamma_byte / 255.0
+    rms = [(part * steps / 255.0) ** (1.0 / gamma) for part in (1.0, 1.2)]
+    field = np.random.default_rng(26).normal(size=(2, 500_000)) / math.sqrt(2.0)
+    speckle = np.hypot(*field)
+    means = [np.rint(255.0 * (speckle * m) ** gamma).mean() for m in rms]
+    expected_db = DARK_WEIGHT * 20.0 / gamma * math.log10(means[1] / means[0])
+    one, other = (np.full((64, 8), m, dtype=np.float32) for m in rms)
+    assert level_change_db(one, other, sonar, 0.001) == pytest.approx(expected_db, rel=0.03)
+
+
+def test_dark_pixels_that_stay_black_do_not_differ() -> None:
+    one, other = (np.full((64, 8), m / 255.0, dtype=np.float32) for m in (0.05, 0.2))
+    assert level_change_db(one, other, replace(SONAR, bits=8), 0.001) == 0.0
 
 
 @pytest.mark.parametrize(("cells", "same"), [(0.5, True), (0.2, False)])

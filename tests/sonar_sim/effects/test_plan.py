@@ -13,9 +13,9 @@ from tests.sonar_sim.effects.previews import LOUD, floor, pose, view_of
 
 NAMES = """
 spreading absorption sound_speed refraction turbidity bubbles azimuth_pattern side_lobes
-vertical_pattern bearing_table range_spread shadows lambert specular speckle volume
-surface_reverberation bottom_reverberation multipath motion doppler noise crosstalk
-interference tvg gain saturation gamma quantisation
+vertical_pattern all_elevations bearing_table near_field range_spread shadows lambert specular
+speckle volume reverberation surface_reverberation bottom_reverberation multipath motion doppler
+noise ring_down crosstalk interference tvg gain saturation gamma quantisation
 """
 
 
@@ -85,6 +85,7 @@ def test_each_effect_changes_the_settings() -> None:
         "interference",
         "multipath",
         "surface_reverberation",
+        "near_field",
     }  # this scene has nothing for them
     for name in set(EFFECTS) - idle:
         bare, one = (plan(choice).physics(view) for choice in ("none", name))

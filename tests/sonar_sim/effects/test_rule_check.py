@@ -13,7 +13,8 @@ from sonar_sim.scene_file import load_scenario, scene_names
 def test_what_is_left_out_does_not_show_and_what_is_computed_does(name: str) -> None:
     scenario = load_scenario(name)
     small = replace(scenario.sonar, beams=96, beam_width_rad=0.03, forced_rows=200)
-    checker = RuleChecker(replace(scenario, sonar=small))
+    # So few pixels need many seeds to tell a change of texture from chance.
+    checker = RuleChecker(replace(scenario, sonar=small), seeds=range(8))
     check = checker.check(0.5 * scenario.trajectory.duration_s)
     assert check.faults == ()
     assert len(check.without) > 8

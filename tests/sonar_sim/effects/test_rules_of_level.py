@@ -11,6 +11,7 @@ from sonar_sim.scene.material import MATERIALS, Material
 from sonar_sim.scene.scene import Bubbles, CloudSpec, Emitter, Scene, Sea, Sediment, Surface
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.scene.water import Water
+from sonar_sim.simulator import Simulator
 from sonar_sim.validation.setups import sphere
 
 from tests.sonar_sim.effects.previews import LOUD, SONAR, floor, pose, verdict, view_of, wall
@@ -103,6 +104,78 @@ def test_noise_shows_at_high_gain_and_not_at_none() -> None:
 def test_volume_shows_in_turbid_water(strength_db: float, *, on: bool) -> None:
     scene = Scene((floor(),), water=Water(volume_strength_db=strength_db))
     assert verdict("volume", view_of(scene=scene)).on is on
+
+
+def test_volume_below_one_step_counts_where_it_is_much_of_the_waters_mean() -> None:
+    sonar = replace(SONAR, gain_percent=70.0)
+    for strength_db, on in ((-68.0, True), (-105.0, False)):
+        scene = Scene(water=Water(volume_strength_db=strength_db))
+        view = view_of(scene=scene, sonar=sonar)
+        # Under a step of the quantiser in every pixel.
+        both, noise = (
+            view.gains.amplitude(p) for p in (view.picture, view.noise_power + 0.0 * view.picture)
+        )
+        assert 255.0 * (both - noise).max() < 1.0
+        assert verdict("volume", view).on is on
+        with_it, without = (
+            Simulator(water, sonar, effects="all").ping(pose()).image.astype(float)
+            for water in (scene, Scene(water=STILL_WATER))
+        )
+        rows = slice(sonar.rows // 8, sonar.rows // 4)
+        change_db = 20.0 * np.log10(with_it[rows].mean() / max(without[rows].mean(), 0.02))
+        assert bool(change_db > 1.0) is on
+
+
+@pytest.mark.parametrize(("level_db", "on"), [(-18.5, True), (-80.0, False)])
+@pytest.mark.filterwarnings("ignore::sonar_sim.effects.plan.EffectWarning")
+def test_the_tail_behind_a_wall_is_computed_where_it_shows(level_db: float, *, on: bool) -> None:
+    water = Water(reverberation_db=level_db)
+    scene = Scene((wall(5.0, half_m=1.0),), water=water)
+    at = pose(0.0)
+    assert verdict("reverberation", view_of(scene=scene, at=at)).on is on
+    assert not verdict("reverberation", view_of(scene=Scene(water=water))).on
+    # What the rule foretells is what the engine gives: mean powers behind the wall.
+    sonar = replace(SONAR, noise_excess_db=-50.0, bits=16)
+    view = view_of(scene=scene, sonar=sonar, at=at)
+    quiet = {"speckle": False, "noise": False, "volume": False}
+    shown = Simulator(scene, sonar, effects=quiet | {"reverberation": True}).ping(at).amplitude
+    behind = np.abs(view.grid.range_m - 6.5) < 0.3
+    rows = np.abs(sonar.row_centres_m - 6.5) < 0.3
+    coarse = np.square(view.gains.amplitude(view.tail_picture))[behind].mean(axis=0)
+    fine = np.square(shown[rows]).mean(axis=0)
+    ratio_db = 10.0 * np.log10(fine[128:-128].mean() / coarse[24:-24].mean())
+    assert ratio_db == pytest.approx(0.0, abs=1.0)
+
+
+def test_the_floor_straight_below_is_called_for_only_if_it_shows() -> None:
+    """2 m under a level sonar it is all there is; under a loud wall and by night it is lost."""
+    near = Scene((floor(),))
+    found = verdict("all_elevations", view_of(scene=near, sonar=LOUD))
+    assert found.on
+    assert not verdict(
+        "all_elevations", view_of(scene=near, sonar=replace(SONAR, gain_percent=0.0))
+    ).on
+    assert not verdict("all_elevations", view_of(wall(9.0, half_m=2.0), sonar=LOUD)).on
+
+
+def test_near_field_is_for_sonars_without_focus_near_something() -> None:
+    blurred = replace(SONAR, dynamic_focus=False)
+    assert not verdict("near_field", view_of(wall(3.0))).on
+    found = verdict("near_field", view_of(wall(3.0), sonar=blurred))
+    assert found.on
+    assert found.predicted_db == pytest.approx(10.0 * np.log10(5.15 / 3.0), abs=0.1)
+    assert not verdict("near_field", view_of(wall(6.0), sonar=blurred)).on
+
+
+@pytest.mark.parametrize(
+    ("level_db", "gain_percent", "on"),
+    [(-31.0, 50.0, True), (-31.0, 0.0, False), (-90.0, 50.0, False), (None, 50.0, False)],
+)
+def test_the_ring_is_computed_if_the_first_row_shows_it(
+    level_db: float | None, gain_percent: float, *, on: bool
+) -> None:
+    sonar = replace(SONAR, ring_down_db=level_db, gain_percent=gain_percent)
+    assert verdict("ring_down", view_of(floor(), sonar=sonar)).on is on
 
 
 def test_turbidity_goes_with_the_sediment() -> None:

@@ -65,6 +65,17 @@ def test_side_lobes_stay_below_the_design_level() -> None:
     assert 20.0 * np.log10(beyond[-2000:].max()) < -55.0
 
 
+@pytest.mark.parametrize("beams", [256, 512])
+@pytest.mark.parametrize("place", np.random.default_rng(26).uniform(0.0, 1.0, 6))
+def test_beams_hear_the_highest_side_lobe_wherever_they_lie_in_it(beams: int, place: float) -> None:
+    sonar = SonarSettings(beams=beams)
+    sines: NDArray[np.float64] = np.arange(beams, dtype=np.float64) + place - beams // 2
+    sines *= sonar.sine_pitch
+    heard = np.abs(azimuth_amplitude(sonar.beam_width_rad, 30.0)(sines))
+    lobes = heard[np.abs(sines) > main_lobe_end(sonar.beam_width_rad, 30.0)]
+    assert 20.0 * math.log10(lobes.max()) == pytest.approx(-30.0, abs=0.35)
+
+
 @pytest.mark.parametrize("side_lobe_db", [13.27, 20.0, 25.0, 40.0, 55.0])
 def test_any_side_lobes_can_be_had_at_the_same_width(side_lobe_db: float) -> None:
     width_rad = math.radians(1.0)

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from sonar_sim.engine import PingEngine
+from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.raycast.fan import ray_fan, solid_angle_sr
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
-from sonar_sim.validation.setups import MEAN, cell_power, floor, pose_at
+from sonar_sim.validation.setups import MEAN, cell_power, floor, pose_at, rectangle
 
 HEIGHT_M = 2.0
 SONAR = SonarSettings(beams=192, demanded_range_m=5.0, forced_rows=200)
@@ -60,12 +61,49 @@ def test_the_field_s_power_at_the_edge_is_the_floor_s_own() -> None:
     assert got.sum() == pytest.approx(expected.sum(), rel=0.1)
 
 
-def test_the_fan_covers_all_directions_ahead() -> None:
+def test_the_floor_under_a_level_sonar_is_heard_from_its_nearest_point_on() -> None:
+    """Straight below no row is missing: mean powers by the integral, and fields about them."""
+    physics, pose = replace(MEAN, all_elevations=True), pose_at((0.0, 0.0, HEIGHT_M))
+    expected = floor_power().sum(axis=1)
+    power = cell_power(PingEngine(Scene((floor(),)), SONAR), pose, physics).sum(axis=1)
+    foot = round(HEIGHT_M / SONAR.range_resolution_m)
+    assert power[:foot].sum() < 1e-3 * power[foot]
+    assert power[foot:180] == pytest.approx(expected[foot:180], rel=0.02)
+    speckled = replace(physics, speckle=True)
+    fields = [
+        cell_power(PingEngine(Scene((floor(),)), SONAR, seed=seed), pose, speckled).sum(axis=1)
+        for seed in SEEDS
+    ]
+    rows = slice(foot, foot + 8)
+    assert np.mean(fields, axis=0)[rows].sum() == pytest.approx(expected[rows].sum(), rel=0.1)
+
+
+@pytest.mark.parametrize("up", [1.0, -1.0])
+def test_what_is_straight_above_or_below_is_heard_by_the_pattern_s_far_lobe(up: float) -> None:
+    plate = rectangle((0.3, 0.0, up * 1.5), (0.6, 0.0, 0.0), (0.0, 0.4, 0.0))
+    engine, pose = PingEngine(Scene((plate,)), SONAR), pose_at((0.0, 0.0, 0.0))
+    plain = replace(MEAN, all_elevations=True)
+    heard = replace(plain, vertical_width_rad=SONAR.vertical_width_rad)
+    powers = [cell_power(engine, pose, physics).sum() for physics in (MEAN, plain, heard)]
+    x, y = np.meshgrid((np.arange(60) + 0.5) / 100.0, (np.arange(40) - 19.5) / 100.0)
+    range_m = np.sqrt(x**2 + y**2 + 1.5**2)
+    echo = plate.material.mu * (1.5 / range_m) ** 2 * 1e-4 / range_m**4
+    pattern = vertical_two_way_power(1.5 / range_m, SONAR.vertical_width_rad)
+    assert powers[0] == 0.0
+    assert powers[1] == pytest.approx(echo.sum(), rel=0.05)
+    assert powers[2] == pytest.approx((echo * pattern).sum(), rel=0.05)
+    below_db = 10.0 * np.log10(vertical_two_way_power(np.ones(1), SONAR.vertical_width_rad)[0])
+    assert below_db == pytest.approx(-36.4, abs=0.2)
+
+
+@pytest.mark.parametrize("all_around", [False, True])
+def test_the_fan_covers_all_directions_ahead(*, all_around: bool) -> None:
     sonar = replace(SONAR, half_aperture_rad=math.radians(85.0), beams=180)
-    fan = ray_fan(sonar)
+    fan = ray_fan(sonar, all_around=all_around)
     top, left = float(fan.cell[:, 3].max()), float(fan.cell[:, 0].min())
     up = (np.arange(100_000) + 0.5) / 100_000 * 2.0 * top - top
     most = np.sqrt(1.0 - up**2)
+    assert top == pytest.approx(1.0 if all_around else math.sin(math.radians(40.0)))
     expected = np.mean(2.0 * np.arcsin(np.minimum(-left / most, 1.0))) * 2.0 * top
     assert fan.solid_angle_sr.sum() == pytest.approx(expected, rel=1e-3)
 

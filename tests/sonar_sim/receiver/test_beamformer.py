@@ -147,3 +147,57 @@ def test_field_of_another_shape_or_kind_is_refused() -> None:
         _core.add_gaussian(np.zeros((5, 5), dtype=np.complex128), ones, ones, 1)
     with pytest.raises(ValueError, match="contiguous"):
         _core.add_gaussian(np.zeros((5, 10), dtype=np.complex64)[:, ::2], ones, ones, 1)
+
+
+FOCUS_M = SONAR.focus_m(1500.0)
+
+
+def test_focus_is_that_of_the_array_s_length() -> None:
+    """L = 0.886 lambda / width: 101.5 mm in both bands of an M750d."""
+    high = dataclasses.replace(SONAR, frequency_hz=1.2e6, beam_width_rad=math.radians(0.6))
+    assert SONAR.focus_m(1500.0) == pytest.approx(5.2, abs=0.1)
+    assert high.focus_m(1500.0) == pytest.approx(8.9, abs=0.1)
+
+
+@pytest.mark.parametrize("side_lobe_db", [None, 30.0])
+@pytest.mark.parametrize("range_m", [0.7, 1.3, 2.6, 4.9, 6.0])
+def test_beams_without_focus_are_as_wide_as_the_array_near_it(
+    range_m: float, side_lobe_db: float | None
+) -> None:
+    settings = Physics(
+        beam_width_rad=WIDTH, side_lobe_db=side_lobe_db, sine_bearings=True, focus_m=FOCUS_M
+    )
+    sonar = dataclasses.replace(SONAR, demanded_range_m=8.0)
+    cells = np.zeros((sonar.rows, COLUMNS), dtype=np.complex64)
+    row = int(range_m / sonar.range_resolution_m)
+    cells[row, MARGIN + 256] = 1.0
+    near = np.abs(beam_former(sonar, settings, MARGIN).form(cells)[row])
+    focused = np.abs(
+        beam_former(sonar, dataclasses.replace(settings, focus_m=None), MARGIN).form(cells)[row]
+    )
+    wide = max(FOCUS_M / range_m, 1.0)
+    # Equivalent widths: what is lost at the peak is gained beside it.
+    assert np.square(near).sum() == pytest.approx(np.square(focused).sum(), rel=0.02)
+    assert np.square(focused.max() / near.max()) == pytest.approx(wide, rel=0.07)
+
+
+def test_bands_of_widths_join_and_noise_stays_as_loud() -> None:
+    settings = Physics(
+        beam_width_rad=WIDTH,
+        side_lobe_db=30.0,
+        sine_bearings=True,
+        range_spread=True,
+        focus_m=FOCUS_M,
+    )
+    sonar = dataclasses.replace(SONAR, demanded_range_m=8.0)
+    former = beam_former(sonar, settings, MARGIN)
+    firsts, lasts = zip(*((first, last) for first, last, _ in former.near), strict=True)
+    assert lasts[1:] == firsts[:-1]
+    assert (firsts[-1], lasts[0]) == (0, int(FOCUS_M / sonar.range_resolution_m))
+    cells = _core.complex_gaussian(7, sonar.rows * COLUMNS).reshape(sonar.rows, COLUMNS)
+    power = np.square(np.abs(former.form(cells)))[:, 200:312]
+    bands = power[: sonar.rows // 50 * 50].reshape(-1, 50 * power.shape[1]).mean(axis=1)
+    spread = np.square(np.abs(_core.complex_gaussian(7, 100000))).mean()
+    # The nearest beams are so wide that few of them are independent.
+    assert bands[4:] == pytest.approx(spread * former.noise_gain**2, rel=0.25)
+    assert bands[-6:].mean() == pytest.approx(spread * former.noise_gain**2, rel=0.05)

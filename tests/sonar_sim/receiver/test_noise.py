@@ -3,18 +3,27 @@ import math
 
 import numpy as np
 import pytest
-from sonar_sim.propagation.physics import InterferencePulse, Physics
+from scipy.spatial.transform import Rotation
+from sonar_sim.engine import PingEngine
+from sonar_sim.geometry.pose import FramePose
+from sonar_sim.propagation.physics import InterferencePulse, Physics, Reverberation
 from sonar_sim.receiver.beamformer import beam_former
 from sonar_sim.receiver.noise import (
     add_arrival,
     add_crosstalk,
     add_random,
+    add_tail,
     column_sines,
     noise_rms,
+    pose_key,
     stream_key,
+    tail_power,
     volume_rms,
 )
+from sonar_sim.scene.material import Material
+from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
+from sonar_sim.validation.setups import MEAN, cell_power, rectangle
 
 SONAR = dataclasses.replace(SonarSettings(), demanded_range_m=1.6)
 MARGIN = 12
@@ -162,3 +171,79 @@ def test_crosstalk_puts_a_part_of_the_rows_mean_power_into_every_beam(empty: typ
     silent = np.delete(beams[3], 100)
     assert level_db(silent) == pytest.approx(before - 50.0, abs=0.01)
     assert not beams[4].any()
+
+
+TAIL = Reverberation(0.02, 9.0)
+EVERYTHING = np.full(SONAR.rows, np.inf)
+
+
+@pytest.mark.parametrize("row_m", [0.004, 0.03])
+def test_an_echo_leaves_its_share_behind_it_that_fades(row_m: float) -> None:
+    """All bearings alike: k E dR exp(-(R - R') / L), and nothing before it, whatever the rows."""
+    echo_m, energy = 1.2, 7.0
+    rows = round(4.0 / row_m)
+    power = np.zeros((rows, 9))
+    power[int(echo_m / row_m)] = energy / row_m
+    found = tail_power(power, np.linspace(-0.9, 0.9, 9), row_m, TAIL)
+    behind_m = (np.arange(rows) - int(echo_m / row_m)) * row_m
+    expected = np.where(behind_m > 0.0, 0.02 * energy * 10.0 ** (-0.9 * behind_m), 0.0)
+    assert found == pytest.approx(np.repeat(expected[:, None], 9, axis=1))
+
+
+def test_a_tail_spreads_over_bearings_and_loses_nothing_by_it() -> None:
+    sines = np.linspace(-0.9, 0.9, 37)
+    power = np.zeros((50, 37))
+    power[3, 18] = 1.0
+    found = tail_power(power, sines, 0.01, TAIL)[10]
+    assert found.argmax() == 18
+    assert found.sum() == pytest.approx(0.02 * 0.01 * 10.0 ** (-0.9 * 0.07), rel=0.01)
+    spread = math.sqrt(np.average(np.square(sines), weights=found))
+    assert spread == pytest.approx(0.06, rel=0.05)
+
+
+def test_the_tail_of_a_field_has_the_power_of_the_mean() -> None:
+    cells = np.zeros((SONAR.rows, COLUMNS), dtype=np.complex64)
+    cells[5, 200:300] = 100.0
+    mean = np.square(np.abs(cells)).astype(np.float32)
+    add_tail(mean, TAIL, SONAR, limit=EVERYTHING, key=3)
+    total = np.zeros(mean.shape)
+    for key in range(200):
+        shown = cells.copy()
+        add_tail(shown, TAIL, SONAR, limit=EVERYTHING, key=key)
+        total += np.square(np.abs(shown)) / 200.0
+    assert not mean[:5].any()
+    assert total[6:60].sum(axis=1) == pytest.approx(mean[6:60].sum(axis=1), rel=0.02)
+    assert total[5] == pytest.approx(mean[5])
+
+
+def test_the_tail_stays_while_the_sonar_does() -> None:
+    pose = FramePose(np.array([1.0, 2.0, -3.0]), np.eye(3))
+    moved = FramePose(np.array([1.001, 2.0, -3.0]), np.eye(3))
+    turned = FramePose(pose.position_m, Rotation.from_euler("z", 1.0, degrees=True).as_matrix())
+    keys = [pose_key(1, p, 0.002) for p in (pose, pose, moved, turned)]
+    assert keys[0] == keys[1]
+    assert len({*keys, pose_key(2, pose, 0.002)}) == 4
+
+
+@pytest.mark.parametrize(("slope_rad", "tail"), [(0.02, False), (None, True)])
+def test_a_mirror_s_flash_leaves_no_tail(slope_rad: float | None, *, tail: bool) -> None:
+    """A dull wall's own echo is within the limit to the tenth; a flash is far above."""
+    dull = Material("dull", -20.0)
+    mirror = Material("mirror", -20.0, reflection=0.9, roughness_m=0.0, slope_rad=slope_rad or 1.0)
+    sonar = dataclasses.replace(SONAR, demanded_range_m=4.0)
+    pose, seen = FramePose(np.zeros(3), np.eye(3)), []
+    for material in (dull, dull if slope_rad is None else mirror):
+        plate = rectangle((2.0, 0.0, 0.0), (0.0, 0.8, 0.0), (0.0, 0.0, 0.8), material)
+        with_tail = dataclasses.replace(MEAN, reverberation=TAIL)
+        seen.append(cell_power(PingEngine(Scene((plate,)), sonar), pose, with_tail))
+    front = int(2.0 / sonar.range_resolution_m)
+    energies = [power[front - 2 : front + 12].sum() for power in seen]
+    behind = [power[front + 100 : front + 200].sum() for power in seen]
+    if tail:
+        behind_m = np.arange(100, 200) * sonar.range_resolution_m
+        faded = np.sum(10.0 ** (-0.9 * behind_m)) * sonar.range_resolution_m
+        expected = 0.02 * energies[0] * faded
+        assert behind[0] == pytest.approx(expected, rel=0.1)
+    else:
+        assert energies[1] > 30.0 * energies[0]
+        assert behind[1] < 8.0 * behind[0]

@@ -63,7 +63,7 @@ sonar:
    rows: 300, told_speed_mps: 1480, frequency_khz: 900, aperture_deg: 90, beam_width_deg: 0.5,
    vertical_width_deg: 11, max_range_m: 30, base_row_mm: 3, pulse_ms: 0.5, source_level_db: 190,
    array_gain_db: 30, side_lobe_db: 20, noise_excess_db: 35, tvg_spreading_log: 20,
-   crosstalk_db: -50, max_rows: 640}
+   crosstalk_db: -50, max_rows: 640, ring_down_db: -40, dynamic_focus: false}
 """).sonar
     expected = SonarSettings(
         frequency_hz=900e3,
@@ -89,6 +89,8 @@ sonar:
         told_speed_mps=1480,
         pulse_s=0.5e-3,
         crosstalk_db=-50,
+        ring_down_db=-40,
+        dynamic_focus=False,
     )
     standard = sonar_preset("M1200d", 2)
     for field in fields(SonarSettings):

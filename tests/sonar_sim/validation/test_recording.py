@@ -11,11 +11,13 @@ from sonar_sim.validation.recording import (
     noise_level_db,
     noisy_bands,
     read_recording,
+    simulate_floor,
     simulate_recording,
     usual_floor_db,
 )
+from sonar_sim.validation.statistics import linear_amplitude, ping_correlation
 
-NUMBERS = 21
+NUMBERS = 25
 
 
 @pytest.fixture(scope="module")
@@ -68,3 +70,26 @@ def test_simulation_is_the_same_each_time_and_another_with_another_seed(
     once, again, other = (simulate_recording(recorded, 1, seed) for seed in (0, 0, 1))
     assert np.array_equal(once, again)
     assert not np.array_equal(once, other)
+
+
+BANDS = (
+    ("silent", 0.15, 0.4, 0.1),
+    ("floor", 0.8, 1.1, 0.03),
+    ("tail", 1.45, 1.6, 0.2),
+    ("dark", 1.65, 2.0, 0.15),
+)
+"""Ranges, m, and how near the correlation between pings must be."""
+
+
+def test_a_floor_in_a_scene_is_like_the_recorded_one(recorded: Recorded) -> None:
+    """All of the simulator, by default: noise, floor, tail and what stays from ping to ping."""
+    both = (recorded.pixels, simulate_floor(recorded))
+    amplitudes = [linear_amplitude(pixels, recorded.sonar.gamma_byte) for pixels in both]
+    range_m = recorded.sonar.row_centres_m
+    for name, low_m, high_m, tolerance in BANDS:
+        rows = (range_m > low_m) & (range_m < high_m)
+        real, simulated = (ping_correlation([a[rows] for a in pings]) for pings in amplitudes)
+        assert simulated == pytest.approx(real, abs=tolerance), name
+        levels = [10.0 * np.log10(np.mean(np.square(pings[:, rows]))) for pings in amplitudes]
+        if name != "silent":  # There the recorded gain stops to fall towards the sonar.
+            assert levels[1] == pytest.approx(levels[0], abs=5.0), name

@@ -28,6 +28,8 @@ OF_ALL_MODES = (
     "max_rows",
     "pulse_s",
     "crosstalk_db",
+    "ring_down_db",
+    "dynamic_focus",
 )
 """Settings that all modes of a scenario's sonar share and fire messages lack."""
 

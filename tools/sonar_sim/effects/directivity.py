@@ -19,6 +19,7 @@ from sonar_sim.effects.effect import (
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.preview import PingPreview
 from sonar_sim.propagation.physics import Physics
+from sonar_sim.raycast.fan import MAX_ELEVATION_RAD
 
 
 def decide_azimuth_pattern(view: PingPreview, tolerance: Tolerance) -> RuleResult:
@@ -74,8 +75,8 @@ SIDE_LOBES = Effect(
     name="side_lobes",
     does="draws arcs through bright echoes",
     needs="side lobe level, contrast within rows",
-    formula="the azimuth pattern beyond its main lobe: a sinc of the side lobes' level",
-    source="line array shaded by a Gaussian on a pedestal",
+    formula="the azimuth pattern beyond its main lobe: equal lobes that fall by the square far off",
+    source="Taylor 1955: a line array whose nearest side lobes are equally high",
     rule="the arcs change any pixel by more than the tolerance",
     cost=Cost.CELL,
     parameters=(EffectParameter("sonar.side_lobe_db", "dB", "under the main lobe, positive"),),
@@ -112,6 +113,42 @@ VERTICAL_PATTERN = Effect(
     parameters=(EffectParameter("sonar.vertical_width_rad", "rad", "-3 dB full width, one way"),),
     decide=decide_vertical_pattern,
     configure=configure_vertical_pattern,
+)
+
+
+UNSURE = 1.25
+"""By how much few coarse rays, straight up and down, may underrate what they meet."""
+
+
+def decide_all_elevations(view: PingPreview, tolerance: Tolerance) -> RuleResult:
+    """On if what lies beyond the elevations of the usual fan shows."""
+    steep = np.abs(view.echoes.up) > math.sin(MAX_ELEVATION_RAD)
+    share = f"{steep.mean() if len(steep) else 0.0:.0%} of what is met lies"
+    reason = f"{share} more than {math.degrees(MAX_ELEVATION_RAD):.0f}° off the fan's plane"
+    if not steep.any():
+        return RuleResult(on=False, reason=reason, predicted_db=0.0)
+    power = np.where(steep, 0.0, view.echo_power)
+    predicted_db = UNSURE * view.change_of_echoes_db(power, tolerance)
+    return by_level(predicted_db, tolerance, reason)
+
+
+def configure_all_elevations(physics: Physics, view: PingPreview) -> None:
+    """Look up and down."""
+    del view
+    physics.all_elevations = True
+
+
+ALL_ELEVATIONS = Effect(
+    name="all_elevations",
+    does="shows floor below and surface above a level sonar, by the vertical pattern's far lobes",
+    needs="surfaces more than 40° off the fan's plane",
+    formula="rays from 40° to 90° off the fan's plane; what lies behind the sonar is not heard",
+    source="geometry; the pattern of `vertical_pattern`",
+    rule="the picture without these echoes differs by more than the tolerance",
+    cost=Cost.RAY,
+    parameters=(EffectParameter("sonar.vertical_width_rad", "rad", "-3 dB full width, one way"),),
+    decide=decide_all_elevations,
+    configure=configure_all_elevations,
 )
 
 
@@ -175,6 +212,39 @@ RANGE_SPREAD = Effect(
     ),
     decide=decide_range_spread,
     configure=configure_range_spread,
+)
+
+
+def decide_near_field(view: PingPreview, tolerance: Tolerance) -> RuleResult:
+    """On if the beams are not focused and something lies nearer than where they are sharp."""
+    del tolerance
+    focus_m = view.sonar.focus_m(view.speed_mps)
+    if view.sonar.dynamic_focus:
+        return RuleResult(on=False, reason="beams are focused at every range", predicted_db=0.0)
+    nearest_m = max(float(view.echoes.range_m.min(initial=np.inf)), view.sonar.range_resolution_m)
+    wider_db = 10.0 * math.log10(max(focus_m / nearest_m, 1.0))
+    reason = f"echoes from {nearest_m:.1f} m on, beams are sharp from {focus_m:.1f} m on"
+    return RuleResult(on=wider_db > NEAR_FIELD_DB, reason=reason, predicted_db=wider_db)
+
+
+def configure_near_field(physics: Physics, view: PingPreview) -> None:
+    """Give the range from which beams are sharp."""
+    physics.focus_m = None if view.sonar.dynamic_focus else view.sonar.focus_m(view.speed_mps)
+
+
+NEAR_FIELD_DB = 0.5
+"""Width of a beam over its own from which it is blurred."""
+NEAR_FIELD = Effect(
+    name="near_field",
+    does="widens beams near the sonar, unless it focuses them at every range",
+    needs="length of the array: its beam width and wavelength",
+    formula="width max(lambda / L, L / R) with L = 0.886 lambda / width; as much noise as ever",
+    source="Fresnel zone of a line array",
+    rule="the sonar does not focus, and an echo is nearer than L² / lambda",
+    cost=Cost.CELL,
+    parameters=(EffectParameter("sonar.dynamic_focus", "1", "beams are focused at every range"),),
+    decide=decide_near_field,
+    configure=configure_near_field,
 )
 
 

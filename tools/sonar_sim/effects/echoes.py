@@ -135,9 +135,9 @@ def _normals(
 
 
 COLUMNS = 96
-ELEVATIONS = 64
-TOP = math.sin(math.radians(40.0))
-"""Sine of the highest elevation: out to the vertical pattern's second lobe."""
+ELEVATIONS = 100
+"""Of a column, evenly in the sine from straight below to straight above."""
+TOP = 1.0
 MIN_AHEAD = 1e-3
 """Sine of the angle to the plane across the sonar below which a ray is ignored."""
 GRAZING = 1e-3
@@ -206,7 +206,7 @@ class Echoes:
 
 
 def coarse_fan(sonar: SonarSettings) -> CoarseFan:
-    """Lay the coarse rays over the fan and the vertical pattern's two lobes."""
+    """Lay the coarse rays over the fan, from straight below to straight above."""
     edge = math.sin(sonar.half_aperture_rad) + sonar.sine_pitch / 2.0
     sine_step, up_step = 2.0 * edge / COLUMNS, 2.0 * TOP / ELEVATIONS
     s = (np.arange(COLUMNS) + 0.5) * sine_step - edge

@@ -2,7 +2,8 @@
 
 Level: the expected amplitudes (speckle averaged) are compared in dB. What a displacement of no
 more than the tolerated part of a cell explains is no difference of level, and what stays within
-one step of the quantiser is not seen at all.
+one step of the quantiser is not seen in a pixel. Where it fills the dark, it is seen in their mean:
+peaks of speckle reach a step of which the rms falls short.
 
 Texture: speckled pictures are divided by their expectation; the coefficient of variation of what
 remains and its correlation between neighbouring rows and beams are compared.
@@ -12,6 +13,7 @@ Displacement: speckle is locked to the surfaces, so it shows where each part of 
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,18 @@ from scipy.special import erf
 
 from sonar_sim.scene.sonar import SonarSettings
 
+DARK_STEPS = 2.0
+"""Pixels whose expected amplitude is less than this are dark."""
+DARK_BANDS, DARK_PART = 8, 0.25
+"""Bands of range in which dark pixels are averaged, if they are this part of the band."""
+DARK_MEAN = 0.02
+"""Steps of the quantiser: a mean pixel below is taken for black."""
+DARK_ENTRIES, DARK_LEVELS = 1024, 16
+DARK_WEIGHT = 0.5
+"""Of a change of the dark's mean against one of a pixel: 1 dB of less than two steps is a quarter
+of a step at most."""
+CLEARLY_DB = 6.0
+"""Where single pixels differ by more, the mean of the dark is not looked at."""
 LOUDEST = 1e18
 """Limit of amplitude, of full scale: keeps pixels of 32 bits within single precision."""
 
@@ -29,6 +43,8 @@ def level_change_db(
     sonar: SonarSettings,
     share: float,
     cells: tuple[float, float] = (0.0, 0.0),
+    *,
+    in_the_dark: bool = False,
 ) -> float:
     """Difference of level that no more than a share of the pixels exceeds.
 
@@ -38,11 +54,31 @@ def level_change_db(
         sonar: its gamma and bits set the step of the quantiser.
         share: of the pixels.
         cells: displacement that does not count, in rows and in columns.
+        in_the_dark: whether it does not count in the mean of what is dark, either.
 
     Returns:
         dB, at least 0.
     """
     a, b = (np.minimum(picture, LOUDEST).astype(np.float32) for picture in (first, second))
+    change_db = _change_of_pixels_db(a, b, sonar, share, cells)
+    if change_db > CLEARLY_DB:
+        return change_db
+    dark_db = dark_change_db(a, b, sonar)
+    if in_the_dark:
+        # Either picture may be the one that is displaced.
+        there = dark_change_db(a, np.clip(a, *_hull(b, cells)), sonar)
+        dark_db = min(there, dark_change_db(np.clip(b, *_hull(a, cells)), b, sonar))
+    return max(change_db, DARK_WEIGHT * dark_db)
+
+
+def _change_of_pixels_db(
+    a: NDArray[np.float32],
+    b: NDArray[np.float32],
+    sonar: SonarSettings,
+    share: float,
+    cells: tuple[float, float],
+) -> float:
+    """Of pixels that differ by more than a step of the quantiser; as `level_change_db`."""
     exceeding = int(share * a.size)
     _, changes = _beyond(a, b, sonar, (0.0, 0.0))
     if any(cells) and len(changes) > exceeding:
@@ -56,6 +92,57 @@ def level_change_db(
     if len(changes) <= exceeding:
         return 0.0
     return float(np.partition(changes, len(changes) - 1 - exceeding)[-1 - exceeding])
+
+
+def dark_change_db(
+    first: NDArray[np.float32], second: NDArray[np.float32], sonar: SonarSettings
+) -> float:
+    """Largest difference between the means of what is dark in both pictures, over bands of range.
+
+    Of speckle of rms m the pixel is at least k with probability exp(-(t / m)²), t the amplitude
+    that is rounded to k; the sum over k is the mean pixel.
+
+    Args:
+        first: expected (rms) amplitudes of full scale, (rows, columns).
+        second: of the other picture.
+        sonar: its gamma and bits set the step of the quantiser.
+
+    Returns:
+        dB, at least 0.
+    """
+    gamma, scale = gamma_of(sonar), full_scale(sonar)
+    limit = np.float32((DARK_STEPS / scale) ** (1.0 / gamma))
+    dark = (first < limit) & (second < limit)
+    rows, columns = dark.shape
+    band = rows // DARK_BANDS
+    if band == 0 or not dark.any():
+        return 0.0
+    in_bands = dark[: band * DARK_BANDS].reshape(DARK_BANDS, -1)
+    count = np.count_nonzero(in_bands, axis=1)
+    table, per_amplitude = _mean_pixels(gamma, scale), np.float32(DARK_ENTRIES) / limit
+    levels = []
+    for picture in (first, second):
+        shown = picture[: band * DARK_BANDS].reshape(DARK_BANDS, -1)
+        # What is not dark falls into the table's last entry, which is empty.
+        entry = np.where(in_bands, shown * per_amplitude, np.float32(DARK_ENTRIES))
+        mean = table[entry.astype(np.int16)].sum(axis=1) / np.maximum(count, 1)
+        levels.append(20.0 / gamma * np.log10(np.maximum(mean, DARK_MEAN)))
+    change = np.abs(levels[0] - levels[1])[count > DARK_PART * band * columns]
+    return float(change.max(initial=0.0))
+
+
+@lru_cache(maxsize=16)
+def _mean_pixels(gamma: float, scale: int) -> NDArray[np.float32]:
+    """Mean pixel of speckle over its rms amplitude, 0 to `DARK_STEPS`, then 0, (entries + 1,)."""
+    limit = (DARK_STEPS / scale) ** (1.0 / gamma)
+    rms = np.maximum(np.arange(DARK_ENTRIES + 1) * (limit / DARK_ENTRIES), 1e-30)
+    rounded = ((np.arange(1, DARK_LEVELS + 1) - 0.5) / scale) ** (1.0 / gamma)
+    mean: NDArray[np.float32] = np.exp(-np.square(rounded / rms[:, None])).sum(
+        axis=1, dtype=np.float32
+    )
+    mean[-1] = 0.0
+    mean.setflags(write=False)
+    return mean
 
 
 def gamma_of(sonar: SonarSettings) -> float:

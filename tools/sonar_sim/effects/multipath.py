@@ -157,10 +157,15 @@ def decide_multipath(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     if not view.planes:
         return RuleResult(on=False, reason="no plane is smooth enough to mirror", predicted_db=0.0)
     found = _ghosts(view)
-    picture = view.picture + sum((g.picture for g in found), np.zeros_like(view.picture))
+    picture = view.picture + ghost_picture(view)
     strongest = max((abs(g.mirror.reflection) for g in found), default=0.0)
     reason = f"{len(found)} of {len(view.planes)} planes mirror, reflecting up to {strongest:.2g}"
     return by_level(view.change_db(picture, tolerance), tolerance, reason)
+
+
+def ghost_picture(view: PingPreview) -> NDArray[np.float64]:
+    """Expected power of a pixel by the ghosts in all planes, (rows, COLUMNS)."""
+    return sum((g.picture for g in _ghosts(view)), np.zeros_like(view.picture))
 
 
 def _ghosts(view: PingPreview) -> list[Ghosts]:

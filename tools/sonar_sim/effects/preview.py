@@ -18,14 +18,15 @@ from sonar_sim.effects.coarse_picture import (
     equivalent_beams,
     transmitted_power,
 )
-from sonar_sim.effects.echoes import COLUMNS, CoarseFan, Echoes
+from sonar_sim.effects.echoes import COLUMNS, NOTHING, CoarseFan, Echoes
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.planes import MirrorPlane
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
-from sonar_sim.propagation.physics import Cloud
+from sonar_sim.propagation.physics import Cloud, Reverberation
 from sonar_sim.raycast.meshes import Meshes
 from sonar_sim.receiver.gain import FULL_SCALE_DB, GAIN_DB_PER_PERCENT, noise_level_db
+from sonar_sim.receiver.noise import tail_power
 from sonar_sim.scene.scene import Bubbles, CloudSpec, Scene, Sediment
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.scene.suspended_matter import (
@@ -215,7 +216,8 @@ class PingPreview:
         gone = self.clouds_of(kind)
         left = tuple(cloud for cloud in self.clouds if cloud not in gone)
         power = self.echo_power / transmitted_power(self.two_way_cloud_db(gone, self.echoes))
-        return self.grid.picture(self.echoes, power) + self._of_the_water(left)
+        picture = self.grid.picture(self.echoes, power) + self.tail_picture
+        return picture + self._of_the_water(left)
 
     def _of_the_water(self, clouds: tuple[VisibleCloud, ...]) -> NDArray[np.float64]:
         return self.volume_picture + self.picture_of_clouds(clouds)
@@ -280,9 +282,25 @@ class PingPreview:
         return picture
 
     @cached_property
+    def reverberation(self) -> Reverberation:
+        """The tail that echoes leave in this water."""
+        water = self.scene.water
+        energy = 10.0 ** (water.reverberation_db / 10.0)
+        return Reverberation(energy, water.reverberation_decay_db_per_m)
+
+    @cached_property
+    def tail_picture(self) -> NDArray[np.float64]:
+        """Expected power of a pixel by the tail behind echoes, (rows, COLUMNS)."""
+        echoes = self.echoes
+        # A mirror's flash leaves none; and points are few.
+        scattered = np.where(echoes.surface == NOTHING, 0.0, echoes.lambert_m2 * self.unscattered)
+        picture = self.grid.main_lobes(echoes, scattered)
+        return tail_power(picture, self.grid.sine, self.grid.row_m, self.reverberation)
+
+    @cached_property
     def heard(self) -> NDArray[np.float64]:
         """Expected power of a pixel before the noise, beside which the faint is lost."""
-        return self.echo_picture + self._of_the_water(self.clouds)
+        return self.echo_picture + self.tail_picture + self._of_the_water(self.clouds)
 
     @cached_property
     def picture(self) -> NDArray[np.float64]:
@@ -316,6 +334,6 @@ class PingPreview:
         return change_db(self.amplitude, other, self.sonar, tolerance, displaced=False)
 
     def change_of_echoes_db(self, power: NDArray[np.float64], tolerance: Tolerance) -> float:
-        """The same where only the echoes' powers (N,) differ."""
+        """The same where only the echoes' powers (N,) differ; their tail is left as it is."""
         other = self.picture - self.echo_picture + self.grid.picture(self.echoes, power)
         return self.change_db(np.maximum(other, 0.0), tolerance)

@@ -3,9 +3,11 @@
 from types import MappingProxyType
 
 from sonar_sim.effects.directivity import (
+    ALL_ELEVATIONS,
     AZIMUTH_PATTERN,
     BEARING_TABLE,
     CROSSTALK,
+    NEAR_FIELD,
     RANGE_SPREAD,
     SIDE_LOBES,
     VERTICAL_PATTERN,
@@ -13,10 +15,19 @@ from sonar_sim.effects.directivity import (
 from sonar_sim.effects.effect import Effect
 from sonar_sim.effects.interference import INTERFERENCE
 from sonar_sim.effects.multipath import MULTIPATH
-from sonar_sim.effects.receiver_chain import GAIN, GAMMA, NOISE, QUANTISATION, SATURATION, TVG
+from sonar_sim.effects.receiver_chain import (
+    GAIN,
+    GAMMA,
+    NOISE,
+    QUANTISATION,
+    RING_DOWN,
+    SATURATION,
+    TVG,
+)
 from sonar_sim.effects.scattering import (
     BOTTOM_REVERBERATION,
     LAMBERT,
+    REVERBERATION,
     SHADOWS,
     SPECKLE,
     SPECULAR,
@@ -36,19 +47,23 @@ _IN_ORDER = (
     AZIMUTH_PATTERN,
     SIDE_LOBES,
     VERTICAL_PATTERN,
+    ALL_ELEVATIONS,
     BEARING_TABLE,
+    NEAR_FIELD,
     RANGE_SPREAD,
     SHADOWS,
     LAMBERT,
     SPECULAR,
     SPECKLE,
     VOLUME,
+    REVERBERATION,
     SURFACE_REVERBERATION,
     BOTTOM_REVERBERATION,
     MULTIPATH,
     MOTION,
     DOPPLER,
     NOISE,
+    RING_DOWN,
     CROSSTALK,
     INTERFERENCE,
     TVG,

@@ -138,7 +138,7 @@ class RuleChecker:
         chosen = self._pictures(planned.physics, view)
         all_on = EffectPlan.make(view, EffectSelection.read("all"), self._tolerance)
         everything = self._pictures(all_on.physics(view), view)
-        left_out = self._change(chosen, everything, self._tolerance.share)
+        left_out = self._change(chosen, everything, self._tolerance.share, in_the_dark=True)
         without = {name: self._change_without(name, chosen, plan, view) for name in plan.names}
         return RuleCheck(plan, left_out, without, self._tolerance, self._excused(plan, view))
 
@@ -156,23 +156,37 @@ class RuleChecker:
             return PictureDifference(change_db, 0.0, 0.0)
         share = 0.0 if EFFECTS[name].anywhere else self._tolerance.share
         other = self._pictures(plan.switched_off(name).physics(view), view)
-        level_db = self._level_db(everything, other, share)
+        # The rules take a ping to be as bright as any of its cell.
+        bright = 10.0 ** (MARGIN_DB / 20.0)
+        level_db = max(self._level_db(everything, other, share, by) for by in (1.0, bright))
         if level_db > self._tolerance.level_db:
             # That is enough: grain takes four more pictures.
             return PictureDifference(level_db, 0.0, 0.0)
         return self._change(everything, other, share)
 
-    def _change(self, first: RenderedPing, second: RenderedPing, share: float) -> PictureDifference:
+    def _change(
+        self, first: RenderedPing, second: RenderedPing, share: float, *, in_the_dark: bool = False
+    ) -> PictureDifference:
         return PictureDifference(
-            self._level_db(first, second, share),
+            self._level_db(first, second, share, in_the_dark=in_the_dark),
             displacement_cells(first.grain, second.grain),
             texture_change(first.grain, second.grain),
         )
 
-    def _level_db(self, first: RenderedPing, second: RenderedPing, share: float) -> float:
+    def _level_db(
+        self,
+        first: RenderedPing,
+        second: RenderedPing,
+        share: float,
+        brighter: float = 1.0,
+        *,
+        in_the_dark: bool = False,
+    ) -> float:
         cells = self._tolerance.cells
-        sonar = self._scenario.sonar
-        return level_change_db(first.expected, second.expected, sonar, share, (cells, cells))
+        one, other = (np.float32(brighter) * ping.expected for ping in (first, second))
+        return level_change_db(
+            one, other, self._scenario.sonar, share, (cells, cells), in_the_dark=in_the_dark
+        )
 
     def _pictures(self, physics: Physics, view: PingPreview) -> RenderedPing:
         physics = replace(physics, quantised=False)
@@ -182,8 +196,14 @@ class RuleChecker:
         return RenderedPing(expected, lambda: self._grain(physics, view))
 
     def _grain(self, physics: Physics, view: PingPreview) -> SpeckleTexture:
-        # Noise does not move with the surfaces.
-        still = replace(physics, noise_level_db=None, volume_strength_db=None)
+        # What is no surface does not move with them.
+        still = replace(
+            physics,
+            noise_level_db=None,
+            volume_strength_db=None,
+            reverberation=None,
+            ring_down_db=None,
+        )
         surfaces = self._shown(replace(still, speckle=False), view)
         sonar, engines = self._scenario.sonar, self._engines
         grains = [

@@ -13,6 +13,8 @@ from sonar_sim.scene.material import MIN_COSINE, specular_lobe
 from sonar_sim.scene.sonar import SonarSettings
 
 MIN_RANGE_M = 0.01
+MIN_AHEAD = 0.03
+"""Straight above and below, where the directions ahead end: what a cell there has on average."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,6 +158,7 @@ def _reach(
     turn = np.linalg.lstsq(rays.fan.directions, rays.direction, rcond=None)[0]
     local = normal @ turn.T
     x, _, z = rays.fan.directions[hit].T.astype(np.float64)
+    x = np.maximum(x, MIN_AHEAD)
     facing = np.maximum(np.abs(np.einsum("ij,ij->i", normal, rays.direction[hit])), 1e-3)
     along = range_m / facing * np.abs(local[:, 2] - local[:, 0] * z / x) * (cell[:, 3] - cell[:, 2])
     reach: NDArray[np.float64] = np.minimum(along, 0.5 * range_m)

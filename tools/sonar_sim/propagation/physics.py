@@ -72,6 +72,19 @@ class InterferencePulse:
     level_db: float
 
 
+@dataclass(frozen=True, slots=True)
+class Reverberation:
+    """The tail that echoes leave behind them by scattering several times.
+
+    Attributes:
+        energy_per_m: mean power a metre of range, over the echoes' power summed over range.
+        decay_db_per_m: by which it fades.
+    """
+
+    energy_per_m: float
+    decay_db_per_m: float
+
+
 @dataclass(slots=True, eq=False)
 class Physics:
     """The effects' settings of one ping, in the order in which the sound meets them.
@@ -87,16 +100,20 @@ class Physics:
         specular: smooth materials add their lobe.
         sea_surface: the sea's surface scatters; else it only ends the water.
         silent: names of surfaces that hide what is behind but send nothing back.
+        all_elevations: surfaces steeply above and below are looked for; else those up to 40°.
         shadows: what is hit first hides the rest. Off: surfaces behind are heard too.
         mirrors: planes of multipath.
         clouds: volumes that absorb and scatter.
         vertical_width_rad: -3 dB full width, one way; None hears all elevations alike.
         beam_width_rad: azimuth -3 dB full width; None: each echo in its own beam only.
         side_lobe_db: of the azimuth pattern, positive; None: main lobe only.
+        focus_m: nearer than this beams are wider, by the ratio; None: focused at every range.
         range_spread: neighbouring rows overlap.
         speckle: a coherent field of random scatterers; else mean powers.
         volume_strength_db: back scattering strength of the water itself, dB re 1/m.
+        reverberation: tail behind echoes; None: sound comes back once.
         noise_level_db: per cell before gains, dB re 1 µPa.
+        ring_down_db: of what rings after the transmission, dB of full scale at 50 % of gain.
         crosstalk_db: of a row's mean power into all its beams, negative.
         arrivals: other sonars.
         tvg: time-varied gain; gain: the operator's; both off is 0 dB.
@@ -116,16 +133,20 @@ class Physics:
     specular: bool = False
     sea_surface: bool = False
     silent: frozenset[str] = frozenset()
+    all_elevations: bool = False
     shadows: bool = False
     mirrors: tuple[Mirror, ...] = ()
     clouds: tuple[Cloud, ...] = ()
     vertical_width_rad: float | None = None
     beam_width_rad: float | None = None
     side_lobe_db: float | None = None
+    focus_m: float | None = None
     range_spread: bool = False
     speckle: bool = False
     volume_strength_db: float | None = None
+    reverberation: Reverberation | None = None
     noise_level_db: float | None = None
+    ring_down_db: float | None = None
     crosstalk_db: float | None = None
     arrivals: tuple[InterferencePulse, ...] = field(default=())
     tvg: bool = False

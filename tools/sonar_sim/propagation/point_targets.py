@@ -9,6 +9,7 @@ from sonar_sim.propagation.clouds import cloud_gain
 from sonar_sim.propagation.mirror import RELATIVE_GAP, reaches_mirror
 from sonar_sim.propagation.physics import Mirror
 from sonar_sim.propagation.propagation_path import PingGeometry, mirrored, pair_gain
+from sonar_sim.propagation.refraction import EigenRay, eigenrays
 from sonar_sim.scene.scene import PointTarget
 from sonar_sim.scene.sonar import SonarSettings
 
@@ -39,9 +40,10 @@ def add_targets(
         taps: spread of an echo between columns, (F, even).
         turns_per_m: 1 / wavelength.
     """
+    speed_mps = sonar.frequency_hz / turns_per_m
     for target in targets:
         position = target.position_at_m(here.time_s)
-        for there, back, gain in _ways(here, position):
+        for there, back, gain in _ways(here, position, speed_mps):
             way = _TargetPath(here, there, back, position)
             pressure = gain * 10.0 ** (target.target_strength_db / 20.0) * way.factor
             _deposit(cells, way, pressure, sonar, loss=loss, taps=taps, turns_per_m=turns_per_m)
@@ -79,23 +81,62 @@ class _TargetPath:
 
 
 def _ways(
-    here: PingGeometry, position_m: NDArray[np.float64]
+    here: PingGeometry, position_m: NDArray[np.float64], speed_mps: float
 ) -> list[tuple[FramePose, FramePose, float]]:
     """Pairs of poses there and back, with the mirrors' gain."""
     ways: list[tuple[FramePose, FramePose, float]] = []
-    visible = not here.physics.shadows or _free(here, here.pose.position_m, position_m)
-    if visible:
+    direct = _direct(here, position_m, speed_mps)
+    if direct:
         gain = _swallowed(here, position_m)
-        ways.append((here.pose, _later(here, position_m), gain))
+        ways += [(there, back, gain) for there, back in direct]
     for mirror in here.physics.mirrors:
         image = mirrored(here.pose, mirror)
         if image is None or not _bounced(here, mirror, image, position_m):
             continue
-        if visible:
+        if direct:
             once = mirror.reflection * pair_gain(here, mirror)
             ways += [(here.pose, image, once), (image, here.pose, once)]
         ways.append((image, image, mirror.reflection**2))
     return ways
+
+
+def _direct(
+    here: PingGeometry, position_m: NDArray[np.float64], speed_mps: float
+) -> list[tuple[FramePose, FramePose]]:
+    """Poses there and back of what gets to a target without a mirror.
+
+    A bent path is a straight one from a virtual sonar that looks like the real one and stands as
+    far away as the travel time says, in the direction in which the path leaves. On bent paths the
+    sonar is taken to stand still, as for surfaces; by a mirror paths are straight.
+    """
+    layers = here.physics.layers
+    if layers is None:
+        if here.physics.shadows and not _free(here, here.pose.position_m, position_m):
+            return []
+        return [(here.pose, _later(here, position_m))]
+    paths = [
+        FramePose(position_m - ray.range_m * ray.direction, here.pose.rotation)
+        for ray in eigenrays(layers, here.pose.position_m, position_m, speed_mps)
+        if not here.physics.shadows or _free_along(here, ray)
+    ]
+    return [(there, back) for there in paths for back in paths]
+
+
+def _free_along(here: PingGeometry, ray: EigenRay) -> bool:
+    """Whether nothing stands in the way of a bent path to a target at its end."""
+    piece = np.diff(ray.corner_m, axis=0)
+    length_m = np.linalg.norm(piece, axis=1)
+    real = np.flatnonzero(length_m > 0.0)
+    direction = (piece[real] / length_m[real, None]).astype(np.float32)
+    left_m = np.cumsum(length_m[real][::-1])[::-1]
+    reach_m = float(length_m.max())
+    # From the sonar, and not from points of its own, rays leave the face that it may lie in.
+    first = here.meshes.cast(here.pose.position_m, direction[:1], here.time_s, reach_m, 1)
+    later = here.meshes.cast(ray.corner_m[real[1:]], direction[1:], here.time_s, reach_m, 1)
+    face = np.concatenate([first.face, later.face])
+    range_m = np.concatenate([first.range_m, later.range_m])
+    hidden = (face >= 0) & (range_m < length_m[real]) & (range_m < left_m - HIDDEN_M)
+    return not hidden.any()
 
 
 def _bounced(

@@ -23,6 +23,13 @@ SEGMENTS = (2, 16)
 """Straight pieces of a bent ray: as few as keep each within `SAGITTA_M` of its arc."""
 SAGITTA_M = 1e-3
 STEEP = 1e-6
+TARGET_SEGMENTS = 64
+"""Straight pieces of a path to a point target."""
+MAX_LAUNCH_RAD = 0.7
+"""A path leaves no farther off the chord than this; on a longer detour it would not be heard."""
+LAUNCHES = 65
+REFINEMENTS = 4
+"""Each time the bracket of a path's direction becomes `LAUNCHES` - 1 times as narrow."""
 
 
 def refracted_paths(
@@ -82,7 +89,9 @@ def _followed(
     point = np.broadcast_to(here.pose.position_m, start.shape).copy()
     direction, passed_m = start.copy(), np.zeros(len(start))
     for segment in range(segments):
-        speed, direction = _turned(layers, point, direction, step_m)
+        # Half a turn first: then each piece has the mean direction of its part of the arc.
+        turn_m = step_m if segment else 0.5 * step_m
+        speed, direction = _turned(layers, point, direction, step_m, turn_m)
         # From the sonar, and not from points of its own, rays leave the face that it may lie in.
         start_m = point if segment else here.pose.position_m
         met = here.meshes.cast(
@@ -111,6 +120,119 @@ def _segments(layers: SoundSpeedProfile, reach_m: float) -> int:
     curvature = float(slope.max(initial=0.0) / speed_mps.min())
     wanted = math.ceil(reach_m * math.sqrt(curvature / (8.0 * SAGITTA_M)))
     return min(max(wanted, SEGMENTS[0]), SEGMENTS[1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EigenRay:
+    """A bent path from the sonar to a point.
+
+    Attributes:
+        direction: in which it leaves and its echo arrives, unit vector, map frame, (3,).
+        range_m: its travel time, as a range at the speed that turns time into range.
+        corner_m: ends of its straight pieces, map frame, (`TARGET_SEGMENTS` + 1, 3).
+    """
+
+    direction: NDArray[np.float64]
+    range_m: float
+    corner_m: NDArray[np.float64]
+
+
+def eigenrays(
+    layers: SoundSpeedProfile,
+    from_m: NDArray[np.float64],
+    to_m: NDArray[np.float64],
+    speed_mps: float,
+) -> list[EigenRay]:
+    """All paths between two points; none in a shadow zone, several where rays cross.
+
+    Speeds change with depth alone, so paths stay in the points' vertical plane: rays are launched
+    about the chord, and those between which the point lies are brought together.
+
+    Args:
+        layers: speeds of sound.
+        from_m: the sonar, map frame, (3,).
+        to_m: the other point, map frame, (3,).
+        speed_mps: that turns time into range.
+    """
+    chord_m = float(np.linalg.norm(to_m - from_m))
+    ahead = (to_m - from_m) / max(chord_m, 1e-9)
+    up = np.array([0.0, 0.0, 1.0]) - ahead[2] * ahead
+    if np.linalg.norm(up) < STEEP:
+        up = np.array([1.0, 0.0, 0.0])
+    plane = np.stack([ahead, up / np.linalg.norm(up)])
+    rays = []
+    angle = np.linspace(-MAX_LAUNCH_RAD, MAX_LAUNCH_RAD, LAUNCHES)
+    know = {"chord_m": chord_m, "speed_mps": speed_mps}
+    miss = _launched(layers, from_m, plane, angle, **know)[0]
+    for below in np.flatnonzero((miss[:-1] <= 0.0) != (miss[1:] <= 0.0)):
+        low, high = angle[below], angle[below + 1]
+        if not np.isfinite(miss[below : below + 2]).all():
+            continue
+        for _ in range(REFINEMENTS):
+            between = np.linspace(low, high, LAUNCHES)
+            off, range_m, corner_m = _launched(layers, from_m, plane, between, **know)
+            change = np.flatnonzero((off[:-1] <= 0.0) != (off[1:] <= 0.0))
+            if len(change):
+                first = int(change[0])
+            else:  # rounding moved a root out that lies at an end, as of a straight path
+                first = 0 if abs(off[0]) <= abs(off[-1]) else LAUNCHES - 2
+            low, high = between[first], between[first + 1]
+            best = first + int(np.argmin(np.abs(off[first : first + 2])))
+        leaving = np.cos(between[best]) * plane[0] + np.sin(between[best]) * plane[1]
+        rays.append(EigenRay(leaving, float(range_m[best]), corner_m[:, best]))
+    return rays
+
+
+def _launched(
+    layers: SoundSpeedProfile,
+    from_m: NDArray[np.float64],
+    plane: NDArray[np.float64],
+    angle_rad: NDArray[np.float64],
+    *,
+    chord_m: float,
+    speed_mps: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """By how much rays pass over the chord's end, by what range, and where they go.
+
+    Args:
+        layers: speeds of sound.
+        from_m: where they start, map frame, (3,).
+        plane: unit vectors of the chord and of what is up across it, (2, 3).
+        angle_rad: of the launches over the chord, (N,).
+        chord_m: its length.
+        speed_mps: that turns time into range.
+
+    Returns:
+        Misses (N,), NaN for rays that turn back; ranges by time (N,); corners
+        (`TARGET_SEGMENTS` + 1, N, 3), which end where the rays pass the point.
+    """
+    direction = np.outer(np.cos(angle_rad), plane[0]) + np.outer(np.sin(angle_rad), plane[1])
+    point = np.broadcast_to(from_m, direction.shape).copy()
+    corners, ranges = [point.copy()], [np.zeros(len(point))]
+    # Each ray gets as far along the chord as a straight one would with a little to spare.
+    step_m = 1.1 * chord_m / TARGET_SEGMENTS / float(np.cos(angle_rad).min())
+    for segment in range(TARGET_SEGMENTS):
+        turn_m = step_m if segment else 0.5 * step_m
+        speed, direction = _turned(layers, point, direction, step_m, turn_m)
+        point = point + step_m * direction
+        corners.append(point.copy())
+        ranges.append(ranges[-1] + step_m * speed_mps / speed)
+    corner_m, range_m = np.stack(corners), np.stack(ranges)
+    along_m = (corner_m - from_m) @ plane[0]
+    passed = along_m >= chord_m
+    last = np.maximum(passed.argmax(axis=0), 1)
+    each = np.arange(len(angle_rad))
+    before, after = along_m[last - 1, each], along_m[last, each]
+    part = (chord_m - before) / np.maximum(after - before, 1e-12)
+    end_m = corner_m[last - 1, each] + part[:, None] * (
+        corner_m[last, each] - corner_m[last - 1, each]
+    )
+    end_range_m = range_m[last - 1, each]
+    end_range_m = end_range_m + part * (range_m[last, each] - end_range_m)
+    beyond = np.arange(TARGET_SEGMENTS + 1)[:, None] >= last
+    corner_m = np.where(beyond[:, :, None], end_m, corner_m)
+    miss_m = np.where(passed.any(axis=0), (end_m - from_m) @ plane[1], np.nan)
+    return miss_m, end_range_m, corner_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,11 +303,12 @@ def _turned(
     point_m: NDArray[np.float64],
     direction: NDArray[np.float64],
     step_m: float,
+    turn_m: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Speed in the middle of the next segment and the segment's direction.
 
-    A ray's angle of elevation changes by -(dc/dz) cos / c along the way (Snell); half of that
-    before the segment, half after it, is a step of second order over all.
+    A ray's angle of elevation changes by -(dc/dz) cos / c along the way (Snell). From the middle of
+    one segment to that of the next, `turn_m`, it is a step of second order.
     """
     depth = -(point_m[:, 2] + 0.5 * step_m * direction[:, 2])
     speed = np.interp(depth, layers.depth_m, layers.speed_mps)
@@ -193,7 +316,7 @@ def _turned(
     after = np.interp(depth + STEEP, layers.depth_m, layers.speed_mps)
     upward_gradient = -(after - before) / (2.0 * STEEP)
     level = np.maximum(np.hypot(direction[:, 0], direction[:, 1]), 1e-9)
-    angle = np.arctan2(direction[:, 2], level) - upward_gradient * level / speed * step_m
+    angle = np.arctan2(direction[:, 2], level) - upward_gradient * level / speed * turn_m
     scale = np.cos(angle) / level
     turned = np.stack([direction[:, 0] * scale, direction[:, 1] * scale, np.sin(angle)], axis=1)
     return speed, turned

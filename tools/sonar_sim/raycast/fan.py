@@ -15,6 +15,8 @@ from sonar_sim.scene.sonar import SonarSettings
 
 MAX_ELEVATION_RAD = math.radians(40.0)
 """Out to the vertical pattern's first side lobe and a little beyond."""
+STEEP_STEP_RAD = math.radians(2.0)
+"""Between rays of a column beyond `MAX_ELEVATION_RAD`, where only a fan of all directions looks."""
 ELEVATIONS = 64
 CENTRE_SINE = 0.3
 """Half of a column would reach so high if all its rays were as close as on the fan's plane."""
@@ -90,12 +92,24 @@ def solid_angle_sr(
     return whole
 
 
-def ray_fan(sonar: SonarSettings, elevations: int = ELEVATIONS) -> RayFan:
-    """Lay the rays: one a beam pitch across, closest in the vertical pattern's main lobe."""
+def ray_fan(
+    sonar: SonarSettings, elevations: int = ELEVATIONS, *, all_around: bool = False
+) -> RayFan:
+    """Lay the rays: one a beam pitch across, closest in the vertical pattern's main lobe.
+
+    Args:
+        sonar: its beams.
+        elevations: rays of a column up to `MAX_ELEVATION_RAD` on both sides of the fan's plane.
+        all_around: whether more rays look on from there to straight up and down.
+    """
     columns = sonar.beams + 2 * MARGIN_BEAMS
     column = np.arange(columns, dtype=np.int32)
     s = (column - (columns - 1) / 2.0) * sonar.sine_pitch
     edges = _up_sines(elevations)
+    if all_around:
+        beyond = round((math.pi / 2.0 - MAX_ELEVATION_RAD) / STEEP_STEP_RAD)
+        steep = np.sin(np.linspace(MAX_ELEVATION_RAD, math.pi / 2.0, beyond + 1)[1:])
+        edges = np.concatenate([-steep[::-1], edges, steep])
     w, w_half = (edges[1:] + edges[:-1]) / 2.0, np.diff(edges) / 2.0
     ss, ww = (grid.ravel() for grid in np.meshgrid(s, w, indexing="ij"))
     # Cones near the array's axis hold no direction at high elevation: the last cells of a row are
@@ -110,10 +124,10 @@ def ray_fan(sonar: SonarSettings, elevations: int = ELEVATIONS) -> RayFan:
     rays = np.where(real, np.cumsum(real, dtype=np.int32) - 1, -1).astype(np.int32)
     return RayFan(
         *_rays(middle, ww, (ss - half, ss + half), halves),
-        np.repeat(column, elevations)[real],
+        np.repeat(column, len(w))[real],
         columns,
         sonar.sine_pitch,
-        FanCells(edges, rays.reshape(columns, elevations)),
+        FanCells(edges, rays.reshape(columns, len(w))),
     )
 
 

@@ -2,7 +2,7 @@
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -18,6 +18,9 @@ ROW_LEAK = 0.26
 of 0.19 between neighbouring rows that a public recording shows on the whole. (In the recording's
 flat patches alone it is less than 0.1: part of the 0.19 is the scene's.)"""
 
+FOCUS_STEP = 1.125
+"""Ratio of beam widths between neighbouring bands of rows nearer than the focus."""
+
 Cell = TypeVar("Cell", np.complex64, np.float32)
 
 
@@ -31,15 +34,28 @@ class BeamFormer:
         firsts: column of the first beam, or (beams,) of each beam's first tap.
         beams: their number.
         range_taps: amplitude weights of the rows about a cell's own, (odd,).
+        near: beam formers of the rows nearer than the focus, each with its first and last row;
+            what is beyond them is this one's own.
     """
 
     taps: NDArray[np.float32]
     firsts: int | NDArray[np.int64]
     beams: int
     range_taps: NDArray[np.float32]
+    near: tuple[tuple[int, int, "BeamFormer"], ...] = ()
 
     def form(self, cells: NDArray[Cell], threads: int = 2) -> NDArray[Cell]:
         """Turn cells (rows, columns) into beams (rows, beams): fields coherently, powers summed."""
+        beams = self._form_all(cells, threads)
+        halo = len(self.range_taps) // 2
+        for first, last, former in self.near:
+            begin = max(first - halo, 0)
+            part = np.ascontiguousarray(cells[begin : last + halo])
+            formed = former.form(part, threads)
+            beams[first:last] = formed[first - begin : last - begin]
+        return beams
+
+    def _form_all(self, cells: NDArray[Cell], threads: int) -> NDArray[Cell]:
         power = not np.iscomplexobj(cells)
         taps = np.square(self.taps) if power else self.taps
         range_taps = np.square(self.range_taps) if power else self.range_taps
@@ -63,15 +79,38 @@ def beam_former(sonar: SonarSettings, physics: Physics, margin: int) -> BeamForm
         physics: beam width, side lobes, range spread and bearing table are taken from it.
         margin: columns of the grid before the first beam, at the beams' mean pitch in the sine.
     """
+    former = _designed(sonar, physics, margin)
+    if physics.focus_m is None or physics.beam_width_rad is None:
+        return former
+    # From the focus inwards, in bands of much the same width.
+    near, outer_m = [], physics.focus_m
+    while outer_m > sonar.row_centres_m[0]:
+        inner_m = outer_m / FOCUS_STEP
+        rows = np.flatnonzero((sonar.row_centres_m <= outer_m) & (sonar.row_centres_m > inner_m))
+        if len(rows):
+            part = math.sqrt(inner_m * outer_m) / physics.focus_m
+            wide = _designed(sonar, physics, margin, part)
+            near.append((int(rows[0]), int(rows[-1]) + 1, wide))
+        outer_m = inner_m
+    return replace(former, near=tuple(near))
+
+
+def _designed(sonar: SonarSettings, physics: Physics, margin: int, part: float = 1.0) -> BeamFormer:
+    """The beam former whose pattern is 1 / part as wide as the sonar's, and as deaf to noise."""
     range_taps = range_response() if physics.range_spread else np.ones(1, dtype=np.float32)
     reach = _reach(sonar, physics, margin)
+    if physics.side_lobe_db is None:
+        reach = min(math.ceil(reach / part), sonar.beams + margin)
+    gain = math.sqrt(part)
     if physics.sine_bearings:
-        taps = _weights(sonar, physics, np.arange(-reach, reach + 1, dtype=np.float64))
+        offsets: NDArray[np.float64] = np.arange(-reach, reach + 1, dtype=np.float64)
+        taps = gain * _weights(sonar, physics, part * offsets)
         return BeamFormer(taps, margin, sonar.beams, range_taps)
     place = margin + beam_sines(sonar, physics) / sonar.sine_pitch + (sonar.beams - 1) / 2.0
     firsts = np.floor(place).astype(np.int64) - reach
-    offsets: NDArray[np.float64] = firsts[:, None] + np.arange(2 * reach + 2) - place[:, None]
-    return BeamFormer(_weights(sonar, physics, offsets), firsts, sonar.beams, range_taps)
+    offsets = firsts[:, None] + np.arange(2 * reach + 2) - place[:, None]
+    taps = gain * _weights(sonar, physics, part * offsets)
+    return BeamFormer(taps, firsts, sonar.beams, range_taps)
 
 
 def beam_sines(sonar: SonarSettings, physics: Physics) -> NDArray[np.float64]:
@@ -119,7 +158,7 @@ def _weights(
     return weights
 
 
-FRACTIONS = 64
+FRACTIONS = 128
 TAPS = 6
 REACH = 24
 """Pitches on each side over which the beams' pattern is matched."""

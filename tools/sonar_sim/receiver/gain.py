@@ -1,5 +1,7 @@
 """The receiver: noise, time-varied gain, operator's gain, gamma and the quantiser."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +14,8 @@ GAIN_DB_PER_PERCENT = 0.96
 FULL_SCALE_DB = 210.0
 """Level after gains that fills the quantiser; one constant, free because levels are relative."""
 
+RING_DOWN_DB_PER_M = 1300.0
+"""By which a public recording of rows of 2.8 mm shows it to fall."""
 MAX_DB = 700.0
 """Of all gains: beyond, single precision is infinite, and silence would be not a number."""
 
@@ -29,6 +33,22 @@ def gain_db(sonar: SonarSettings, absorption_db_per_m: float) -> NDArray[np.floa
     varied = sonar.tvg_spreading_log * np.log10(range_m) + 2.0 * absorption_db_per_m * range_m
     total: NDArray[np.float64] = varied + GAIN_DB_PER_PERCENT * sonar.gain_percent
     return total
+
+
+def ring_down_power_db(
+    sonar: SonarSettings, ring_down_db: float, absorption_db_per_m: float
+) -> NDArray[np.float64]:
+    """Level of what rings after the transmission, in the beams before gains, dB, (rows,).
+
+    Args:
+        sonar: its time-varied gain; the ring is known by what the gain makes of it.
+        ring_down_db: dB of full scale at 50 % of gain, at the transmission.
+        absorption_db_per_m: that the time-varied gain makes up for, one way.
+    """
+    half_gain = replace(sonar, gain_percent=50.0)
+    shown_db = ring_down_db - RING_DOWN_DB_PER_M * sonar.row_centres_m
+    level: NDArray[np.float64] = shown_db + FULL_SCALE_DB - gain_db(half_gain, absorption_db_per_m)
+    return level
 
 
 def pixels(amplitude: NDArray[np.float32], gamma_byte: int = 255) -> NDArray[np.uint8]:

@@ -9,14 +9,23 @@ from hashlib import blake2b
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from sonar_sim import _core
+from sonar_sim.geometry.matmul import chunked_matmul
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
-from sonar_sim.propagation.physics import InterferencePulse, Physics
+from sonar_sim.propagation.physics import InterferencePulse, Physics, Reverberation
 from sonar_sim.scene.sonar import SonarSettings
 
 Cells = NDArray[np.complex64] | NDArray[np.float32]
 
+TAIL_SPREAD_SINE = 0.06
+"""Standard deviation over which a tail spreads in the sine of the bearing."""
+TAIL_COLUMNS = 16
+"""Columns whose mean power is taken together."""
+TURN_STEPS = 400
+"""Steps of the rotation matrix's entries in which the tail's speckle is the same."""
 ELEVATIONS = 512
 """Steps of the integral over the vertical pattern."""
 
@@ -101,6 +110,84 @@ def _solid_angle_sr(sonar: SonarSettings, physics: Physics, columns: int) -> NDA
         heard = vertical_two_way_power(w, physics.vertical_width_rad)
     total: NDArray[np.float64] = heard.sum(axis=1) * (math.pi / ELEVATIONS) * sonar.sine_pitch
     return total
+
+
+def tail_power(
+    power: NDArray[np.floating], sines: NDArray[np.float64], row_m: float, tail: Reverberation
+) -> NDArray[np.float64]:
+    """Mean power of the reverberant tail behind echoes, (rows, N).
+
+    The last scatterers of sound on its detours lie around the first: the tail spreads over
+    bearings, and only follows what it is the tail of.
+
+    Args:
+        power: mean power of the echoes in a row of the sonar, (rows, N).
+        sines: of the bearings, (N,).
+        row_m: spacing of these rows, which may be coarser than the sonar's.
+        tail: its energy and decay.
+    """
+    away = (sines[:, None] - sines) / TAIL_SPREAD_SINE
+    spread = np.exp(-0.5 * np.square(away))
+    mixed = chunked_matmul(np.asarray(power, dtype=np.float64), spread / spread.sum(axis=0))
+    kept = 10.0 ** (-tail.decay_db_per_m * row_m / 10.0)
+    filled: NDArray[np.float64] = lfilter(
+        [0.0, kept * tail.energy_per_m * row_m], [1.0, -kept], mixed, axis=0
+    )
+    return filled
+
+
+def diffuse_limit_m2(sonar: SonarSettings, mu: float) -> NDArray[np.float64]:
+    """Cross section of a cell that a plane of Lambert's coefficient mu fills head on, (rows,).
+
+    The first row of a wall is 2 sqrt(2 R dR) high and R ds wide; twice that leaves room for
+    speckle. What is louder is a mirror's flash, whose sound is not scattered about.
+    """
+    range_m, row_m = sonar.row_centres_m, sonar.range_resolution_m
+    area_m2 = 2.0 * range_m * sonar.sine_pitch * np.sqrt(2.0 * range_m * row_m)
+    limit: NDArray[np.float64] = 2.0 * mu * area_m2
+    return limit
+
+
+def add_tail(
+    cells: Cells,
+    tail: Reverberation,
+    sonar: SonarSettings,
+    *,
+    limit: NDArray[np.float64],
+    key: int,
+    threads: int = 2,
+) -> None:
+    """Add the tail behind all echoes in the cells, in place.
+
+    Args:
+        cells: field or mean power of the echoes.
+        tail: its energy and decay.
+        sonar: for rows and columns.
+        limit: of the mean power that leaves a tail, (rows,).
+        key: of the numbers; mean powers need none.
+        threads: that share the work.
+    """
+    columns = cells.shape[1]
+    starts = np.arange(0, columns, TAIL_COLUMNS)
+    if np.iscomplexobj(cells):
+        squares = np.square(cells.real) + np.square(cells.imag)
+    else:
+        squares = np.asarray(cells)
+    sizes = np.diff(np.append(starts, columns))
+    blocks = np.minimum(np.add.reduceat(squares, starts, axis=1) / sizes, limit[:, None])
+    middles = np.add.reduceat(column_sines(columns, sonar), starts) / sizes
+    power = np.repeat(tail_power(blocks, middles, sonar.range_resolution_m, tail), sizes, axis=1)
+    if np.iscomplexobj(cells):
+        _core.add_gaussian_power(cells, power.astype(np.float32), key, threads)  # type: ignore[arg-type]
+    else:
+        cells += power.astype(np.float32)
+
+
+def pose_key(seed: int, pose: FramePose, wavelength_m: float) -> int:
+    """Key of what stays while the sonar stands still, and is new an eighth of a wave farther on."""
+    place = np.rint(pose.position_m * (8.0 / wavelength_m)).astype(np.int64)
+    turned = np.rint(pose.rotation * TURN_STEPS).astype(np.int64)
+    return stream_key(seed, "tail", *place.tolist(), *turned.ravel().tolist())
 
 
 def add_arrival(

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from oculus_driver.models import M370S, M750D, M1200D, M3000D
 from sonar_sim.errors import SceneError
 
+HALF_POWER = 0.8859
+"""-3 dB width of an unshaded line in lambda / L."""
 MAX_ROWS = 720
 """Rows that an Oculus sends at most; it coarsens the spacing by powers of two to keep to it."""
 
@@ -31,8 +33,10 @@ class SonarSettings:
         base_row_m: finest row spacing.
         source_level_db: dB re 1 µPa at 1 m. Unpublished, so levels are relative.
         array_gain_db: gain of the receiving array against thermal noise.
-        noise_excess_db: how far the receiver's noise lies above thermal noise. Chosen so that the
-            floor reaches some -36 dB of full scale at the far end, as in public recordings.
+        noise_excess_db: how far the receiver's noise lies above thermal noise. Chosen so that sand
+            2 m under a level sonar is seen to 15 m in the 750 kHz band, 6 dB above the noise, as in
+            published images. At 2.1 MHz and 1 m a floor is then some 30 dB above the noise; 35 dB
+            in a public recording.
         gain_percent: the operator's gain, 0 to 100.
         tvg_spreading_log: a in the time-varied gain a log R + 2 alpha R; 30 is what a public
             recording shows, and what levels an extended surface.
@@ -45,6 +49,10 @@ class SonarSettings:
         told_speed_mps: speed of sound that the sonar assumes; None is the true one.
         pulse_s: length of the transmitted chirp, for the Doppler shift.
         crosstalk_db: electrical, of a row's mean power into all its beams; None has none.
+        ring_down_db: what still rings in the receiver right after the transmission, dB of full
+            scale at 50 % of gain; None has none. -31 dB in a public recording, whose floor, noise
+            and tail are 27 dB brighter than here at the same gain.
+        dynamic_focus: beams are focused at every range; else they widen nearer than `focus_m`.
     """
 
     frequency_hz: float = 750e3
@@ -57,7 +65,7 @@ class SonarSettings:
     base_row_m: float = 0.004
     source_level_db: float = 200.0
     array_gain_db: float = 33.0
-    noise_excess_db: float = 40.0
+    noise_excess_db: float = 18.0
     gain_percent: float = 50.0
     tvg_spreading_log: float = 30.0
     gamma_byte: int = 255
@@ -70,6 +78,8 @@ class SonarSettings:
     told_speed_mps: float | None = None
     pulse_s: float = 1e-3
     crosstalk_db: float | None = -60.0
+    ring_down_db: float | None = -58.0
+    dynamic_focus: bool = True
 
     def __post_init__(self) -> None:
         if not 0.1 <= self.demanded_range_m <= self.max_range_m:  # noqa: PLR2004 Oculus' nearest
@@ -121,6 +131,11 @@ class SonarSettings:
     def sine_pitch(self) -> float:
         """Distance of neighbouring beams in the sine of their bearing."""
         return 2.0 * math.sin(self.half_aperture_rad) / (self.beams - 1)
+
+    def focus_m(self, speed_of_sound_mps: float) -> float:
+        """Range L²/lambda from which beams are sharp without focus; L = 0.886 lambda / width."""
+        wavelength_m = speed_of_sound_mps / self.frequency_hz
+        return wavelength_m * (HALF_POWER / (2.0 * math.sin(self.beam_width_rad / 2.0))) ** 2
 
     def bandwidth_hz(self, speed_of_sound_mps: float) -> float:
         """Bandwidth whose resolution is one row."""

@@ -29,6 +29,10 @@ class Water:
         sediment_kg_per_m3, sediment_radius_m: quartz in suspension, everywhere.
         volume_strength_db: back scattering strength of the water, dB re 1/m: clear -90 to -80,
             coastal -75 to -65, turbid or full of plankton -60 to -50.
+        reverberation_db: energy that echoes leave behind them in each metre of range, by scattering
+            several times between floor, surface and walls, dB re 1/m of their own. As fitted to a
+            public recording of a floor.
+        reverberation_decay_db_per_m: by which that tail fades.
     """
 
     temperature_c: float = 10.0
@@ -40,6 +44,8 @@ class Water:
     sediment_kg_per_m3: float = 0.0
     sediment_radius_m: float = 5e-6
     volume_strength_db: float = -80.0
+    reverberation_db: float = -18.5
+    reverberation_decay_db_per_m: float = 14.0
 
     def __post_init__(self) -> None:
         if self.profile is None:

@@ -167,6 +167,15 @@ class WaterSection(Section, frozen=True):
     volume_strength_db: Annotated[
         float, field_info("Back scattering strength of the water.", "dB re 1/m", ge=-150, le=0)
     ] = -80.0
+    reverberation_db: Annotated[
+        float,
+        field_info(
+            "Energy of the tail behind echoes per metre, re their own.", "dB re 1/m", ge=-200, le=0
+        ),
+    ] = -18.5
+    reverberation_decay_db_per_m: Annotated[
+        float, field_info("By which the tail fades.", "dB/m", ge=0, le=1000)
+    ] = 14.0
 
 
 class SeaSection(Section, frozen=True):
@@ -489,6 +498,13 @@ class SonarSection(Section, frozen=True):
     crosstalk_db: Annotated[
         Annotated[float, Meta(ge=-200, le=0)] | UnsetType | None,
         field_info("Electrical, of a row's mean power in all its beams.", "dB"),
+    ] = UNSET
+    ring_down_db: Annotated[
+        Annotated[float, Meta(ge=-200, le=20)] | UnsetType | None,
+        field_info("What still rings after the transmission, of full scale at 50 % gain.", "dB"),
+    ] = UNSET
+    dynamic_focus: Annotated[
+        bool | UnsetType, field_info("Whether beams are focused at every range.")
     ] = UNSET
 
 

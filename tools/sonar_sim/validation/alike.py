@@ -1,5 +1,7 @@
 """A recording and its simulation, number by number."""
 
+import itertools
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -29,6 +31,8 @@ SILENT_ROWS, BRIGHT_ROWS, EVEN_ROWS = slice(22, 168), slice(260, 430), slice(480
 LINE_BLOCK = 10
 """Side of the blocks of the reference, for the lines' correlation."""
 RISE_M = (0.26, 1.9)
+TAIL_M = (1.37, 1.62, 2.0)
+"""Ranges of the public recording behind its floor: the tail, and what noise nearly covers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +72,7 @@ def compare(recorded: Recorded, simulated: NDArray[np.uint8]) -> tuple[Recording
         *_lines(recorded, both),
         *_pings(recorded, both),
         *_floor(recorded, both),
+        *_tail(recorded, both),
         _bearings(recorded),
     )
 
@@ -168,6 +173,26 @@ def _floor(recorded: Recorded, both: Both) -> list[RecordingComparison]:
         RecordingComparison(
             "noise, largest difference, dB", None, 0.0, float(np.abs(gap).max()), 3.0
         ),
+    ]
+
+
+def _tail(recorded: Recorded, both: Both) -> list[RecordingComparison]:
+    """Behind the floor: level, and what of tail and of dark pixels stays from ping to ping."""
+    range_m = recorded.sonar.row_centres_m
+    amplitudes = [linear_amplitude(pixels, recorded.sonar.gamma_byte) for pixels in both]
+    near, far = ((range_m > low) & (range_m < high) for low, high in itertools.pairwise(TAIL_M))
+
+    def level_db(rows: NDArray[np.bool_]) -> tuple[float, float]:
+        return _pair(10.0 * math.log10(np.mean(np.square(a[:, rows]))) for a in amplitudes)
+
+    def stays(rows: NDArray[np.bool_]) -> tuple[float, float]:
+        return _pair(ping_correlation([ping[rows] for ping in a]) for a in amplitudes)
+
+    return [
+        RecordingComparison("tail, dB of full scale", None, *level_db(near), 1.5),
+        RecordingComparison("tail and noise, dB of full scale", None, *level_db(far), 1.5),
+        RecordingComparison("pings, tail", None, *stays(near), 0.1),
+        RecordingComparison("pings, dark pixels behind the floor", 0.22, *stays(far), 0.06),
     ]
 
 

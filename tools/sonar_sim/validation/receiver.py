@@ -21,13 +21,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SETUPS = (
-    ("M1200d 2.1 MHz 256", 0.4, 256, 30.0, 0.646),
-    ("M750d LF 512", 1.0, 512, 65.0, 0.944),
-    ("M750d LF 256", 1.0, 256, 65.0, 0.795),
-    ("M750d HF 512", 0.6, 512, 35.0, 0.938),
-    ("M750d HF 256", 0.6, 256, 35.0, 0.774),
+    ("M1200d 2.1 MHz 256", (0.4, 30.0), 256, 40.0, 0.646),
+    ("M750d LF 512", (1.0, 65.0), 512, 30.0, 0.944),
+    ("M750d LF 256", (1.0, 65.0), 256, 30.0, 0.795),
+    ("M750d HF 512", (0.6, 35.0), 512, 30.0, 0.938),
+    ("M750d HF 256", (0.6, 35.0), 256, 30.0, 0.774),
 )
-"""Name, beam width deg, beams, half aperture deg, correlation of power at lag 1 in mid-fan."""
+"""Name, beam width and half aperture deg, beams, side lobes dB, correlation of power at lag 1 in
+mid-fan."""
 MARGIN = 12
 FINE = SonarSettings(half_aperture_rad=math.radians(7.0))
 """So narrow a fan that 37 beams sample one beam's width."""
@@ -124,15 +125,16 @@ def _steered() -> tuple[ValidationCheck, ...]:
 
 
 def _neighbours(
-    name: str, width_deg: float, beams: int, half_deg: float, expected: float
+    name: str, sonar_deg: tuple[float, float], beams: int, side_lobe_db: float, expected: float
 ) -> ValidationCheck:
-    """Correlation of power between neighbouring Gaussian beams of speckle."""
+    """Correlation of power between neighbouring beams of speckle, side lobes and all."""
+    width_deg, half_deg = sonar_deg
     sonar = dataclasses.replace(
         SonarSettings(),
         beam_width_rad=math.radians(width_deg),
         beams=beams,
         half_aperture_rad=math.radians(half_deg),
-        side_lobe_db=math.inf,
+        side_lobe_db=side_lobe_db,
     )
     power = np.square(np.abs(Homogeneous(sonar, 102400 // beams).beams()).astype(np.float64))
     return ValidationCheck(

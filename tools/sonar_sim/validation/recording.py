@@ -1,9 +1,10 @@
 """A recording of a real sonar, and the same sonar simulated before a scene as bright.
 
 No public recording comes with surveyed geometry, so the scene's echo strength is taken from the
-recording itself: its mean power, smoothed over many cells so that no speckle is left, less the
-noise. What is compared is all that the simulator adds: the law of pixels, speckle, what of it stays
-from ping to ping, how beams and rows share it, and how the noise grows with range.
+recording itself: its mean power up to the floor's far end, smoothed over many cells so that no
+speckle is left, less the noise. What is compared is all that the simulator adds: the law of pixels,
+speckle, what of it stays from ping to ping, how beams and rows share it, the tail behind the floor,
+and how the noise grows with range.
 """
 
 import dataclasses
@@ -17,12 +18,16 @@ from scipy.ndimage import gaussian_filter
 
 from oculus_driver import Ping, StreamParser, decode_ping
 from sonar_sim import _core
-from sonar_sim.propagation.physics import Physics
+from sonar_sim.geometry.pose import FramePose, rotation_of
+from sonar_sim.propagation.physics import Physics, Reverberation
 from sonar_sim.receiver.beamformer import beam_former
 from sonar_sim.receiver.gain import amplitude, quantise, row_gain
-from sonar_sim.receiver.noise import add_random, noise_rms, stream_key
+from sonar_sim.receiver.noise import add_random, add_tail, noise_rms, stream_key
+from sonar_sim.scene.material import MATERIALS
+from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.scene.water import Water
+from sonar_sim.simulator import Simulator
 from sonar_sim.validation.statistics import linear_amplitude, noise_power
 
 MARGIN = 12
@@ -31,6 +36,12 @@ SMOOTHING = (6.0, 5.0)
 BAND_ROWS = 25
 NOISY_M = ((0.2, 0.56), (1.28, 2.0))
 """Ranges of the public recording at which what changes between pings is mostly noise."""
+FLOOR_END_M = 1.3
+"""Of the public recording: behind lies no echo but the tail."""
+FLOOR_HEIGHT_M, FLOOR_PITCH_RAD, FLOOR_GAIN_PERCENT = 0.66, math.radians(42.0), 78.0
+"""Of an even floor that is as far, as long and as bright as the recorded one."""
+VERTICAL_WIDTH_RAD = math.radians(14.0)
+"""Unpublished; 12° to 20° are said of such units."""
 BEAM_WIDTH_RAD = math.radians(0.4)
 SIDE_LOBE_DB = 40.0
 """Unpublished; the recorded beams are so nearly Gaussian that their side lobes must be low."""
@@ -164,6 +175,9 @@ def simulate_recording(recorded: Recorded, pings: int = 3, seed: int = 0) -> NDA
     scene = _scene_power(recorded, gain, floor_power) / np.float32(former.noise_gain**2)
     still = np.zeros(scene.shape, dtype=np.complex64)
     _core.add_gaussian_power(still, scene, stream_key(seed, "surface"))
+    # No mirror is in sight, so all that echoes leaves a tail.
+    everything = np.full(sonar.rows, np.inf)
+    add_tail(still, _tail(), sonar, limit=everything, key=stream_key(seed, "tail"))
     columns = np.ones(scene.shape[1], dtype=np.float32)
     images = []
     for ping_id in range(pings):
@@ -171,6 +185,34 @@ def simulate_recording(recorded: Recorded, pings: int = 3, seed: int = 0) -> NDA
         add_random(field, noise, columns, stream_key(seed, "noise", ping_id))
         shown = amplitude(former.form(field), gain)
         images.append(quantise(shown, physics, sonar.gamma_byte))
+    return np.stack(images).astype(np.uint8)
+
+
+def _tail() -> Reverberation:
+    """That of any water, by default."""
+    return Reverberation(
+        10.0 ** (WATER.reverberation_db / 10.0), WATER.reverberation_decay_db_per_m
+    )
+
+
+def simulate_floor(recorded: Recorded, pings: int = 3, seed: int = 0) -> NDArray[np.uint8]:
+    """Simulate pings of the recorded sonar over an even floor, about where the recorded one lies.
+
+    All that is there comes of the scene; nothing is taken from the recording but its settings, and
+    the gain that makes the floor as bright.
+
+    Returns:
+        Pixels (pings, rows, beams).
+    """
+    sonar = dataclasses.replace(
+        recorded.sonar, gain_percent=FLOOR_GAIN_PERCENT, vertical_width_rad=VERTICAL_WIDTH_RAD
+    )
+    corners = 20.0 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=np.float64)
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    floor = Surface("floor", corners, faces, MATERIALS["gravel"])
+    pose = FramePose(np.array([0.0, 0.0, FLOOR_HEIGHT_M]), rotation_of(0.0, FLOOR_PITCH_RAD, 0.0))
+    simulator = Simulator(Scene((floor,), water=WATER), sonar, seed)
+    images = [simulator.ping(pose, ping_id).image for ping_id in range(pings)]
     return np.stack(images).astype(np.uint8)
 
 
@@ -195,6 +237,7 @@ def _scene_power(
     shown = np.mean(np.square(recorded.amplitudes), axis=0)
     smooth = gaussian_filter(shown, SMOOTHING, mode="nearest")
     power = np.maximum(smooth / np.square(gain[:, None]) - noise_power[:, None], 0.0)
+    power[recorded.sonar.row_centres_m > FLOOR_END_M] = 0.0
     widened: NDArray[np.float32] = np.pad(power, ((0, 0), (MARGIN, MARGIN)), mode="edge").astype(
         np.float32
     )

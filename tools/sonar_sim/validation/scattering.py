@@ -39,7 +39,7 @@ WIDTH_RAD = math.radians(20.0)
 LAMBERT_FLOOR_TABLE = ((10.0, -112.45, -120.65), (20.0, -127.57, -129.47), (40.0, -142.64, -143.10))
 """Range, level without and with the vertical pattern, dB."""
 NEAR = (3.0, -85.12)
-"""Too steep for the rays of a level sonar: seen with the sonar pitched down."""
+"""More than 40° under a level sonar: seen by a fan of all elevations."""
 RING_M = 5.10
 TOLERANCE_DB = 0.3
 
@@ -65,28 +65,26 @@ def v03_lambert_floor() -> ValidationResult:
 def _near_checks() -> list[ValidationCheck]:
     """Close to the foot: the level at 3 m, the foot itself, the ring."""
     sonar = narrow_sonar(8.0)
-    down = math.radians(45.0)
-    pitch = np.array(
-        [[math.cos(down), 0, math.sin(down)], [0, 1, 0], [-math.sin(down), 0, math.cos(down)]]
-    )
-    pose = dataclasses.replace(pose_at((0.0, 0.0, HEIGHT_M)), rotation=pitch)
-    power = cell_power(PingEngine(Scene((floor(),)), sonar), pose, MEAN)
-    # A cone of the pitched array holds the same ground: its sine is along the same axis.
+    all_around = dataclasses.replace(MEAN, all_elevations=True)
+    level_pose = pose_at((0.0, 0.0, HEIGHT_M))
+    power = cell_power(PingEngine(Scene((floor(),)), sonar), level_pose, all_around)
     level = ValidationCheck(
         f"at {NEAR[0]:g} m, dB", NEAR[1], _cell_db(power, sonar, NEAR[0]), TOLERANCE_DB
     )
-    straight = dataclasses.replace(pose_at((0.0, 0.0, HEIGHT_M)), rotation=_straight_down())
-    power = cell_power(PingEngine(Scene((floor(),)), sonar), straight, MEAN)
-    first = float(np.flatnonzero(power.sum(axis=1))[0]) * sonar.range_resolution_m
-    foot = ValidationCheck(
-        "nearest floor echo, m", HEIGHT_M, first, 1.01 * sonar.range_resolution_m
+    row_m, foot_row = sonar.range_resolution_m, round(HEIGHT_M / sonar.range_resolution_m)
+    per_cell = power[foot_row, 28:36].mean() * math.radians(1.0) / sonar.sine_pitch
+    # A strip of width h ds along the track, as far as sqrt(2 h dR) ahead, at normal incidence.
+    strip_m2 = HEIGHT_M * math.radians(1.0) * math.sqrt(2.0 * HEIGHT_M * row_m)
+    below = ValidationCheck(
+        "straight below, dB",
+        decibel(DULL.mu * strip_m2 / HEIGHT_M**4),
+        decibel(per_cell),
+        TOLERANCE_DB,
     )
+    first = float(np.flatnonzero(power.sum(axis=1) > 1e-3 * power.sum(axis=1).max())[0]) * row_m
+    foot = ValidationCheck("nearest floor echo, m", HEIGHT_M, first, 1.01 * row_m)
     ring = ValidationCheck("dark ring, m", RING_M, _ring_m(), 0.03)
-    return [level, foot, ring]
-
-
-def _straight_down() -> NDArray[np.float64]:
-    return np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    return [level, below, foot, ring]
 
 
 def _ring_m() -> float:
