@@ -216,7 +216,7 @@ class PingEngine:
             )
             ways = direct_paths(here, rays)
         for mirror in physics.mirrors:
-            ways += mirror_paths(here, rays, mirror)
+            ways += mirror_paths(here, fan, mirror, reach_m)
         return rays, ways
 
     @cached_property

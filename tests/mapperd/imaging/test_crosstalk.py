@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Literal
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -160,8 +161,11 @@ def test_stripes_go_from_simulated_images(
 ) -> None:
     image = simulated("harbour", pitch_deg)
     with_stripe = striped(image, row, thickness, level)
-    false = returns(with_stripe) & ~returns(image)
+    # What touches an echo of the scene may be a part of it.
+    touched = cv2.dilate(returns(image).astype(np.uint8), np.ones((3, 3), dtype=np.uint8)) > 0
+    false = returns(with_stripe) & ~touched
     out = cleared(with_stripe)
+    assert false.sum() > 500
     assert (returns(out) & false).sum() <= 0.02 * false.sum()
     assert returns(out)[returns(image)].mean() > 0.98
 

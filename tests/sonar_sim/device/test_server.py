@@ -62,9 +62,10 @@ async def fresh_ping(served: ServedScenario, sonar: OculusSonar) -> Ping:
 
 
 def floor_m(ping: Ping) -> float:
-    """Range of the loudest row of the middle beams."""
+    """Range of the loudest row of the middle beams, beyond the transmitter's ring-down."""
     middle = ping.image[:, ping.beams // 2 - 8 : ping.beams // 2 + 8].astype(float)
-    return float(ping.ranges_m[np.argmax(middle.sum(axis=1))])
+    heard = np.where(ping.ranges_m > 0.3, middle.sum(axis=1), 0.0)
+    return float(ping.ranges_m[np.argmax(heard)])
 
 
 def test_the_driver_gets_what_it_asks_for(floor_scenario: MakeScenario) -> None:

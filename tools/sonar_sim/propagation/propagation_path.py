@@ -12,8 +12,9 @@ from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.clouds import cloud_gain
 from sonar_sim.propagation.mirror import MIRROR_GAP_M, RELATIVE_GAP, reaches_mirror
 from sonar_sim.propagation.physics import Mirror, Physics
+from sonar_sim.raycast.fan import RayFan
 from sonar_sim.raycast.meshes import NOTHING, Hits, Meshes
-from sonar_sim.raycast.tracing import Trace, span_about, spans
+from sonar_sim.raycast.tracing import Trace, span_about, spans, trace
 
 LEG_SIZE = 16
 """Numbers of a leg: origin (3), rotation (9), drift (3), gain (1)."""
@@ -80,26 +81,26 @@ def audible_faces(meshes: Meshes, names: tuple[str, ...], physics: Physics) -> N
     return by_surface[meshes.material]
 
 
-def direct_paths(here: PingGeometry, trace: Trace) -> list[_core.Rays]:
+def direct_paths(here: PingGeometry, rays: Trace) -> list[_core.Rays]:
     """Straight to what was met and straight back to where the sonar is by then."""
     legs = _LegTable(here)
     ways = []
-    for met in trace.met:
+    for met in rays.met:
         echoes = (met.face >= 0) & here.heard[met.face]
         gain = np.ones(len(met.face), dtype=np.float32)
         if here.physics.clouds:
             hit = np.flatnonzero(echoes)
             path = met.range_m[hit].astype(np.float64)
-            direction = trace.direction[hit]
-            gain[hit] = cloud_gain(here.physics.clouds, trace.origin_m, direction, path)
+            direction = rays.direction[hit]
+            gain[hit] = cloud_gain(here.physics.clouds, rays.origin_m, direction, path)
         ways.append(
             _core.Rays(
                 face=np.where(echoes, met.face, np.int32(NOTHING)),
                 seen=met.group,
                 transmit=met.group,
                 receive=legs.receive(met.group, met.range_m),
-                cell=trace.fan.cell,
-                span_m=spans(here.meshes, trace.fan, met),
+                cell=rays.fan.cell,
+                span_m=spans(here.meshes, rays.fan, met),
                 gain=gain,
                 legs=legs.rows,
             )
@@ -154,16 +155,25 @@ def _drift(here: PingGeometry, group: int) -> NDArray[np.float64]:
     return drift
 
 
-def mirror_paths(here: PingGeometry, trace: Trace, mirror: Mirror) -> list[_core.Rays]:
+def mirror_paths(
+    here: PingGeometry, fan: RayFan, mirror: Mirror, reach_m: float
+) -> list[_core.Rays]:
     """By a mirror there or back or both; the sonar is taken to stand still.
 
     The mirror's image of the sonar sees what the sonar sees in the mirror. Its rays begin on the
     mirror, where the sonar's own ray got there unhindered.
+
+    Args:
+        here: the ping.
+        fan: of rays, not yet refined.
+        mirror: a plane of multipath.
+        reach_m: a mirror that lies farther is not met.
     """
     image = mirrored(here.pose, mirror)
     if image is None:
         return []
-    met, ray = _seen_in_mirror(here, trace, mirror)
+    seen = _seen_in_mirror(here, fan, mirror, image, reach_m)
+    met = seen.met[0]
     hit = np.flatnonzero((met.face >= 0) & here.heard[met.face])
     frames = here.meshes.poses(here.time_s)
     direct = [leg_in_frame(f, here.pose.position_m, here.pose.rotation) for f in frames]
@@ -171,13 +181,12 @@ def mirror_paths(here: PingGeometry, trace: Trace, mirror: Mirror) -> list[_core
         leg_in_frame(f, image.position_m, image.rotation, gain=mirror.reflection) for f in frames
     ]
     legs = np.array([*direct, *bounced]).reshape(-1, LEG_SIZE)
-    point = image.position_m + met.range_m[hit, None].astype(np.float64) * (
-        chunked_matmul(trace.direction[ray[hit]].astype(np.float64), _reflector(mirror))
-    )
+    range_m = met.range_m[hit]
+    point = image.position_m + range_m[:, None].astype(np.float64) * seen.direction[hit]
     group = met.group[hit]
     span = span_about(here.meshes, met, met.range_m, met.range_m)
     twice = group + np.int32(len(frames))
-    once = _in_sight(here, point, 2.0 * here.range_m - met.range_m[hit])
+    once = _in_sight(here, point, 2.0 * here.range_m - range_m)
 
     def way(
         which: NDArray[np.bool_],
@@ -190,13 +199,13 @@ def mirror_paths(here: PingGeometry, trace: Trace, mirror: Mirror) -> list[_core
             seen=twice[which],
             transmit=there[which],
             receive=back[which],
-            cell=trace.fan.cell[ray[hit[which]]],
+            cell=seen.fan.cell[hit[which]],
             span_m=span[hit[which]],
             gain=np.full(np.count_nonzero(which), gain, dtype=np.float32),
             legs=legs,
         )
 
-    both = met.range_m[hit] < here.range_m
+    both = range_m < here.range_m
     pair = pair_gain(here, mirror)
     return [
         way(once, group, twice, pair),
@@ -230,21 +239,41 @@ def _reflector(mirror: Mirror) -> NDArray[np.float64]:
 
 
 def _seen_in_mirror(
-    here: PingGeometry, trace: Trace, mirror: Mirror
-) -> tuple[Hits, NDArray[np.int64]]:
-    """What rays meet after the mirror: ranges from the image, and which rays they are."""
-    falling = rows_dot(trace.direction, mirror.normal)
+    here: PingGeometry, fan: RayFan, mirror: Mirror, image: FramePose, reach_m: float
+) -> Trace:
+    """What rays meet after the mirror, from the image."""
     height = float(np.dot(mirror.normal, here.pose.position_m - mirror.point_m))
-    crossing = height / np.maximum(-falling, 1e-9)
-    first = trace.met[0]
-    there = reaches_mirror(here.meshes, mirror, first.face, first.range_m, crossing)
-    ray = np.flatnonzero((falling < 0.0) & (crossing < 2.0 * here.range_m) & there)
-    direction = trace.direction[ray].astype(np.float64)
-    start = here.pose.position_m + crossing[ray, None] * direction + RELATIVE_GAP * mirror.normal
-    onward = chunked_matmul(direction, _reflector(mirror)).astype(np.float32)
-    met = here.meshes.cast(start, onward, here.time_s, 2.0 * here.range_m, here.threads)
-    range_m = (met.range_m + crossing[ray]).astype(np.float32)
-    return Hits(range_m, met.face, met.group), ray
+    reflector = _reflector(mirror).astype(np.float32)
+
+    def cast(onward: NDArray[np.float32]) -> Hits:
+        range_m = np.full(len(onward), np.inf, dtype=np.float32)
+        face = np.full(len(onward), NOTHING, dtype=np.int32)
+        group = np.zeros(len(onward), dtype=np.int32)
+        crossing = height / np.maximum(rows_dot(onward, mirror.normal), 1e-9)
+        ray = np.flatnonzero(crossing < 2.0 * here.range_m)
+        direction = chunked_matmul(onward[ray], reflector)
+        first = here.meshes.cast(
+            here.pose.position_m, direction, here.time_s, reach_m, here.threads
+        )
+        there = reaches_mirror(here.meshes, mirror, first.face, first.range_m, crossing[ray])
+        ray, direction = ray[there], direction[there]
+        way = crossing[ray]
+        start = here.pose.position_m + way[:, None] * direction + RELATIVE_GAP * mirror.normal
+        met = here.meshes.cast(start, onward[ray], here.time_s, 2.0 * here.range_m, here.threads)
+        range_m[ray] = met.range_m + way
+        face[ray], group[ray] = met.face, met.group
+        return Hits(range_m, face, group)
+
+    return trace(
+        here.meshes,
+        fan,
+        image,
+        here.time_s,
+        2.0 * here.range_m,
+        threads=here.threads,
+        cast=cast,
+        framed_by=here.pose,
+    )
 
 
 def _in_sight(

@@ -56,7 +56,7 @@ def refracted_paths(
         fan,
         met,
         edges,
-        map_T_sonar=here.pose,
+        eyes=(here.pose,),
         time_s=here.time_s,
         reach_m=reach_m,
         layers=bending,

@@ -12,6 +12,7 @@ incidence it has to, around a ball it must not. What the neighbouring rays met o
 distinguishes the two.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -63,6 +64,8 @@ def trace(
     *,
     shadows: bool = True,
     threads: int = 2,
+    cast: Callable[[NDArray[np.float32]], Hits] | None = None,
+    framed_by: FramePose | None = None,
 ) -> Trace:
     """Cast a fan from a pose.
 
@@ -74,19 +77,26 @@ def trace(
         reach_m: what lies farther is not met.
         shadows: whether only the first thing on a ray is met.
         threads: that share the rays.
+        cast: what directions of the map frame, (N, 3), meet; by default the nearest mesh.
+        framed_by: the sonar whose image in a mirror the pose is: outlines that it sees, as those of
+            the mirror, cut cells too.
     """
     origin = map_T_sonar.position_m
     turn = map_T_sonar.rotation.T.astype(np.float32)
+    if cast is None:
+
+        def cast(direction: NDArray[np.float32]) -> Hits:
+            return meshes.cast(origin, direction, time_s, reach_m, threads)
+
     direction = chunked_matmul(fan.directions, turn)
-    met = meshes.cast(origin, direction, time_s, reach_m, threads)
+    met = cast(direction)
     edges = edges_of(meshes, fan, direction, met)
-    fan, source = refined_fan(
-        meshes, fan, met, edges, map_T_sonar=map_T_sonar, time_s=time_s, reach_m=reach_m
-    )
+    eyes = (map_T_sonar,) if framed_by is None else (map_T_sonar, framed_by)
+    fan, source = refined_fan(meshes, fan, met, edges, eyes=eyes, time_s=time_s, reach_m=reach_m)
     new = np.flatnonzero(source < 0)
     if len(new):
         direction = chunked_matmul(fan.directions, turn)
-        more = meshes.cast(origin, direction[new], time_s, reach_m, threads)
+        more = cast(direction[new])
         met = Hits(
             merged(met.range_m, source, more.range_m),
             merged(met.face, source, more.face),
@@ -124,7 +134,7 @@ def refined_fan(
     met: Hits,
     edges: NDArray[np.int64],
     *,
-    map_T_sonar: FramePose,  # noqa: N803
+    eyes: tuple[FramePose, ...],
     time_s: float,
     reach_m: float,
     layers: NDArray[np.float64] | None = None,
@@ -136,7 +146,7 @@ def refined_fan(
         fan: that was cast.
         met: by its rays.
         edges: rays whose upper neighbour met something else.
-        map_T_sonar: the sonar.
+        eyes: poses of the sonar, and of its image, from which outlines are seen.
         time_s: at which moving objects are met.
         reach_m: what lies farther is not seen.
         layers: depths and speeds of sound that bend the rays, (L, 2).
@@ -152,11 +162,11 @@ def refined_fan(
         fan.grid.rays,
         fan.first_sine - fan.sine_pitch / 2.0,
         fan.sine_pitch,
-        [group.seen_from(map_T_sonar, time_s) for group in meshes.groups],
+        [group.seen_from(eye, time_s) for eye in eyes for group in meshes.groups],
         edges,
         reach_m,
         np.empty((0, 2)) if layers is None else layers,
-        np.append(map_T_sonar.rotation[2], map_T_sonar.position_m[2]),
+        np.append(eyes[0].rotation[2], eyes[0].position_m[2]),
     )
     return RayFan(directions, cell, column, fan.columns, fan.sine_pitch, fan.grid), source
 
