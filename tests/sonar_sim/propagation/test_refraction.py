@@ -16,6 +16,7 @@ from sonar_sim.validation.setups import (
     CHALK,
     MEAN,
     MIRROR,
+    cell_power,
     floor,
     narrow_sonar,
     pose_at,
@@ -123,6 +124,21 @@ def test_straight_up_and_down_paths_are_straight() -> None:
         speeds = 1500.0 - GRADIENT * np.array([-3.0, -3.0 + rise])
         time_s = math.log(speeds.max() / speeds.min()) / GRADIENT
         assert ray.range_m == pytest.approx(1500.0 * time_s, rel=1e-5)
+
+
+@pytest.mark.parametrize("elevations", [64, 200])
+def test_a_floor_in_a_thermocline_has_no_gaps(elevations: int) -> None:
+    """Rays that the water spreads still cover it: no row is dark."""
+    layers = SoundSpeedProfile(np.array([0.0, 3.5, 4.5]), np.array([1512.0, 1512.0, 1500.0]))
+    sonar = narrow_sonar(11.0, 0.04)
+    engine = PingEngine(Scene((floor(-4.0, CHALK),)), sonar, elevations=elevations)
+    pose = pose_at((0.0, 0.0, -2.0))
+    power = cell_power(engine, pose, dataclasses.replace(MEAN, layers=layers)).sum(axis=1)
+    beyond = sonar.row_centres_m > 4.0
+    # Of straight paths the level would be even; the water below bends these a little steeper.
+    level_db = 10.0 * np.log10(power[beyond] * sonar.row_centres_m[beyond] ** 5)
+    assert np.abs(np.diff(level_db)).max() < 1.0
+    assert np.ptp(level_db) < 2.0
 
 
 def test_point_targets_stand_where_small_balls_do() -> None:

@@ -69,8 +69,8 @@ class RuleCheck:
         without: from what they chose to the same without one effect, for each that is on; where
             the level already exceeds its tolerance, cells and texture stay 0.
         tolerance: by which they decided.
-        excused: effects that need not show: those in doubt, which a dimmer ping would not call for,
-            and those that cost next to nothing.
+        excused: effects that need not show: those in doubt, which this ping or a dimmer one would
+            not call for, and those that cost next to nothing.
     """
 
     plan: EffectPlan
@@ -143,8 +143,12 @@ class RuleChecker:
         return RuleCheck(plan, left_out, without, self._tolerance, self._excused(plan, view))
 
     def _excused(self, plan: EffectPlan, view: PingPreview) -> frozenset[str]:
-        dim = replace(self._tolerance, brighter_db=-MARGIN_DB)
-        doubtful = (d.effect.name for d in plan.decisions if not d.effect.decide(view, dim).on)
+        levels = (self._tolerance, replace(self._tolerance, brighter_db=-MARGIN_DB))
+        doubtful = (
+            d.effect.name
+            for d in plan.decisions
+            if not all(d.effect.decide(view, level).on for level in levels)
+        )
         return frozenset(doubtful) | BY_BOUNDS
 
     def _change_without(

@@ -28,6 +28,10 @@ TARGET_SEGMENTS = 64
 MAX_LAUNCH_RAD = 0.7
 """A path leaves no farther off the chord than this; on a longer detour it would not be heard."""
 LAUNCHES = 65
+STRETCH = (0.25, 4.0)
+"""Limits of what bending does to a ray's cell. Beyond, it is a caustic or a shadow: no ray tells."""
+TOUCHING = 1e-6
+"""Sines between the edges of two cells that lie one upon the other."""
 REFINEMENTS = 4
 """Each time the bracket of a path's direction becomes `LAUNCHES` - 1 times as narrow."""
 
@@ -291,11 +295,36 @@ def _ways(here: PingGeometry, fan: RayFan, start: NDArray[np.float64], found: _F
         seen=own,
         transmit=own,
         receive=own,
-        cell=fan.cell[hit],
+        cell=_stretched(here, fan, start, found)[hit],
         span_m=spans(here.meshes, fan, found.met)[hit],
         gain=gain,
         legs=legs,
     )
+
+
+def _stretched(
+    here: PingGeometry, fan: RayFan, start: NDArray[np.float64], found: _Found
+) -> NDArray[np.float32]:
+    """Cells that cover what bent rays stand for, (N, 4).
+
+    Bending spreads neighbours or gathers them. A ray's virtual leg sees the place of its neighbour
+    in the column so many times farther off than the neighbour left: so much higher is its cell, and
+    patches neither leave gaps nor overlap. Spreading still goes by the travel time.
+    """
+    touching = np.abs(fan.cell[1:, 2] - fan.cell[:-1, 3]) < TOUCHING
+    lower = np.flatnonzero((fan.column[1:] == fan.column[:-1]) & touching)
+    lower = lower[(found.face[lower] >= 0) & (found.face[lower + 1] >= 0)]
+    parted = edges_of(here.meshes, fan, start.astype(np.float32), found.met)
+    lower = lower[~np.isin(lower, parted)]
+    cell, w = fan.cell.copy(), fan.directions[:, 2].astype(np.float64)
+    for ray, other, edge in ((lower, lower + 1, 3), (lower + 1, lower, 2)):
+        turn = _rotations(start[ray], found.arrival[ray]) @ here.pose.rotation
+        origin_m = found.place_m[ray] - found.range_m[ray, None] * found.arrival[ray]
+        way = found.place_m[other] - origin_m
+        seen = np.einsum("nj,nj->n", way, turn[:, :, 2]) / np.linalg.norm(way, axis=1)
+        times = np.clip((seen - w[ray]) / (w[other] - w[ray]), *STRETCH)
+        cell[ray, edge] = w[ray] + times * (fan.cell[ray, edge] - w[ray])
+    return cell
 
 
 def _turned(
