@@ -22,8 +22,8 @@ Cells = NDArray[np.complex64] | NDArray[np.float32]
 
 TAIL_SPREAD_SINE = 0.06
 """Standard deviation over which a tail spreads in the sine of the bearing."""
-TAIL_COLUMNS = 16
-"""Columns whose mean power is taken together."""
+TAIL_STEP_SINE = 0.03
+"""Width of the blocks of columns whose mean power is taken together."""
 TURN_STEPS = 400
 """Steps of the rotation matrix's entries in which the tail's speckle is the same."""
 ELEVATIONS = 512
@@ -113,9 +113,13 @@ def _solid_angle_sr(sonar: SonarSettings, physics: Physics, columns: int) -> NDA
 
 
 def tail_power(
-    power: NDArray[np.floating], sines: NDArray[np.float64], row_m: float, tail: Reverberation
+    power: NDArray[np.floating],
+    sines: NDArray[np.float64],
+    row_m: float,
+    tail: Reverberation,
+    heard: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """Mean power of the reverberant tail behind echoes, (rows, N).
+    """Mean power of the reverberant tail behind echoes, (rows, M).
 
     The last scatterers of sound on its detours lie around the first: the tail spreads over
     bearings, and only follows what it is the tail of.
@@ -125,15 +129,13 @@ def tail_power(
         sines: of the bearings, (N,).
         row_m: spacing of these rows, which may be coarser than the sonar's.
         tail: its energy and decay.
+        heard: sines of the bearings of the tail, (M,); without them those of the echoes.
     """
-    away = (sines[:, None] - sines) / TAIL_SPREAD_SINE
-    spread = np.exp(-0.5 * np.square(away))
-    mixed = chunked_matmul(np.asarray(power, dtype=np.float64), spread / spread.sum(axis=0))
     kept = 10.0 ** (-tail.decay_db_per_m * row_m / 10.0)
-    filled: NDArray[np.float64] = lfilter(
-        [0.0, kept * tail.energy_per_m * row_m], [1.0, -kept], mixed, axis=0
-    )
-    return filled
+    filled = lfilter([0.0, kept * tail.energy_per_m * row_m], [1.0, -kept], power, axis=0)
+    away = (sines[:, None] - (sines if heard is None else heard)) / TAIL_SPREAD_SINE
+    spread = np.exp(-0.5 * np.square(away))
+    return chunked_matmul(np.asarray(filled, dtype=np.float64), spread / spread.sum(axis=0))
 
 
 def diffuse_limit_m2(sonar: SonarSettings, mu: float) -> NDArray[np.float64]:
@@ -168,15 +170,16 @@ def add_tail(
         threads: that share the work.
     """
     columns = cells.shape[1]
-    starts = np.arange(0, columns, TAIL_COLUMNS)
+    starts = np.arange(0, columns, max(1, int(TAIL_STEP_SINE / sonar.sine_pitch)))
     if np.iscomplexobj(cells):
         squares = np.square(cells.real) + np.square(cells.imag)
     else:
         squares = np.asarray(cells)
     sizes = np.diff(np.append(starts, columns))
     blocks = np.minimum(np.add.reduceat(squares, starts, axis=1) / sizes, limit[:, None])
-    middles = np.add.reduceat(column_sines(columns, sonar), starts) / sizes
-    power = np.repeat(tail_power(blocks, middles, sonar.range_resolution_m, tail), sizes, axis=1)
+    sines = column_sines(columns, sonar)
+    middles = np.add.reduceat(sines, starts) / sizes
+    power = tail_power(blocks, middles, sonar.range_resolution_m, tail, sines)
     if np.iscomplexobj(cells):
         _core.add_gaussian_power(cells, power.astype(np.float32), key, threads)  # type: ignore[arg-type]
     else:

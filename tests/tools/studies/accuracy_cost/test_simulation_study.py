@@ -166,7 +166,8 @@ def test_each_shortcut_is_an_error_of_its_own_kind(measured: Measured) -> None:
     assert whole["image_rms_db"] < 0.05
     assert whole["grain_spread_db"] < 1.0  # of few pixels
     assert measured()["image_rms_db"] > 10.0 * whole["image_rms_db"]
-    assert measured(**ALL, sim_elevations=4)["image_rms_db"] > 10.0 * whole["image_rms_db"]
+    # Cells are cut along outlines: few rays err little, and on what is not flat.
+    assert measured(**ALL, sim_elevations=4)["image_rms_db"] > 3.0 * whole["image_rms_db"]
     assert measured(**ALL, **{"sim_effect.gain": False})["image_rms_db"] > 10.0
     assert measured(**ALL, **{"sim_effect.quantisation": False})["image_rms_db"] > 0.1
 
