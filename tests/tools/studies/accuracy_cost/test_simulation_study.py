@@ -175,7 +175,9 @@ def test_each_shortcut_is_an_error_of_its_own_kind(measured: Measured) -> None:
     assert even["grain_spread_db"] == pytest.approx(5.57, abs=0.5)
     assert even["image_rms_db"] == pytest.approx(whole["image_rms_db"])
 
-    sparse = measured(**ALL, sim_nodes_per_beam=0.2)
+    # The tail of what lies nearer would fill the gaps between few scatterers.
+    no_tail = {"sim_effect.reverberation": False}
+    sparse = measured(**ALL, **no_tail, sim_nodes_per_beam=0.2)
     assert sparse["grain_spread_db"] > 4.0 * sparse["grain_spread_chance_db"]
     assert whole["grain_spread_db"] < 3.0 * whole["grain_spread_chance_db"]
 
