@@ -30,6 +30,7 @@ from mapperd.client.mirror import MapMirror, names_of
 from mapperd.client.validation import bearings_of, image_of
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, ExportError
+from mapperd.export.cells import UNKNOWN, GridLayer, GridWindow
 from mapperd.export.rosbag import GRID_TOPIC, Turned
 from mapperd.geometry.frames import Pose, quaternion_to_matrix
 from mapperd.imaging.ping_image import FanShape
@@ -88,6 +89,9 @@ PARTICLES_NS = NS // 2
 SHARE = 33.0
 """A cloud or grid is made after this many times the processor time that the last one took."""
 
+NO_GRID = GridLayer(np.full((1, 1), UNKNOWN, np.uint8), GridWindow(0, 0, 1, 1))
+"""Replaces the grid of a map that was reset: Nav2 and RViz refuse one without cells."""
+
 ALONE_S = 10.0
 MAX_TAKEN = 50
 POSITION_M, TURN = 1e-6, 1e-9
@@ -135,6 +139,8 @@ class Ros2Bridge:
         self._map_due_s = -np.inf
         self._is_reset = False
         self._grid_error = ""
+        self._has_grid = False
+        """The last grid had cells: readers hold it until another one comes."""
         self._state: LocalizationMessage | None = None
         """Of this connection: that of an earlier one may be another session's."""
         self._slow: set[str] = set()
@@ -172,6 +178,7 @@ class Ros2Bridge:
 
     def _reset(self, _: MapReset) -> None:
         self._is_reset = True
+        self._map_stamp_ns = 0
         self._changed.clear()
         self._due |= {"cloud", "grid"}
 
@@ -386,7 +393,10 @@ class Ros2Bridge:
                     self._grid_error = str(error)
                     self._report(f"grid: {error}")
                 layer = None
+            if layer is None and self._has_grid and not self._grid_error:
+                layer = NO_GRID
             if layer is not None:
+                self._has_grid = layer is not NO_GRID
                 self._send("grid", self.messages.grid(stamp_ns, frame, layer, mirror.cell_m))
         return time.thread_time() - began_s
 

@@ -30,8 +30,9 @@ from mapperd.errors import ConfigError
 from mapperd.odometry.native import decode_native
 from mapperd.odometry.records import Odometry
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
-from mapperd.wire.messages import EventMessage, RobotsMessage, SettingsMessage
+from mapperd.wire.messages import EventMessage, Interest, RobotsMessage, SettingsMessage
 from tests.mapperd.bridges.bridge_fakes import (
+    INFO,
     T0,
     BridgeStream,
     S,
@@ -786,6 +787,37 @@ def test_where_the_daemon_maps_by_odometry_its_map_is_in_that_frame() -> None:
     assert odometry.pose.pose.position.x == 1.0
     corrected = published(LOCALIZES, sure(), a_pose(), MapChanged(key, T0, 0))
     assert corrected["/sonar_3d_map"][-1].header.frame_id == "map"
+
+
+def test_a_reset_replaces_the_grid_that_readers_hold() -> None:
+    stream, node = BridgeStream(), Recorded()
+    bridge = Ros2Bridge(stream, of_rov(), node, print)  # type: ignore[arg-type]
+
+    async def run() -> None:
+        now_s = 0.0
+
+        async def publish(*changes: Any) -> None:
+            nonlocal now_s
+            for change in changes:
+                bridge.take(change)
+            now_s += 100.0
+            await bridge.tick(now_s)
+
+        await publish(began())
+        assert "/map" not in node.sent  # nobody holds one
+        feed_map(stream)
+        await publish(MapChanged(np.array([[1, -1, 0]], np.int32), T0, 0))
+        assert stream.mirror is not None
+        stream.mirror.begin(INFO, Interest())
+        await publish(a_status(at_s=9.0), began())
+        await publish(began())
+
+    asyncio.run(run())
+    full, empty = node.sent["/map"]
+    assert (full.data == 100).sum() == 2
+    assert (empty.info.width, empty.info.height, empty.data.tolist()) == (1, 1, [-1])
+    assert empty.info.resolution == 0.5
+    assert empty.header.stamp.sec == T0 // S + 9
 
 
 def test_no_transform_of_the_map_is_invented_while_the_vehicle_is_not_localized() -> None:
