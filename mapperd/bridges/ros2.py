@@ -13,7 +13,7 @@ import numpy as np
 
 from mapperd.bridges.dds import DdsNode, Profile
 from mapperd.bridges.ros2_messages import ERROR, OK, WARN, LiveMessages
-from mapperd.bridges.ros2_services import OdometryForwarder, Ros2Requests
+from mapperd.bridges.ros2_services import OdometryForwarder, Ros2Requests, odometry_target
 from mapperd.bridges.vehicle import (
     BridgeClient,
     CloudCache,
@@ -475,14 +475,16 @@ async def serve(client: Ros2Client, config: Config, report: Callable[[str], None
         report: takes one line for each change of a link.
 
     Raises:
-        ConfigError: a setting does not fit.
+        ConfigError: a setting does not fit, or the host of `ros2.odometry_link` is unknown.
         LiveError: DDS cannot start.
         StreamError: the daemon refuses the client.
     """
+    link = config.ros2.odometry_link
+    target = await odometry_target(link) if link else None
     node = DdsNode(domain_of(config, os.environ), config.ros2.namespace)
     bridge = Ros2Bridge(client, config, node, report)
     requests = Ros2Requests(client, node, bridge.messages, config, report)
-    forwarder = OdometryForwarder(node, config) if config.ros2.odometry_link else None
+    forwarder = OdometryForwarder(node, config.topics.odometry, target) if target else None
     works = (
         _follow(client, bridge),
         _repeat(bridge.tick),

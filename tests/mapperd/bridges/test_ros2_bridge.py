@@ -8,6 +8,7 @@ import os
 import signal
 import socket
 import sys
+import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from functools import partial
@@ -537,6 +538,54 @@ def test_odometry_of_others_is_passed_on_as_native_records() -> None:
     assert record.stamp_ns == 10 * S + 500
     assert record.velocity_mps is not None
     assert record.velocity_mps.tolist() == [0.5, 0.0, 0.0]
+
+
+def test_the_name_of_the_odometry_link_is_looked_up_once_and_beside_the_loop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    threads: list[int] = []
+    numeric = socket.getaddrinfo
+
+    def look_up(host: str, port: int, *args: Any, **fields: Any) -> Any:
+        if host == "daemon.test":
+            threads.append(threading.get_ident())
+            found = numeric("127.0.0.1", port, *args, **fields)
+            return [(socket.AF_INET6, *found[0][1:4], ("::1", port, 0, 0)), *found]
+        return numeric(host, port, *args, **fields)
+
+    monkeypatch.setattr(socket, "getaddrinfo", look_up)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as daemon:
+        daemon.bind(("127.0.0.1", 0))
+        daemon.setblocking(False)  # noqa: FBT003 the call's own form
+        received: list[bytes] = []
+
+        async def act(_: BridgeStream, heard: Heard) -> None:
+            for _attempt in range(300):
+                heard.ask("odometry", x_m=1.5)
+                await asyncio.sleep(0.1)
+                with contextlib.suppress(BlockingIOError):
+                    received.append(daemon.recv(4096))
+                if len(received) == 3:
+                    return
+
+        beside_ros(act, of_rov(odometry_link=f"udp://daemon.test:{daemon.getsockname()[1]}"))
+    assert len(received) == 3
+    assert len(threads) == 1
+    assert threads[0] != threading.get_ident()
+
+
+@pytest.mark.parametrize(
+    ("link", "text"), [("udp://daemon.invalid:5", "not known"), ("udp://daemon", "lacks a host")]
+)
+def test_an_odometry_link_that_leads_nowhere_is_one_line(
+    link: str, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def look_up(*_: Any, **__: Any) -> Any:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", look_up)
+    with pytest.raises(ConfigError, match=rf"ros2.odometry_link: {link}: .*{text}"):
+        asyncio.run(serve(BridgeStream(), of_rov(odometry_link=link), print))
 
 
 def test_a_peer_in_another_domain_hears_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
