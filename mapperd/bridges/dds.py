@@ -184,13 +184,22 @@ def _sample(kind: Any, /, cdr: bytes, **_: object) -> Any:  # noqa: ANN401 a typ
     return sample
 
 
-Profile = Literal["default", "latched", "sensor", "tf", "log"]
+Profile = Literal["default", "latched", "sensor", "stream", "tf", "log"]
 
 BLOCKING_MS = 10
 """A reader that does not keep up delays a message by this time at most; then it is dropped."""
 
-DEPTHS: dict[Profile, int] = {"default": 10, "latched": 1, "sensor": 5, "tf": 100, "log": 1000}
+DEPTHS: dict[Profile, int] = {
+    "default": 10,
+    "latched": 1,
+    "sensor": 5,
+    "stream": 200,
+    "tf": 100,
+    "log": 1000,
+}
 LATCHED = ("latched", "log")
+BEST_EFFORT = ("sensor", "stream")
+"""Profiles whose readers match every writer."""
 
 CDR_1 = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
 
@@ -201,7 +210,7 @@ def _qos(profile: Profile, type_hash: str, *, reader: bool = False) -> Qos:
     Writers are always reliable, so that reliable readers get the topic as well. Maps and static
     transforms are transient local, as in Nav2 and tf2.
     """
-    best_effort = reader and profile == "sensor"
+    best_effort = reader and profile in BEST_EFFORT
     durable = Policy.Durability.TransientLocal
     return Qos(
         Policy.Reliability.BestEffort

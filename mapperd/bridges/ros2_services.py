@@ -32,8 +32,8 @@ TIMEOUT_S = 10.0
 MAX_TAKEN = 8
 """Requests of a service that are taken at once; more wait in DDS, the oldest are dropped there."""
 
-MAX_RECORDS = 50
-"""Odometry messages that are taken at once."""
+MAX_RECORDS = 200
+"""Odometry messages that are taken at once: ten times those of 200 Hz, for a loop that is late."""
 
 MIN_POSE_S = 0.5
 REPORT_S = 10.0
@@ -294,7 +294,7 @@ class OdometryForwarder:
 
     def __init__(self, node: DdsNode, topic: str, target: tuple[str, int]) -> None:
         self._to = target
-        self._reader = node.subscriber(topic, "nav_msgs/msg/Odometry")
+        self._reader = node.subscriber(topic, "nav_msgs/msg/Odometry", "stream")
         family = socket.AF_INET6 if ":" in target[0] else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)  # noqa: FBT003 the call's own form

@@ -540,6 +540,38 @@ def test_odometry_of_others_is_passed_on_as_native_records() -> None:
     assert record.velocity_mps.tolist() == [0.5, 0.0, 0.0]
 
 
+def test_fast_odometry_of_a_publisher_that_is_not_reliable_is_passed_on_whole() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as daemon:
+        daemon.bind(("127.0.0.1", 0))
+        daemon.setblocking(False)  # noqa: FBT003 the call's own form
+        link = f"udp://127.0.0.1:{daemon.getsockname()[1]}"
+        places: list[float] = []
+
+        def receive() -> list[float]:
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    record = decode_native(daemon.recv(4096))
+                    assert isinstance(record, Odometry)
+                    assert record.position_m is not None
+                    places.append(float(record.position_m[0]))
+            return places
+
+        async def act(_: BridgeStream, heard: Heard) -> None:
+            while not receive():  # until they match
+                heard.ask("fast_odometry", number=1)
+                await asyncio.sleep(0.1)
+            await asyncio.sleep(0.5)
+            receive()
+            places.clear()
+            heard.ask("fast_odometry", number=150)
+            await until(lambda: 149.0 in receive())
+
+        config = of_rov(odometry_link=link)
+        topics = msgspec.structs.replace(config.topics, odometry="/fast/odometry")
+        beside_ros(act, msgspec.structs.replace(config, topics=topics))
+    assert places == [float(number) for number in range(150)]
+
+
 def test_the_name_of_the_odometry_link_is_looked_up_once_and_beside_the_loop(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
