@@ -476,12 +476,12 @@ async def serve(client: Ros2Client, config: Config, report: Callable[[str], None
 
     Raises:
         ConfigError: a setting does not fit, or the host of `ros2.odometry_link` is unknown.
-        LiveError: DDS cannot start.
+        LiveError: DDS cannot start, or refuses a topic.
         StreamError: the daemon refuses the client.
     """
     link = config.ros2.odometry_link
     target = await odometry_target(link) if link else None
-    node = DdsNode(domain_of(config, os.environ), config.ros2.namespace)
+    node = DdsNode(domain_of(config, os.environ), config.ros2.namespace, report)
     bridge = Ros2Bridge(client, config, node, report)
     requests = Ros2Requests(client, node, bridge.messages, config, report)
     forwarder = OdometryForwarder(node, config.topics.odometry, target) if target else None

@@ -13,11 +13,15 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+from cyclonedds.core import DDSException
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
@@ -27,7 +31,10 @@ from mapperd.bridges.ros2 import TOPICS, Ros2Bridge, domain_of, serve
 from mapperd.client.changes import MapChanged
 from mapperd.client.validation import AskError
 from mapperd.config.tree import Config, Ros2Config, TopicsConfig
-from mapperd.errors import ConfigError
+from mapperd.errors import ConfigError, LiveError
+from mapperd.export.rosbag import Messages
+from mapperd.geometry.frames import Pose
+from mapperd.odometry.fusion import FusedPose
 from mapperd.odometry.native import decode_native
 from mapperd.odometry.records import Odometry
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
@@ -59,6 +66,7 @@ LOOPBACK = (
     "<MaxAutoParticipantIndex>20</MaxAutoParticipantIndex>"
     '<Peers><Peer Address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
 )
+AT_REST = FusedPose(Pose(np.zeros(3), np.eye(4)[0]), None, None, np.eye(6), 0, 0.0)
 PEER = Path(__file__).with_name("ros_peer.py")
 
 Act = Callable[[BridgeStream, "Heard"], Awaitable[None]]
@@ -618,6 +626,66 @@ def test_an_odometry_link_that_leads_nowhere_is_one_line(
     monkeypatch.setattr(socket, "getaddrinfo", look_up)
     with pytest.raises(ConfigError, match=rf"ros2.odometry_link: {link}: .*{text}"):
         asyncio.run(serve(BridgeStream(), of_rov(odometry_link=link), print))
+
+
+def refused(*_: Any, **__: Any) -> Any:
+    raise DDSException(DDSException.DDS_RETCODE_OUT_OF_RESOURCES, "while it did something")
+
+
+def test_errors_of_dds_are_counted_and_a_few_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines: list[str] = []
+    node = DdsNode(DOMAIN, "rov", lines.append)
+    odometry = node.publisher("a", "nav_msgs/msg/Odometry")
+    poses = node.subscriber("b", "nav_msgs/msg/Odometry")
+    service = node.service("c", "std_srvs/Empty")
+    messages = Messages(node.types.classes)
+    message = messages.odometry(T0, "odom", "base", AT_REST)
+    for kind, name in (
+        (DataWriter, "write"),
+        (DataWriter, "get_matched_subscriptions"),
+        (DataReader, "take"),
+        (DataReader, "get_matched_publications"),
+    ):
+        monkeypatch.setattr(kind, name, refused)
+    for _ in range(150):
+        assert odometry.publish(message)
+    assert odometry.readers == poses.writers == 0
+    assert [*poses.take(5), *service.take(5)] == []
+    service.answer(SimpleNamespace(guid=1, seq=2), structure_needs_at_least_one_member=0)
+    assert {name: count for (name, _), count in node.errors.counts.items()} == {
+        "/rov/a": 151,
+        "/rov/b": 2,
+        "/rov/c": 2,
+    }
+    why = "Operation failed because of a lack of resources"
+    assert lines == [
+        f"ROS 2: /rov/a: {why}",
+        f"ROS 2: /rov/a: {why}; 10 errors of this kind",
+        f"ROS 2: /rov/a: {why}; 100 errors of this kind",
+    ]
+    node.close()
+
+
+def test_a_bridge_goes_on_after_errors_of_dds(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def act(stream: BridgeStream, heard: Heard) -> None:
+        stream.feed(SETTINGS)
+        with monkeypatch.context() as broken:
+            for kind, name in ((DataWriter, "write"), (DataReader, "take")):
+                broken.setattr(kind, name, refused)
+            stream.feed(APPEARED)
+            await until(lambda: any("100 errors of this kind" in line for line in heard.lines))
+        while not heard["/rosout"]:
+            stream.feed(APPEARED)
+            await asyncio.sleep(0.1)
+
+    heard = beside_ros(act, of_rov(commands=True))
+    assert sum("lack of resources" in line for line in heard.lines) in (3, 4)
+
+
+def test_a_topic_that_dds_refuses_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mapperd.bridges.dds.Topic", refused)
+    with pytest.raises(LiveError, match=r"ROS 2: /tf cannot be opened: .*lack of resources"):
+        asyncio.run(serve(BridgeStream(), of_rov(), print))
 
 
 def test_a_peer_in_another_domain_hears_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
