@@ -21,8 +21,10 @@ from mapperd.bridges.vehicle import (
     MapFrames,
     VehiclePose,
     held,
+    inverse,
     map_odom_of,
     map_slice,
+    odom_pose_of,
     planar_estimate,
 )
 from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapReset
@@ -32,7 +34,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, ExportError
 from mapperd.export.cells import UNKNOWN, GridLayer, GridWindow
 from mapperd.export.rosbag import GRID_TOPIC, Turned
-from mapperd.geometry.frames import Pose, quaternion_to_matrix
+from mapperd.geometry.frames import Pose
 from mapperd.imaging.ping_image import FanShape
 from mapperd.wire.messages import (
     EventMessage,
@@ -266,7 +268,7 @@ class Ros2Bridge:
             report = localization.report if localization else {}
             is_known = map_odom_of(report) is not None or not self._localizes()
             if is_known and self._is_on("amcl.tf_broadcast"):
-                stamp_ns = max(_valid_until_ns(localization), vehicle.stamp_ns)
+                stamp_ns = self._valid_until_ns(vehicle, localization)
                 turned = [Turned(world, odom, frames.map_of_odom)]
                 self._send("tf", self.messages.transforms(stamp_ns, turned))
         if self._is_on("frames.publish_tf"):
@@ -274,18 +276,35 @@ class Ros2Bridge:
         if "odometry" in self.heard:
             located = VehiclePose.of(vehicle)
             if not frames.served_in_odom:
-                located = located.moved(_inverse(frames.map_of_odom))
+                located = located.moved(inverse(frames.map_of_odom))
             self._send("odometry", self.messages.vehicle_odometry(located, odom, base))
 
     def _frames(self, vehicle: PoseMessage) -> MapFrames | None:
         """Return the frames at a pose; None until the state of localization is known."""
         localization = self._state
+        if odom_pose_of(vehicle) is not None:
+            return MapFrames.of(vehicle, localization)
         is_corrected = vehicle.source == "localization"
         if localization is None and (self._localizes() or is_corrected):
             return None
         if is_corrected and (localization is None or map_odom_of(localization.report) is None):
             return None  # the pose is in the map, and the odometry's frame is not known
         return MapFrames.of(vehicle, localization)
+
+    def _valid_until_ns(
+        self, vehicle: PoseMessage, localization: LocalizationMessage | None
+    ) -> int:
+        """Return the stamp of the odometry's frame in the map: ahead of its scan, as of AMCL."""
+        if odom_pose_of(vehicle) is not None:  # the transform is that of this pose
+            fact = self._client.settings.get("amcl.transform_tolerance", {}).get("value")
+            ahead_s = (
+                fact if isinstance(fact, int | float) else self._config.amcl.transform_tolerance
+            )
+            return vehicle.stamp_ns + round(ahead_s * NS)
+        transform = localization.report.get("map_odom") if localization else None
+        stamp_s = transform.get("t_s") if isinstance(transform, Mapping) else None
+        until_ns = round(stamp_s * NS) if isinstance(stamp_s, int | float) else 0
+        return max(until_ns, vehicle.stamp_ns)
 
     def _localizes(self) -> bool:
         status = self._client.status
@@ -435,18 +454,6 @@ class Ros2Bridge:
             text = f"{report['state']}: {found.get('text', '')}"
             statuses.append(make(level, "mapperd: localization", text, vehicle, deviations))
         return self.messages.diagnostics(status.stamp_ns, statuses)
-
-
-def _inverse(pose: Pose) -> Pose:
-    back = pose.map_q_base * (1, -1, -1, -1)
-    return Pose(-(quaternion_to_matrix(back) @ pose.position_m), back)
-
-
-def _valid_until_ns(localization: LocalizationMessage | None) -> int:
-    """Return the stamp of the odometry's frame in the map: ahead of its scan, as of AMCL."""
-    transform = localization.report.get("map_odom") if localization else None
-    stamp_s = transform.get("t_s") if isinstance(transform, Mapping) else None
-    return round(stamp_s * NS) if isinstance(stamp_s, int | float) else 0
 
 
 TICK_S = 0.1

@@ -33,8 +33,10 @@ __all__ = [
     "MapFrames",
     "RateLimit",
     "VehiclePose",
+    "inverse",
     "map_odom_of",
     "map_slice",
+    "odom_pose_of",
     "planar_estimate",
     "sure_pose",
 ]
@@ -248,17 +250,37 @@ class MapFrames:
 
     @classmethod
     def of(cls, vehicle: PoseMessage, localization: LocalizationMessage | None) -> "MapFrames":
-        """Return the frames at a pose; without localization the odometry's frame is the map."""
-        base = VehiclePose.of(vehicle).pose
+        """Return the frames at a pose; without localization the odometry's frame is the map.
+
+        A pose that comes with that of the odometry needs no transform of localization.
+        """
+        base, odom = VehiclePose.of(vehicle).pose, odom_pose_of(vehicle)
         sonar = Pose(np.asarray(vehicle.sonar_position_m), _unit(vehicle.sonar_orientation_xyzw))
         report = {} if localization is None else localization.report
         correction = map_odom_of(report)
         mounting = _relative(base, sonar)
+        if odom is not None:
+            return cls(
+                _relative(inverse(base), inverse(odom)), odom, mounting, served_in_odom=False
+            )
         if correction is None:
             return cls(Pose(np.zeros(3), np.eye(4)[0]), base, mounting, served_in_odom=False)
         if vehicle.source == "localization":
             return cls(correction, _relative(correction, base), mounting, served_in_odom=False)
         return cls(correction, base, mounting, served_in_odom=True)
+
+
+def odom_pose_of(vehicle: PoseMessage) -> Pose | None:
+    """Return the base in the odometry's frame; None if the message has none."""
+    if vehicle.odom_position_m is None or vehicle.odom_orientation_xyzw is None:
+        return None
+    return Pose(np.asarray(vehicle.odom_position_m), _unit(vehicle.odom_orientation_xyzw))
+
+
+def inverse(pose: Pose) -> Pose:
+    """Return the pose of the frame in the base, for a pose of the base in the frame."""
+    back = pose.map_q_base * (1, -1, -1, -1)
+    return Pose(-(quaternion_to_matrix(back) @ pose.position_m), back)
 
 
 def _relative(frame: Pose, pose: Pose) -> Pose:

@@ -969,6 +969,46 @@ def test_a_reset_replaces_the_grid_that_readers_hold() -> None:
     assert empty.header.stamp.sec == T0 // S + 9
 
 
+def test_corrections_move_the_frame_of_the_odometry_and_not_the_vehicle_in_it() -> None:
+    """The daemon corrects at every ping; its reports are rarer."""
+    changes: list[Any] = [LOCALIZES]
+    corrections = [Rotation.from_euler("Z", 0.02 * (number // 3)) for number in range(20)]
+    places: list[np.ndarray] = []
+    for number, correction in enumerate(corrections):
+        at_s, odom = number / 10, np.array([number / 10, 2.0, -5.0])
+        places.append(correction.apply(odom) + np.array([0.3 * (number // 3), 0.0, 0.0]))
+        if number % 5 == 0:
+            changes.append(sure())  # of an earlier correction
+        x, y, z = places[-1].tolist()
+        place = {"odom_position_m": tuple(odom.tolist()), "odom_orientation_xyzw": (0, 0, 0, 1)}
+        yaw_rad = float(correction.as_euler("ZYX")[0])
+        changes.append(a_pose(at_s, (x, y, z), yaw_rad, **place))
+    sent = published(*changes)
+    transforms = [one for message in sent["/tf"] for one in message.transforms]
+    by_child: dict[str, list[Any]] = {"odom": [], "base_link": []}
+    for one in transforms:
+        by_child[one.child_frame_id].append(one)
+    steps = np.diff([one.transform.translation.x for one in by_child["base_link"]])
+    np.testing.assert_allclose(steps, 0.1)
+    for number, (odom, base) in enumerate(zip(*by_child.values(), strict=True)):
+        shift, turn = vector(odom.transform.translation), turn_of(odom.transform.rotation)
+        assert turn.apply(vector(base.transform.translation)) + shift == pytest.approx(
+            places[number]
+        )
+        assert odom.header.stamp.sec * S + odom.header.stamp.nanosec == T0 + number * S // 10 + S
+    steps = np.diff([one.pose.pose.position.x for one in sent["mapperd/odometry"]])
+    np.testing.assert_allclose(steps, 0.1)
+    assert sent["mapperd/odometry"][-1].twist.twist.linear.x == pytest.approx(1.0)
+
+
+def vector(message: Any) -> np.ndarray:
+    return np.array([message.x, message.y, message.z])
+
+
+def turn_of(message: Any) -> Rotation:
+    return Rotation.from_quat([message.x, message.y, message.z, message.w])
+
+
 def test_no_transform_of_the_map_is_invented_while_the_vehicle_is_not_localized() -> None:
     waiting = sure(state="waiting for a pose", pose=None, map_odom=None)
     sent = published(LOCALIZES, waiting, a_pose(source="odometry"))
