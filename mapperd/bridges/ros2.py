@@ -12,15 +12,16 @@ from typing import Any, Protocol
 import numpy as np
 
 from mapperd.bridges.dds import DdsNode, Profile
-from mapperd.bridges.ros2_messages import ERROR, OK, WARN, LiveMessages
+from mapperd.bridges.ros2_messages import ERROR, OK, STALE, WARN, LiveMessages
 from mapperd.bridges.ros2_services import OdometryForwarder, Ros2Requests, odometry_target
 from mapperd.bridges.vehicle import (
+    REPORT_VALID_S,
     BridgeClient,
     CloudCache,
+    HeldLocalization,
     LinkReporter,
     MapFrames,
     VehiclePose,
-    held,
     inverse,
     map_odom_of,
     map_slice,
@@ -114,18 +115,25 @@ class Ros2Bridge:
         config: names of topics.
         node: where topics are published.
         report: takes one line for each change of a link.
+        clock: monotonic time, seconds.
 
     Attributes:
         heard: keys of the topics that somebody subscribes to.
     """
 
     def __init__(
-        self, client: Ros2Client, config: Config, node: DdsNode, report: Callable[[str], None]
+        self,
+        client: Ros2Client,
+        config: Config,
+        node: DdsNode,
+        report: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.heard: frozenset[str] = frozenset()
         self._client = client
         self._config = config
         self._report = report
+        self._clock = clock
         self._link = LinkReporter(report)
         self.messages = LiveMessages(node.types.classes)
         topics = config.topics
@@ -143,7 +151,7 @@ class Ros2Bridge:
         self._grid_error = ""
         self._has_grid = False
         """The last grid had cells: readers hold it until another one comes."""
-        self._state: LocalizationMessage | None = None
+        self._localization_state = HeldLocalization()
         """Of this connection: that of an earlier one may be another session's."""
         self._slow: set[str] = set()
         self._particles_ns = 0
@@ -176,7 +184,7 @@ class Ros2Bridge:
 
     def _linked(self, change: LinkChanged) -> None:
         if not self._link.take(change.link):
-            self._state = None
+            self._localization_state = HeldLocalization()
 
     def _reset(self, _: MapReset) -> None:
         self._is_reset = True
@@ -258,7 +266,7 @@ class Ros2Bridge:
 
     def _pose(self, vehicle: PoseMessage) -> None:
         self._stamp_ns = max(self._stamp_ns, vehicle.stamp_ns)
-        localization, frames = self._state, self._frames(vehicle)
+        localization, frames = self._localization_state.message, self._frames(vehicle)
         if frames is None:
             return
         world, odom, base = (self._frame(name) for name in ("map", "odom", "base"))
@@ -267,7 +275,7 @@ class Ros2Bridge:
             self._send("tf", self.messages.transforms(vehicle.stamp_ns, turned))
             report = localization.report if localization else {}
             is_known = map_odom_of(report) is not None or not self._localizes()
-            if is_known and self._is_on("amcl.tf_broadcast"):
+            if is_known and not self._is_stale() and self._is_on("amcl.tf_broadcast"):
                 stamp_ns = self._valid_until_ns(vehicle, localization)
                 turned = [Turned(world, odom, frames.map_of_odom)]
                 self._send("tf", self.messages.transforms(stamp_ns, turned))
@@ -281,13 +289,15 @@ class Ros2Bridge:
 
     def _frames(self, vehicle: PoseMessage) -> MapFrames | None:
         """Return the frames at a pose; None until the state of localization is known."""
-        localization = self._state
+        localization = self._localization_state.message
         if odom_pose_of(vehicle) is not None:
             return MapFrames.of(vehicle, localization)
         is_corrected = vehicle.source == "localization"
         if localization is None and (self._localizes() or is_corrected):
             return None
-        if is_corrected and (localization is None or map_odom_of(localization.report) is None):
+        if is_corrected and (
+            localization is None or map_odom_of(localization.report) is None or self._is_stale()
+        ):
             return None  # the pose is in the map, and the odometry's frame is not known
         return MapFrames.of(vehicle, localization)
 
@@ -306,6 +316,9 @@ class Ros2Bridge:
         until_ns = round(stamp_s * NS) if isinstance(stamp_s, int | float) else 0
         return max(until_ns, vehicle.stamp_ns)
 
+    def _is_stale(self) -> bool:
+        return self._localization_state.is_stale(self._clock())
+
     def _localizes(self) -> bool:
         status = self._client.status
         return status is not None and status.status.get("localization") is not None
@@ -323,7 +336,7 @@ class Ros2Bridge:
         self._send("tf_static", self.messages.transforms(stamp_ns, turned))
 
     def _localization(self, state: LocalizationMessage) -> None:
-        self._state = held(self._state, state)
+        self._localization_state.take(state, self._clock())
         estimate = planar_estimate(state.report)
         stamp_s = state.report.get("t_s")
         if not isinstance(stamp_s, int | float):
@@ -443,7 +456,7 @@ class Ros2Bridge:
         level = ERROR if problems else OK
         make = self.messages.diagnostic
         statuses = [make(level, "mapperd: daemon", text, vehicle, values)]
-        localization = self._state
+        localization = self._localization_state.message
         report = localization.report if localization else {}
         if report.get("state", "off") != "off":
             found = report.get("diagnostics") or {}
@@ -452,6 +465,8 @@ class Ros2Bridge:
             }
             level = WARN if found.get("level") == "WARN" or not report.get("sure") else OK
             text = f"{report['state']}: {found.get('text', '')}"
+            if self._is_stale():
+                level, text = STALE, f"no report for {REPORT_VALID_S:g} s"
             statuses.append(make(level, "mapperd: localization", text, vehicle, deviations))
         return self.messages.diagnostics(status.stamp_ns, statuses)
 

@@ -27,8 +27,10 @@ from mapperd.wire.messages import (
 )
 
 __all__ = [
+    "REPORT_VALID_S",
     "BridgeClient",
     "CloudCache",
+    "HeldLocalization",
     "LinkReporter",
     "MapFrames",
     "RateLimit",
@@ -42,6 +44,10 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+
+REPORT_VALID_S = 3.0
+"""A state of localization counts for this time: states come five times a second, and on a slow link
+every other second."""
 
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 """Indices of x, y and the turn about z in the covariance of a pose."""
@@ -200,6 +206,34 @@ def held(last: LocalizationMessage | None, new: LocalizationMessage) -> Localiza
     if last is None or not is_sure or map_odom_of(new.report) is not None:
         return new
     return new if map_odom_of(last.report) is None else last
+
+
+class HeldLocalization:
+    """The state of localization in force, and whether it still counts.
+
+    Attributes:
+        message: as of `held`; None if there is none.
+    """
+
+    def __init__(self) -> None:
+        self.message: LocalizationMessage | None = None
+        self._came_s = -math.inf
+
+    def take(self, new: LocalizationMessage, now_s: float) -> None:
+        """Take the newest state.
+
+        Args:
+            new: as it came.
+            now_s: monotonic time.
+        """
+        self.message = new if self.is_stale(now_s) else held(self.message, new)
+        self._came_s = now_s
+
+    def is_stale(self, now_s: float) -> bool:
+        """Return whether no state came for `REPORT_VALID_S`, so that nothing is sure."""
+        if self.message is None or self.message.report.get("state", "off") == "off":
+            return False
+        return now_s - self._came_s > REPORT_VALID_S
 
 
 def map_odom_of(report: Mapping[str, Any]) -> Pose | None:

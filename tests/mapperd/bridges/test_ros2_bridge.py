@@ -1001,6 +1001,40 @@ def test_corrections_move_the_frame_of_the_odometry_and_not_the_vehicle_in_it() 
     assert sent["mapperd/odometry"][-1].twist.twist.linear.x == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize(
+    ("source", "has_odometry"),
+    [("localization", True), ("localization", False), ("odometry", False)],
+)
+def test_a_transform_of_the_map_ends_with_the_reports(source: str, *, has_odometry: bool) -> None:
+    stream, node, now_s = BridgeStream(), Recorded(), [10.0]
+    bridge = Ros2Bridge(stream, Config(), node, print, lambda: now_s[0])  # type: ignore[arg-type]
+    bridge.heard = frozenset(TOPICS)
+    odom: dict[str, Any] = {
+        "odom_position_m": (5.0, 0.0, 0.0),
+        "odom_orientation_xyzw": (0.0, 0.0, 0.0, 1.0),
+    }
+    place = odom if has_odometry else {}
+
+    def children() -> list[str]:
+        node.sent.clear()
+        bridge.take(a_pose(source=source, **place))
+        return [one.child_frame_id for each in node.sent.get("/tf", ()) for one in each.transforms]
+
+    def level() -> int:
+        bridge.take(LOCALIZES)
+        return int(node.sent["/diagnostics"][-1].status[1].level)
+
+    stream.feed(LOCALIZES)
+    bridge.take(sure())
+    now_s[0] += 2.9
+    assert (children(), level()) == (["base_link", "odom"], 0)
+    now_s[0] += 0.2
+    is_known = has_odometry or source == "odometry"
+    assert (children(), level()) == (["base_link"] if is_known else [], 3)
+    bridge.take(sure())
+    assert (children(), level()) == (["base_link", "odom"], 0)
+
+
 def vector(message: Any) -> np.ndarray:
     return np.array([message.x, message.y, message.z])
 

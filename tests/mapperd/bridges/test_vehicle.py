@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mapperd.bridges.vehicle import (
+    REPORT_VALID_S,
+    HeldLocalization,
     LinkReporter,
     MapFrames,
     RateLimit,
@@ -167,6 +169,21 @@ def test_without_localization_odometry_is_the_map() -> None:
     same(frames.map_of_odom, np.zeros(3), Rotation.identity())
     same(frames.odom_of_base, np.array([10.0, 20.0, -5.0]), TURN)
     assert not frames.served_in_odom
+
+
+def test_a_transform_is_held_while_states_come() -> None:
+    newest = localization(map_odom=None)
+    state, first = HeldLocalization(), localization()
+    assert not state.is_stale(0.0)
+    for now_s, new in ((1.0, first), (2.0, newest)):
+        state.take(new, now_s)
+    assert state.message is first
+    assert not state.is_stale(2.0 + REPORT_VALID_S)
+    late_s = 2.1 + REPORT_VALID_S
+    assert state.is_stale(late_s)
+    state.take(newest, late_s)
+    assert state.message is newest
+    assert not state.is_stale(late_s)
 
 
 INFO = MapInfo("one", 0.25, 0.25, 0.6, -0.6)
