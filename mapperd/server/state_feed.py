@@ -291,12 +291,12 @@ class StateFeed:
         if snapshot is self._last.get("localization"):
             return
         where = self._config.localization.mapping
-        if where == "off" and snapshot.pose is not None and snapshot.stamp_ns is not None:
+        if where == "off" and snapshot.pose is not None and snapshot.odom_ns is not None:
             self.path.add(snapshot.pose.position_m)
             covariance = localized_covariance(snapshot)
             self._add_pose(
                 snapshot.pose,
-                snapshot.stamp_ns,
+                snapshot.odom_ns,
                 "localization",
                 covariance=covariance,
                 odom=snapshot.odom,

@@ -114,11 +114,12 @@ def test_a_corrected_pose_has_that_of_the_odometry_beside_it(ping: Ping) -> None
 
 def test_where_nothing_is_mapped_the_estimate_has_its_odometry() -> None:
     feed, sent, _ = feed_of(msgspec.structs.replace(MOUNTED, localization=MAPS_NOTHING))
-    sent.localization = snapshot(0.0, pose=fused(7.0).pose, odom=fused(5.0).pose)
+    sent.localization = snapshot(0.0, pose=fused(7.0).pose, odom=fused(5.0).pose, odom_ns=77)
     feed.refresh({"pose"}, 0.0)
     output = message(feed.newest("pose").frame)
     assert (output.source, output.position_m) == ("localization", (7.0, 2.0, -3.0))
     assert output.odom_position_m == (5.0, 2.0, -3.0)
+    assert output.stamp_ns == 77  # not that of the last update, which is older
 
 
 def test_a_ping_without_a_pose_moves_nothing(ping: Ping) -> None:
