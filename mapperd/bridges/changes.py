@@ -285,13 +285,17 @@ class _Watcher:
         if now_s < self._report_s:
             return
         self._report_s = now_s + self._config.period
-        due, over = self._tracker.update(self._watch.changes())
+        due, over = await asyncio.to_thread(self._find)
         await self._send(due, over)
 
     def _compare(self, mirror: MapMirror, names: set[bytes]) -> float:
         began_s = time.thread_time()
         self._watch.update(mirror, names)
         return time.thread_time() - began_s
+
+    def _find(self) -> tuple[list[TrackedChange], list[str]]:
+        """Return what to report; runs in a thread, as large changes take seconds to group."""
+        return self._tracker.update(self._watch.changes())
 
     async def _send(self, due: list[TrackedChange], over: list[str]) -> None:
         """Report to the daemon; to another session of it, everything again."""

@@ -9,7 +9,9 @@ Messages are those of rosbags, which encodes them; cyclonedds carries the bytes.
 the extra `ros2`.
 """
 
-from collections.abc import Iterator
+import contextlib
+from collections import Counter
+from collections.abc import Callable, Iterator
 from typing import Any, Final, Literal
 
 from cyclonedds.core import DDSException, Policy, Qos
@@ -184,13 +186,22 @@ def _sample(kind: Any, /, cdr: bytes, **_: object) -> Any:  # noqa: ANN401 a typ
     return sample
 
 
-Profile = Literal["default", "latched", "sensor", "tf", "log"]
+Profile = Literal["default", "latched", "sensor", "stream", "tf", "log"]
 
 BLOCKING_MS = 10
 """A reader that does not keep up delays a message by this time at most; then it is dropped."""
 
-DEPTHS: dict[Profile, int] = {"default": 10, "latched": 1, "sensor": 5, "tf": 100, "log": 1000}
+DEPTHS: dict[Profile, int] = {
+    "default": 10,
+    "latched": 1,
+    "sensor": 5,
+    "stream": 200,
+    "tf": 100,
+    "log": 1000,
+}
 LATCHED = ("latched", "log")
+BEST_EFFORT = ("sensor", "stream")
+"""Profiles whose readers match every writer."""
 
 CDR_1 = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
 
@@ -201,7 +212,7 @@ def _qos(profile: Profile, type_hash: str, *, reader: bool = False) -> Qos:
     Writers are always reliable, so that reliable readers get the topic as well. Maps and static
     transforms are transient local, as in Nav2 and tf2.
     """
-    best_effort = reader and profile == "sensor"
+    best_effort = reader and profile in BEST_EFFORT
     durable = Policy.Durability.TransientLocal
     return Qos(
         Policy.Reliability.BestEffort
@@ -221,6 +232,48 @@ def full_name(namespace: str, name: str) -> str:
     return "/" + "/".join(part.strip("/") for part in parts if part.strip("/"))
 
 
+class DdsErrors:
+    """Counts the errors of DDS while it runs; the bridge goes on with the next message.
+
+    The first of a kind is a line, of whichever topic, then the 10th, the 100th and so on.
+
+    Args:
+        report: takes the lines.
+
+    Attributes:
+        counts: errors by the name of the topic or service, and the code of DDS.
+    """
+
+    def __init__(self, report: Callable[[str], None]) -> None:
+        self.counts: Counter[tuple[str, int]] = Counter()
+        self._report = report
+
+    @contextlib.contextmanager
+    def counted(self, name: str) -> Iterator[None]:
+        """Count an error of the topic or service instead of raising it."""
+        try:
+            yield
+        except DDSException as error:
+            self.counts[name, error.code] += 1
+            count = sum(number for (_, code), number in self.counts.items() if code == error.code)
+            if str(count).rstrip("0") == "1":
+                times = f"; {count} errors of this kind" if count > 1 else ""
+                self._report(f"ROS 2: {name}: {_reason(error)}{times}")
+
+
+def _reason(error: DDSException) -> str:
+    _, text = error.error_message_mapping.get(error.code, ("", f"error {error.code} of DDS"))
+    return str(text)
+
+
+@contextlib.contextmanager
+def _opening(name: str) -> Iterator[None]:
+    try:
+        yield
+    except DDSException as error:
+        raise LiveError(f"ROS 2: {name} cannot be opened: {_reason(error)}") from error
+
+
 class DdsPublisher:
     """A topic that is published.
 
@@ -232,25 +285,36 @@ class DdsPublisher:
         self.name = name
         self._types = node.types
         self._sample_type = node.types.topic_type(kind)
+        self._errors = node.errors
         qos = _qos(profile, node.types.hash_of(kind))
-        topic = Topic(node.participant, f"rt{name}", self._sample_type, qos=qos)
-        self._writer = DataWriter(node.participant, topic, qos=qos)
+        with _opening(name):
+            topic = Topic(node.participant, f"rt{name}", self._sample_type, qos=qos)
+            self._writer = DataWriter(node.participant, topic, qos=qos)
 
     @property
     def readers(self) -> int:
         """Number of readers that match."""
-        return len(self._writer.get_matched_subscriptions())
+        with self._errors.counted(self.name):
+            return len(self._writer.get_matched_subscriptions())
+        return 0
 
     def publish(self, message: Any) -> bool:  # noqa: ANN401 of rosbags
         """Send a message; return False if it was dropped, because readers do not keep up."""
         sample = _sample(self._sample_type, self._types.encoded(message))
-        try:
-            self._writer.write(sample)
-        except DDSException as error:
-            if error.code != DDSException.DDS_RETCODE_TIMEOUT:
-                raise
-            return False
+        with self._errors.counted(self.name):
+            return _written(self._writer, sample)
         return True
+
+
+def _written(writer: Any, sample: Any) -> bool:  # noqa: ANN401 of cyclonedds
+    """Write; return False if readers do not keep up."""
+    try:
+        writer.write(sample)
+    except DDSException as error:
+        if error.code != DDSException.DDS_RETCODE_TIMEOUT:
+            raise
+        return False
+    return True
 
 
 class DdsSubscriber:
@@ -266,25 +330,34 @@ class DdsSubscriber:
         self.invalid = 0
         self._types, self._kind = node.types, kind
         sample_type = node.types.topic_type(kind)
+        self._errors = node.errors
         qos = _qos(profile, node.types.hash_of(kind), reader=True)
-        topic = Topic(node.participant, f"rt{name}", sample_type, qos=qos)
-        self._reader = DataReader(node.participant, topic, qos=qos)
+        with _opening(name):
+            topic = Topic(node.participant, f"rt{name}", sample_type, qos=qos)
+            self._reader = DataReader(node.participant, topic, qos=qos)
 
     @property
     def writers(self) -> int:
         """Number of writers that match."""
-        return len(self._reader.get_matched_publications())
+        with self._errors.counted(self.name):
+            return len(self._reader.get_matched_publications())
+        return 0
 
     def take(self, most: int) -> Iterator[Any]:
         """Yield at most so many messages that have arrived."""
-        for sample in self._reader.take(most):
-            cdr = getattr(sample, "cdr", None)
-            if cdr is None:  # a writer went away
-                continue
+        for cdr in _taken(self._reader, most, self._errors, self.name):
             try:
                 yield self._types.decoded(cdr, self._kind)
             except ValueError:
                 self.invalid += 1
+
+
+def _taken(reader: Any, most: int, errors: DdsErrors, name: str) -> list[bytes]:  # noqa: ANN401
+    """Return the messages that have arrived, without notes that a writer went away."""
+    samples: list[Any] = []
+    with errors.counted(name):
+        samples = reader.take(most)
+    return [sample.cdr for sample in samples if getattr(sample, "cdr", None) is not None]
 
 
 class DdsService:
@@ -308,20 +381,19 @@ class DdsService:
             Policy.History.KeepLast(DEPTHS["default"]),
             CDR_1,
         )
-        asked = Topic(node.participant, f"rq{name}Request", request, qos=qos)
-        answered = Topic(node.participant, f"rr{name}Reply", self._response_type, qos=qos)
-        self._reader = DataReader(node.participant, asked, qos=qos)
-        self._writer = DataWriter(node.participant, answered, qos=qos)
+        self._errors = node.errors
+        with _opening(name):
+            asked = Topic(node.participant, f"rq{name}Request", request, qos=qos)
+            answered = Topic(node.participant, f"rr{name}Reply", self._response_type, qos=qos)
+            self._reader = DataReader(node.participant, asked, qos=qos)
+            self._writer = DataWriter(node.participant, answered, qos=qos)
 
     def take(self, most: int) -> Iterator[Any]:
         """Yield at most so many requests that have arrived.
 
         They have `guid` and `seq` before their own fields.
         """
-        for sample in self._reader.take(most):
-            cdr = getattr(sample, "cdr", None)
-            if cdr is None:
-                continue
+        for cdr in _taken(self._reader, most, self._errors, self.name):
             try:
                 yield self._types.decoded(cdr, self._request)
             except ValueError:
@@ -335,11 +407,8 @@ class DdsService:
             **fields,
         )
         sample = _sample(self._response_type, self._types.encoded(response))
-        try:
-            self._writer.write(sample)
-        except DDSException as error:
-            if error.code != DDSException.DDS_RETCODE_TIMEOUT:
-                raise
+        with self._errors.counted(self.name):
+            _written(self._writer, sample)
 
 
 class DdsNode:
@@ -348,17 +417,22 @@ class DdsNode:
     Args:
         domain: number of the domain.
         namespace: of relative names.
+        report: takes a line for errors of DDS.
 
     Raises:
         LiveError: DDS cannot start in this domain.
 
     Attributes:
         types: messages.
+        errors: of all topics and services.
         participant: of cyclonedds.
     """
 
-    def __init__(self, domain: int, namespace: str) -> None:
+    def __init__(
+        self, domain: int, namespace: str, report: Callable[[str], None] = lambda _: None
+    ) -> None:
         self.types = RosTypes()
+        self.errors = DdsErrors(report)
         self._namespace = namespace
         try:
             self.participant = DomainParticipant(domain)
@@ -373,7 +447,11 @@ class DdsNode:
         self.participant.__del__()
 
     def publisher(self, name: str, kind: str, profile: Profile = "default") -> DdsPublisher:
-        """Publish a topic, of a message type such as `nav_msgs/msg/Odometry`."""
+        """Publish a topic, of a message type such as `nav_msgs/msg/Odometry`.
+
+        Raises:
+            LiveError: DDS refuses it.
+        """
         return DdsPublisher(self, full_name(self._namespace, name), kind, profile)
 
     def subscriber(self, name: str, kind: str, profile: Profile = "default") -> DdsSubscriber:

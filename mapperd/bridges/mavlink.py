@@ -24,10 +24,10 @@ from mapperd.bridges.mavlink_messages import (
 )
 from mapperd.bridges.vehicle import (
     BridgeClient,
+    HeldLocalization,
     LinkReporter,
     RateLimit,
     VehiclePose,
-    held,
     map_slice,
     sure_pose,
 )
@@ -121,7 +121,7 @@ class AutopilotBridge:
     def _forget(self) -> None:
         """Forget the state of the daemon: it may be old when it comes again."""
         self._vehicle: PoseMessage | None = None
-        self._localization: LocalizationMessage | None = None
+        self._localization = HeldLocalization()
         self._localizes: bool | None = None
         self._returns: ReturnsMessage | None = None
 
@@ -139,7 +139,7 @@ class AutopilotBridge:
             case LinkChanged(link):
                 self._connected(is_connected=self._link.take(link))
             case LocalizationMessage():
-                self._localization = held(self._localization, change)
+                self._localization.take(change, now_s)
                 state = change.report.get("state")
                 is_off = state == "off" and self._config.poses == "all"
                 if not is_off and (state != "localized" or change.report.get("sure") is not True):
@@ -242,10 +242,13 @@ class AutopilotBridge:
 
     def _pose(self, vehicle: PoseMessage, now_s: float) -> Iterator[bytes]:
         # Without a state, localization may be off, or its state may not have come yet.
+        localization = self._localization.message
         by_odometry = self._config.poses == "all" and (
-            self._localizes is False or self._localization is not None
+            self._localizes is False or localization is not None
         )
-        located = sure_pose(vehicle, self._localization, odometry=by_odometry)
+        located = sure_pose(vehicle, localization, odometry=by_odometry)
+        if self._localization.is_stale(now_s):
+            located = "localization: no report"
         if isinstance(located, str):
             self._doubt(located)
         else:

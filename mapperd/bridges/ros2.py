@@ -12,17 +12,20 @@ from typing import Any, Protocol
 import numpy as np
 
 from mapperd.bridges.dds import DdsNode, Profile
-from mapperd.bridges.ros2_messages import ERROR, OK, WARN, LiveMessages
-from mapperd.bridges.ros2_services import OdometryForwarder, Ros2Requests
+from mapperd.bridges.ros2_messages import ERROR, OK, STALE, WARN, LiveMessages
+from mapperd.bridges.ros2_services import OdometryForwarder, Ros2Requests, odometry_target
 from mapperd.bridges.vehicle import (
+    REPORT_VALID_S,
     BridgeClient,
     CloudCache,
+    HeldLocalization,
     LinkReporter,
     MapFrames,
     VehiclePose,
-    held,
+    inverse,
     map_odom_of,
     map_slice,
+    odom_pose_of,
     planar_estimate,
 )
 from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapReset
@@ -30,8 +33,9 @@ from mapperd.client.mirror import MapMirror, names_of
 from mapperd.client.validation import bearings_of, image_of
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, ExportError
+from mapperd.export.cells import UNKNOWN, GridLayer, GridWindow
 from mapperd.export.rosbag import GRID_TOPIC, Turned
-from mapperd.geometry.frames import Pose, quaternion_to_matrix
+from mapperd.geometry.frames import Pose
 from mapperd.imaging.ping_image import FanShape
 from mapperd.wire.messages import (
     EventMessage,
@@ -88,6 +92,9 @@ PARTICLES_NS = NS // 2
 SHARE = 33.0
 """A cloud or grid is made after this many times the processor time that the last one took."""
 
+NO_GRID = GridLayer(np.full((1, 1), UNKNOWN, np.uint8), GridWindow(0, 0, 1, 1))
+"""Replaces the grid of a map that was reset: Nav2 and RViz refuse one without cells."""
+
 ALONE_S = 10.0
 MAX_TAKEN = 50
 POSITION_M, TURN = 1e-6, 1e-9
@@ -108,18 +115,25 @@ class Ros2Bridge:
         config: names of topics.
         node: where topics are published.
         report: takes one line for each change of a link.
+        clock: monotonic time, seconds.
 
     Attributes:
         heard: keys of the topics that somebody subscribes to.
     """
 
     def __init__(
-        self, client: Ros2Client, config: Config, node: DdsNode, report: Callable[[str], None]
+        self,
+        client: Ros2Client,
+        config: Config,
+        node: DdsNode,
+        report: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.heard: frozenset[str] = frozenset()
         self._client = client
         self._config = config
         self._report = report
+        self._clock = clock
         self._link = LinkReporter(report)
         self.messages = LiveMessages(node.types.classes)
         topics = config.topics
@@ -135,7 +149,9 @@ class Ros2Bridge:
         self._map_due_s = -np.inf
         self._is_reset = False
         self._grid_error = ""
-        self._state: LocalizationMessage | None = None
+        self._has_grid = False
+        """The last grid had cells: readers hold it until another one comes."""
+        self._localization_state = HeldLocalization()
         """Of this connection: that of an earlier one may be another session's."""
         self._slow: set[str] = set()
         self._particles_ns = 0
@@ -168,10 +184,11 @@ class Ros2Bridge:
 
     def _linked(self, change: LinkChanged) -> None:
         if not self._link.take(change.link):
-            self._state = None
+            self._localization_state = HeldLocalization()
 
     def _reset(self, _: MapReset) -> None:
         self._is_reset = True
+        self._map_stamp_ns = 0
         self._changed.clear()
         self._due |= {"cloud", "grid"}
 
@@ -249,7 +266,7 @@ class Ros2Bridge:
 
     def _pose(self, vehicle: PoseMessage) -> None:
         self._stamp_ns = max(self._stamp_ns, vehicle.stamp_ns)
-        localization, frames = self._state, self._frames(vehicle)
+        localization, frames = self._localization_state.message, self._frames(vehicle)
         if frames is None:
             return
         world, odom, base = (self._frame(name) for name in ("map", "odom", "base"))
@@ -258,8 +275,8 @@ class Ros2Bridge:
             self._send("tf", self.messages.transforms(vehicle.stamp_ns, turned))
             report = localization.report if localization else {}
             is_known = map_odom_of(report) is not None or not self._localizes()
-            if is_known and self._is_on("amcl.tf_broadcast"):
-                stamp_ns = max(_valid_until_ns(localization), vehicle.stamp_ns)
+            if is_known and not self._is_stale() and self._is_on("amcl.tf_broadcast"):
+                stamp_ns = self._valid_until_ns(vehicle, localization)
                 turned = [Turned(world, odom, frames.map_of_odom)]
                 self._send("tf", self.messages.transforms(stamp_ns, turned))
         if self._is_on("frames.publish_tf"):
@@ -267,18 +284,40 @@ class Ros2Bridge:
         if "odometry" in self.heard:
             located = VehiclePose.of(vehicle)
             if not frames.served_in_odom:
-                located = located.moved(_inverse(frames.map_of_odom))
+                located = located.moved(inverse(frames.map_of_odom))
             self._send("odometry", self.messages.vehicle_odometry(located, odom, base))
 
     def _frames(self, vehicle: PoseMessage) -> MapFrames | None:
         """Return the frames at a pose; None until the state of localization is known."""
-        localization = self._state
+        localization = self._localization_state.message
+        if odom_pose_of(vehicle) is not None:
+            return MapFrames.of(vehicle, localization)
         is_corrected = vehicle.source == "localization"
         if localization is None and (self._localizes() or is_corrected):
             return None
-        if is_corrected and (localization is None or map_odom_of(localization.report) is None):
+        if is_corrected and (
+            localization is None or map_odom_of(localization.report) is None or self._is_stale()
+        ):
             return None  # the pose is in the map, and the odometry's frame is not known
         return MapFrames.of(vehicle, localization)
+
+    def _valid_until_ns(
+        self, vehicle: PoseMessage, localization: LocalizationMessage | None
+    ) -> int:
+        """Return the stamp of the odometry's frame in the map: ahead of its scan, as of AMCL."""
+        if odom_pose_of(vehicle) is not None:  # the transform is that of this pose
+            fact = self._client.settings.get("amcl.transform_tolerance", {}).get("value")
+            ahead_s = (
+                fact if isinstance(fact, int | float) else self._config.amcl.transform_tolerance
+            )
+            return vehicle.stamp_ns + round(ahead_s * NS)
+        transform = localization.report.get("map_odom") if localization else None
+        stamp_s = transform.get("t_s") if isinstance(transform, Mapping) else None
+        until_ns = round(stamp_s * NS) if isinstance(stamp_s, int | float) else 0
+        return max(until_ns, vehicle.stamp_ns)
+
+    def _is_stale(self) -> bool:
+        return self._localization_state.is_stale(self._clock())
 
     def _localizes(self) -> bool:
         status = self._client.status
@@ -297,7 +336,7 @@ class Ros2Bridge:
         self._send("tf_static", self.messages.transforms(stamp_ns, turned))
 
     def _localization(self, state: LocalizationMessage) -> None:
-        self._state = held(self._state, state)
+        self._localization_state.take(state, self._clock())
         estimate = planar_estimate(state.report)
         stamp_s = state.report.get("t_s")
         if not isinstance(stamp_s, int | float):
@@ -386,7 +425,10 @@ class Ros2Bridge:
                     self._grid_error = str(error)
                     self._report(f"grid: {error}")
                 layer = None
+            if layer is None and self._has_grid and not self._grid_error:
+                layer = NO_GRID
             if layer is not None:
+                self._has_grid = layer is not NO_GRID
                 self._send("grid", self.messages.grid(stamp_ns, frame, layer, mirror.cell_m))
         return time.thread_time() - began_s
 
@@ -414,7 +456,7 @@ class Ros2Bridge:
         level = ERROR if problems else OK
         make = self.messages.diagnostic
         statuses = [make(level, "mapperd: daemon", text, vehicle, values)]
-        localization = self._state
+        localization = self._localization_state.message
         report = localization.report if localization else {}
         if report.get("state", "off") != "off":
             found = report.get("diagnostics") or {}
@@ -423,20 +465,10 @@ class Ros2Bridge:
             }
             level = WARN if found.get("level") == "WARN" or not report.get("sure") else OK
             text = f"{report['state']}: {found.get('text', '')}"
+            if self._is_stale():
+                level, text = STALE, f"no report for {REPORT_VALID_S:g} s"
             statuses.append(make(level, "mapperd: localization", text, vehicle, deviations))
         return self.messages.diagnostics(status.stamp_ns, statuses)
-
-
-def _inverse(pose: Pose) -> Pose:
-    back = pose.map_q_base * (1, -1, -1, -1)
-    return Pose(-(quaternion_to_matrix(back) @ pose.position_m), back)
-
-
-def _valid_until_ns(localization: LocalizationMessage | None) -> int:
-    """Return the stamp of the odometry's frame in the map: ahead of its scan, as of AMCL."""
-    transform = localization.report.get("map_odom") if localization else None
-    stamp_s = transform.get("t_s") if isinstance(transform, Mapping) else None
-    return round(stamp_s * NS) if isinstance(stamp_s, int | float) else 0
 
 
 TICK_S = 0.1
@@ -465,14 +497,16 @@ async def serve(client: Ros2Client, config: Config, report: Callable[[str], None
         report: takes one line for each change of a link.
 
     Raises:
-        ConfigError: a setting does not fit.
-        LiveError: DDS cannot start.
+        ConfigError: a setting does not fit, or the host of `ros2.odometry_link` is unknown.
+        LiveError: DDS cannot start, or refuses a topic.
         StreamError: the daemon refuses the client.
     """
-    node = DdsNode(domain_of(config, os.environ), config.ros2.namespace)
+    link = config.ros2.odometry_link
+    target = await odometry_target(link) if link else None
+    node = DdsNode(domain_of(config, os.environ), config.ros2.namespace, report)
     bridge = Ros2Bridge(client, config, node, report)
     requests = Ros2Requests(client, node, bridge.messages, config, report)
-    forwarder = OdometryForwarder(node, config) if config.ros2.odometry_link else None
+    forwarder = OdometryForwarder(node, config.topics.odometry, target) if target else None
     works = (
         _follow(client, bridge),
         _repeat(bridge.tick),

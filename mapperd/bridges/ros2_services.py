@@ -1,5 +1,6 @@
 """What ROS asks of the daemon: initial poses, parameters, commands, each at most once at a time."""
 
+import asyncio
 import contextlib
 import math
 import socket
@@ -15,17 +16,24 @@ from mapperd.bridges.vehicle import BridgeClient
 from mapperd.client.validation import AskError
 from mapperd.config.odometry import parse_address
 from mapperd.config.tree import Config
+from mapperd.errors import ConfigError, os_reason
 from mapperd.geometry.frames import angles_of
 from mapperd.odometry.native import NativeRecord, encode_native
 
-__all__ = ["OdometryForwarder", "Ros2Requests", "odometry_record", "pose_request"]
+__all__ = [
+    "OdometryForwarder",
+    "Ros2Requests",
+    "odometry_record",
+    "odometry_target",
+    "pose_request",
+]
 
 TIMEOUT_S = 10.0
 MAX_TAKEN = 8
 """Requests of a service that are taken at once; more wait in DDS, the oldest are dropped there."""
 
-MAX_RECORDS = 50
-"""Odometry messages that are taken at once."""
+MAX_RECORDS = 200
+"""Odometry messages that are taken at once: ten times those of 200 Hz, for a loop that is late."""
 
 MIN_POSE_S = 0.5
 REPORT_S = 10.0
@@ -253,19 +261,41 @@ def pose_request(message: Any) -> dict[str, Any]:  # noqa: ANN401 PoseWithCovari
     return request
 
 
+async def odometry_target(link: str) -> tuple[str, int]:
+    """Return the numeric address of `ros2.odometry_link`; a name is looked up beside the loop.
+
+    Raises:
+        ConfigError: the link is invalid, or its host is unknown.
+    """
+    try:
+        address = parse_address(link)
+        found = await asyncio.get_running_loop().getaddrinfo(
+            address.host, address.port, type=socket.SOCK_DGRAM
+        )
+    except (OSError, ValueError) as error:
+        reason = os_reason(error) if isinstance(error, OSError) else str(error)
+        raise ConfigError(
+            f"ros2.odometry_link: {link}: {reason}", "$.ros2.odometry_link"
+        ) from error
+    # A source listens on one address: that of IPv4 for a name that has both, such as localhost.
+    found.sort(key=lambda one: one[0] != socket.AF_INET)
+    host, port = found[0][4][:2]
+    return str(host), int(port)
+
+
 class OdometryForwarder:
     """Passes subscribed odometry to the daemon as native records.
 
     Args:
         node: where odometry is subscribed.
-        config: its topic, and the link of the daemon's source.
+        topic: of the odometry.
+        target: numeric address of the daemon's source.
     """
 
-    def __init__(self, node: DdsNode, config: Config) -> None:
-        address = parse_address(config.ros2.odometry_link)
-        self._to = (address.host, address.port)
-        self._reader = node.subscriber(config.topics.odometry, "nav_msgs/msg/Odometry")
-        family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
+    def __init__(self, node: DdsNode, topic: str, target: tuple[str, int]) -> None:
+        self._to = target
+        self._reader = node.subscriber(topic, "nav_msgs/msg/Odometry", "stream")
+        family = socket.AF_INET6 if ":" in target[0] else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)  # noqa: FBT003 the call's own form
 

@@ -27,19 +27,27 @@ from mapperd.wire.messages import (
 )
 
 __all__ = [
+    "REPORT_VALID_S",
     "BridgeClient",
     "CloudCache",
+    "HeldLocalization",
     "LinkReporter",
     "MapFrames",
     "RateLimit",
     "VehiclePose",
+    "inverse",
     "map_odom_of",
     "map_slice",
+    "odom_pose_of",
     "planar_estimate",
     "sure_pose",
 ]
 
 Floats = NDArray[np.float64]
+
+REPORT_VALID_S = 3.0
+"""A state of localization counts for this time: states come five times a second, and on a slow link
+every other second."""
 
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 """Indices of x, y and the turn about z in the covariance of a pose."""
@@ -200,6 +208,34 @@ def held(last: LocalizationMessage | None, new: LocalizationMessage) -> Localiza
     return new if map_odom_of(last.report) is None else last
 
 
+class HeldLocalization:
+    """The state of localization in force, and whether it still counts.
+
+    Attributes:
+        message: as of `held`; None if there is none.
+    """
+
+    def __init__(self) -> None:
+        self.message: LocalizationMessage | None = None
+        self._came_s = -math.inf
+
+    def take(self, new: LocalizationMessage, now_s: float) -> None:
+        """Take the newest state.
+
+        Args:
+            new: as it came.
+            now_s: monotonic time.
+        """
+        self.message = new if self.is_stale(now_s) else held(self.message, new)
+        self._came_s = now_s
+
+    def is_stale(self, now_s: float) -> bool:
+        """Return whether no state came for `REPORT_VALID_S`, so that nothing is sure."""
+        if self.message is None or self.message.report.get("state", "off") == "off":
+            return False
+        return now_s - self._came_s > REPORT_VALID_S
+
+
 def map_odom_of(report: Mapping[str, Any]) -> Pose | None:
     """Return the pose of the odometry's frame in the map; None while it is not published."""
     transform = report.get("map_odom")
@@ -248,17 +284,37 @@ class MapFrames:
 
     @classmethod
     def of(cls, vehicle: PoseMessage, localization: LocalizationMessage | None) -> "MapFrames":
-        """Return the frames at a pose; without localization the odometry's frame is the map."""
-        base = VehiclePose.of(vehicle).pose
+        """Return the frames at a pose; without localization the odometry's frame is the map.
+
+        A pose that comes with that of the odometry needs no transform of localization.
+        """
+        base, odom = VehiclePose.of(vehicle).pose, odom_pose_of(vehicle)
         sonar = Pose(np.asarray(vehicle.sonar_position_m), _unit(vehicle.sonar_orientation_xyzw))
         report = {} if localization is None else localization.report
         correction = map_odom_of(report)
         mounting = _relative(base, sonar)
+        if odom is not None:
+            return cls(
+                _relative(inverse(base), inverse(odom)), odom, mounting, served_in_odom=False
+            )
         if correction is None:
             return cls(Pose(np.zeros(3), np.eye(4)[0]), base, mounting, served_in_odom=False)
         if vehicle.source == "localization":
             return cls(correction, _relative(correction, base), mounting, served_in_odom=False)
         return cls(correction, base, mounting, served_in_odom=True)
+
+
+def odom_pose_of(vehicle: PoseMessage) -> Pose | None:
+    """Return the base in the odometry's frame; None if the message has none."""
+    if vehicle.odom_position_m is None or vehicle.odom_orientation_xyzw is None:
+        return None
+    return Pose(np.asarray(vehicle.odom_position_m), _unit(vehicle.odom_orientation_xyzw))
+
+
+def inverse(pose: Pose) -> Pose:
+    """Return the pose of the frame in the base, for a pose of the base in the frame."""
+    back = pose.map_q_base * (1, -1, -1, -1)
+    return Pose(-(quaternion_to_matrix(back) @ pose.position_m), back)
 
 
 def _relative(frame: Pose, pose: Pose) -> Pose:

@@ -60,6 +60,8 @@ def check_message(message: FromServer) -> None:
         _check_pose(message.sonar_position_m, message.sonar_orientation_xyzw)
         _finite("a velocity", message.velocity_mps or ())
         _finite("a covariance", message.covariance or ())
+        if message.odom_position_m is not None and message.odom_orientation_xyzw is not None:
+            _check_pose(message.odom_position_m, message.odom_orientation_xyzw)
     elif isinstance(message, FanMessage):
         _check_fan(message)
     elif isinstance(message, ReturnsMessage):

@@ -102,6 +102,7 @@ class LocalizationStage:
         self._updates = 0
         self._updated: _Updated | None = None
         self._odom: FusedPose | None = None
+        self._odom_ns: int | None = None
         self._localized = Localized("no_filter")
         self._changes = 0
         self._shown: tuple[int, Floats, tuple[Cluster, ...]] = (-1, np.zeros((0, 4)), ())
@@ -139,7 +140,7 @@ class LocalizationStage:
             t_ns: time of the ping.
         """
         self._localized = self._look(image, pose, t_ns or 0)
-        self._odom = pose
+        self._odom, self._odom_ns = pose, t_ns or 0
         where = self._config.localization.mapping
         if where == "odometry":
             return pose
@@ -207,6 +208,7 @@ class LocalizationStage:
             transform=self._localized.transform,
             odom=odom,
             pose=None if correction is None or odom is None else correction.corrected(odom),
+            odom_ns=self._odom_ns,
             sure=self._unsure() is None,
             diagnosis=diagnose(None if belief is None else belief.best, amcl),
             warning=model_warning(amcl, in_3d=self._is_in_3d()),

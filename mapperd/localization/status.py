@@ -126,6 +126,7 @@ class LocalizationSnapshot:
             published.
         odom: pose of the base in the odometry's frame at the newest scan.
         pose: pose of the base in the map at the newest scan; None without a transform.
+        odom_ns: time of both; None before the first ping.
         sure: the belief is good enough for mapping.
         diagnosis: standard deviations of the estimate against their warning levels.
         warning: about the settings, for people.
@@ -145,6 +146,7 @@ class LocalizationSnapshot:
     transform: MapFromOdom | None
     odom: Pose | None
     pose: Pose | None
+    odom_ns: int | None
     sure: bool
     diagnosis: Diagnosis
     warning: str | None

@@ -151,7 +151,10 @@ class PingExecutor:
     def drop(self, posed: PosedPing) -> None:
         """Count a ping that waited too long."""
         self.counters.drop(TOO_SLOW)
-        self.on_ping(PingResult(posed, posed.pose, TOO_SLOW))
+        mapping = self._config.localization.mapping
+        by_odometry = self.stages.localization is None or mapping == "odometry"
+        # Elsewhere only localization, which has not seen this ping, knows the pose in the map.
+        self.on_ping(PingResult(posed, posed.pose if by_odometry else TOO_SLOW, TOO_SLOW))
         self._persistence.done(posed)
 
     def change_settings(self, work: NewSettings) -> None:

@@ -237,9 +237,14 @@ class StateFeed:
     def _add_ping(self, result: PingResult, wanted: Collection[str]) -> None:
         posed, fused = result.posed, result.pose
         if isinstance(fused, FusedPose):
-            stamp_ns = posed.t_ns or posed.complete_ns or 0
+            odom = posed.pose if isinstance(posed.pose, FusedPose) else fused
             self._add_pose(
-                fused.pose, stamp_ns, self._source(), fused.velocity_mps, fused.covariance
+                fused.pose,
+                posed.t_ns or posed.complete_ns or 0,
+                self._source(),
+                velocity_mps=fused.velocity_mps,
+                covariance=fused.covariance,
+                odom=None if odom is fused else odom.pose,
             )
         if "fan" in wanted:
             fan = fan_message(posed.ping, self._config)
@@ -252,8 +257,10 @@ class StateFeed:
         base: Pose,
         stamp_ns: int,
         source: str,
-        velocity_mps: NDArray[np.float64] | None,
-        covariance: NDArray[np.float64] | None,
+        *,
+        velocity_mps: NDArray[np.float64] | None = None,
+        covariance: NDArray[np.float64] | None = None,
+        odom: Pose | None = None,
     ) -> None:
         if velocity_mps is not None and not np.isfinite(velocity_mps).all():
             self.left_out["not_finite_velocity"] += 1
@@ -266,6 +273,7 @@ class StateFeed:
             source=source,
             velocity_mps=velocity_mps,
             covariance=covariance,
+            odom=odom,
         )
         self.position_m = message.position_m
         self._make("pose", message)
@@ -283,10 +291,16 @@ class StateFeed:
         if snapshot is self._last.get("localization"):
             return
         where = self._config.localization.mapping
-        if where == "off" and snapshot.pose is not None and snapshot.stamp_ns is not None:
+        if where == "off" and snapshot.pose is not None and snapshot.odom_ns is not None:
             self.path.add(snapshot.pose.position_m)
             covariance = localized_covariance(snapshot)
-            self._add_pose(snapshot.pose, snapshot.stamp_ns, "localization", None, covariance)
+            self._add_pose(
+                snapshot.pose,
+                snapshot.odom_ns,
+                "localization",
+                covariance=covariance,
+                odom=snapshot.odom,
+            )
         if "localization" in wanted and self._due("localization", now_s, SLOW_S):
             self._last["localization"] = snapshot
             self._make("localization", _localization(snapshot, self._config))

@@ -60,6 +60,7 @@ def pose_message(
     source: str,
     velocity_mps: Floats | None = None,
     covariance: Floats | None = None,
+    odom: Pose | None = None,
 ) -> PoseMessage:
     """Return the message of a pose; a covariance that is not finite is left out."""
     return PoseMessage(
@@ -71,6 +72,8 @@ def pose_message(
         sonar_position_m=_three(sonar.position_m),
         sonar_orientation_xyzw=_xyzw(sonar.map_q_base),
         source=source,
+        odom_position_m=None if odom is None else _three(odom.position_m),
+        odom_orientation_xyzw=None if odom is None else _xyzw(odom.map_q_base),
     )
 
 

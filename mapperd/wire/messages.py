@@ -314,6 +314,8 @@ class PoseMessage(WireMessage, frozen=True, kw_only=True):
         covariance: (6, 6) row by row, x y z and rotations about the map's axes, metres and
             radians; None if unknown.
         source: `odometry`, `localization` or `fixed`.
+        odom_position_m, odom_orientation_xyzw: the base in the odometry's frame at the same time;
+            None where that frame is the map, or its pose is unknown.
     """
 
     stamp_ns: Count
@@ -324,6 +326,8 @@ class PoseMessage(WireMessage, frozen=True, kw_only=True):
     velocity_mps: Vector | None = None
     covariance: Annotated[tuple[float, ...], Meta(min_length=36, max_length=36)] | None = None
     source: str = "odometry"
+    odom_position_m: Vector | None = None
+    odom_orientation_xyzw: Quaternion | None = None
 
 
 class PathMessage(WireMessage, frozen=True, kw_only=True):

@@ -468,6 +468,7 @@ class Peer:
         }
         self.pose = self.writer("rt/rov/initialpose", PoseWithCovarianceStamped)
         self.odometry = self.writer("rt/slam/odometry", Odometry)
+        self.fast_odometry = self.writer("rt/fast/odometry", Odometry, SENSOR)
         self.clients = {
             name: (
                 self.writer(f"rq{name}Request", request),
@@ -480,10 +481,8 @@ class Peer:
             for name, (request, response) in SERVICES.items()
         }
 
-    def writer(self, name: str, kind: Any) -> Any:
-        return DataWriter(
-            self.participant, Topic(self.participant, name, kind, qos=USUAL), qos=USUAL
-        )
+    def writer(self, name: str, kind: Any, qos: Any = USUAL) -> Any:
+        return DataWriter(self.participant, Topic(self.participant, name, kind, qos=qos), qos=qos)
 
     def do(self, line: str) -> None:
         asked = json.loads(line)
@@ -495,6 +494,10 @@ class Peer:
                     self.pose.write(initial_pose(float(number), 0.0, 0.0, 1.0, "map"))
             case "odometry":
                 self.odometry.write(odometry(**asked))
+            case "fast_odometry":
+                for number in range(asked["number"]):
+                    self.fast_odometry.write(odometry(float(number)))
+                    time.sleep(0.0025)
             case "call":
                 name = asked.pop("name")
                 if "parameters" in asked:

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import threading
 from pathlib import Path
 from typing import Any, Self
 
@@ -18,7 +19,7 @@ from mapperd.client.validation import AskError
 from mapperd.config.tree import ChangesConfig, Config, OctreeConfig
 from mapperd.errors import MapError
 from mapperd.events import EventLog
-from mapperd.mapping.difference import MapChange, changes_of, compare_maps
+from mapperd.mapping.difference import MapChange, changes_among, changes_of, compare_maps
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.map_files import map_in
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
@@ -272,6 +273,27 @@ def test_the_daemon_is_told_what_appears_and_when_it_is_over() -> None:
             assert sum("64 voxels" in line for line in watched.lines) == 1
 
     asyncio.run(asyncio.wait_for(run(), 30))
+
+
+def test_voxels_are_grouped_beside_the_event_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    threads: set[int] = set()
+
+    def noted(*args: Any) -> list[MapChange]:
+        threads.add(threading.get_ident())
+        return changes_among(*args)
+
+    monkeypatch.setattr("mapperd.bridges.changes.changes_among", noted)
+
+    async def run() -> None:
+        known, live, keys = free_map()
+        async with Watched(known, live) as watched:
+            watched.change(pile(live, keys))
+            await until(watched.reports)
+            assert [one["voxels"] for one in watched.reports()] == [64]
+
+    asyncio.run(asyncio.wait_for(run(), 30))
+    assert threads
+    assert threading.get_ident() not in threads
 
 
 def test_another_session_is_told_everything_again_and_a_refusal_is_one_line() -> None:

@@ -179,6 +179,26 @@ def test_a_ping_without_a_transform_of_its_own_is_no_doubt() -> None:
     assert again.reset_counter == first.reset_counter
 
 
+def test_a_report_that_is_not_renewed_is_not_sure_for_ever() -> None:
+    peer = Peer(POSES)
+    assert peer.give(sure(), a_pose(0.0))[0].reset_counter == 0
+    for _ in range(3):
+        peer.now_s += 0.9
+        assert peer.give(a_pose(peer.now_s - 100))
+    for _ in range(5):
+        peer.now_s += 0.9
+        assert peer.give(a_pose(peer.now_s - 100)) == []
+    assert peer.bridge.reason == "localization: no report"
+    assert peer.give(sure(), a_pose(peer.now_s - 100))[0].reset_counter == 1
+
+
+def test_odometry_goes_on_where_nothing_localizes() -> None:
+    peer = Peer(msgspec.structs.replace(POSES, poses="all"))
+    peer.give(sure(state="off"))
+    peer.now_s += 60
+    assert peer.give(a_pose(60.0, source="odometry"))
+
+
 def test_nothing_is_sent_before_localization_states_that_it_is_sure() -> None:
     peer = Peer(POSES)
     assert peer.give(a_pose(0.0)) == []

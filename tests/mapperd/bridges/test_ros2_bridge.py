@@ -8,15 +8,20 @@ import os
 import signal
 import socket
 import sys
+import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+from cyclonedds.core import DDSException
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
@@ -26,12 +31,16 @@ from mapperd.bridges.ros2 import TOPICS, Ros2Bridge, domain_of, serve
 from mapperd.client.changes import MapChanged
 from mapperd.client.validation import AskError
 from mapperd.config.tree import Config, Ros2Config, TopicsConfig
-from mapperd.errors import ConfigError
+from mapperd.errors import ConfigError, LiveError
+from mapperd.export.rosbag import Messages
+from mapperd.geometry.frames import Pose
+from mapperd.odometry.fusion import FusedPose
 from mapperd.odometry.native import decode_native
 from mapperd.odometry.records import Odometry
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
-from mapperd.wire.messages import EventMessage, RobotsMessage, SettingsMessage
+from mapperd.wire.messages import EventMessage, Interest, RobotsMessage, SettingsMessage
 from tests.mapperd.bridges.bridge_fakes import (
+    INFO,
     T0,
     BridgeStream,
     S,
@@ -57,6 +66,7 @@ LOOPBACK = (
     "<MaxAutoParticipantIndex>20</MaxAutoParticipantIndex>"
     '<Peers><Peer Address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
 )
+AT_REST = FusedPose(Pose(np.zeros(3), np.eye(4)[0]), None, None, np.eye(6), 0, 0.0)
 PEER = Path(__file__).with_name("ros_peer.py")
 
 Act = Callable[[BridgeStream, "Heard"], Awaitable[None]]
@@ -538,6 +548,146 @@ def test_odometry_of_others_is_passed_on_as_native_records() -> None:
     assert record.velocity_mps.tolist() == [0.5, 0.0, 0.0]
 
 
+def test_fast_odometry_of_a_publisher_that_is_not_reliable_is_passed_on_whole() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as daemon:
+        daemon.bind(("127.0.0.1", 0))
+        daemon.setblocking(False)  # noqa: FBT003 the call's own form
+        link = f"udp://127.0.0.1:{daemon.getsockname()[1]}"
+        places: list[float] = []
+
+        def receive() -> list[float]:
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    record = decode_native(daemon.recv(4096))
+                    assert isinstance(record, Odometry)
+                    assert record.position_m is not None
+                    places.append(float(record.position_m[0]))
+            return places
+
+        async def act(_: BridgeStream, heard: Heard) -> None:
+            while not receive():  # until they match
+                heard.ask("fast_odometry", number=1)
+                await asyncio.sleep(0.1)
+            await asyncio.sleep(0.5)
+            receive()
+            places.clear()
+            heard.ask("fast_odometry", number=150)
+            await until(lambda: 149.0 in receive())
+
+        config = of_rov(odometry_link=link)
+        topics = msgspec.structs.replace(config.topics, odometry="/fast/odometry")
+        beside_ros(act, msgspec.structs.replace(config, topics=topics))
+    assert places == [float(number) for number in range(150)]
+
+
+def test_the_name_of_the_odometry_link_is_looked_up_once_and_beside_the_loop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    threads: list[int] = []
+    numeric = socket.getaddrinfo
+
+    def look_up(host: str, port: int, *args: Any, **fields: Any) -> Any:
+        if host == "daemon.test":
+            threads.append(threading.get_ident())
+            found = numeric("127.0.0.1", port, *args, **fields)
+            return [(socket.AF_INET6, *found[0][1:4], ("::1", port, 0, 0)), *found]
+        return numeric(host, port, *args, **fields)
+
+    monkeypatch.setattr(socket, "getaddrinfo", look_up)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as daemon:
+        daemon.bind(("127.0.0.1", 0))
+        daemon.setblocking(False)  # noqa: FBT003 the call's own form
+        received: list[bytes] = []
+
+        async def act(_: BridgeStream, heard: Heard) -> None:
+            for _attempt in range(300):
+                heard.ask("odometry", x_m=1.5)
+                await asyncio.sleep(0.1)
+                with contextlib.suppress(BlockingIOError):
+                    received.append(daemon.recv(4096))
+                if len(received) == 3:
+                    return
+
+        beside_ros(act, of_rov(odometry_link=f"udp://daemon.test:{daemon.getsockname()[1]}"))
+    assert len(received) == 3
+    assert len(threads) == 1
+    assert threads[0] != threading.get_ident()
+
+
+@pytest.mark.parametrize(
+    ("link", "text"), [("udp://daemon.invalid:5", "not known"), ("udp://daemon", "lacks a host")]
+)
+def test_an_odometry_link_that_leads_nowhere_is_one_line(
+    link: str, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def look_up(*_: Any, **__: Any) -> Any:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", look_up)
+    with pytest.raises(ConfigError, match=rf"ros2.odometry_link: {link}: .*{text}"):
+        asyncio.run(serve(BridgeStream(), of_rov(odometry_link=link), print))
+
+
+def refused(*_: Any, **__: Any) -> Any:
+    raise DDSException(DDSException.DDS_RETCODE_OUT_OF_RESOURCES, "while it did something")
+
+
+def test_errors_of_dds_are_counted_and_a_few_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines: list[str] = []
+    node = DdsNode(DOMAIN, "rov", lines.append)
+    odometry = node.publisher("a", "nav_msgs/msg/Odometry")
+    poses = node.subscriber("b", "nav_msgs/msg/Odometry")
+    service = node.service("c", "std_srvs/Empty")
+    messages = Messages(node.types.classes)
+    message = messages.odometry(T0, "odom", "base", AT_REST)
+    for kind, name in (
+        (DataWriter, "write"),
+        (DataWriter, "get_matched_subscriptions"),
+        (DataReader, "take"),
+        (DataReader, "get_matched_publications"),
+    ):
+        monkeypatch.setattr(kind, name, refused)
+    for _ in range(150):
+        assert odometry.publish(message)
+    assert odometry.readers == poses.writers == 0
+    assert [*poses.take(5), *service.take(5)] == []
+    service.answer(SimpleNamespace(guid=1, seq=2), structure_needs_at_least_one_member=0)
+    assert {name: count for (name, _), count in node.errors.counts.items()} == {
+        "/rov/a": 151,
+        "/rov/b": 2,
+        "/rov/c": 2,
+    }
+    why = "Operation failed because of a lack of resources"
+    assert lines == [
+        f"ROS 2: /rov/a: {why}",
+        f"ROS 2: /rov/a: {why}; 10 errors of this kind",
+        f"ROS 2: /rov/a: {why}; 100 errors of this kind",
+    ]
+    node.close()
+
+
+def test_a_bridge_goes_on_after_errors_of_dds(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def act(stream: BridgeStream, heard: Heard) -> None:
+        stream.feed(SETTINGS)
+        with monkeypatch.context() as broken:
+            for kind, name in ((DataWriter, "write"), (DataReader, "take")):
+                broken.setattr(kind, name, refused)
+            stream.feed(APPEARED)
+            await until(lambda: any("100 errors of this kind" in line for line in heard.lines))
+        while not heard["/rosout"]:
+            stream.feed(APPEARED)
+            await asyncio.sleep(0.1)
+
+    heard = beside_ros(act, of_rov(commands=True))
+    assert sum("lack of resources" in line for line in heard.lines) in (3, 4)
+
+
+def test_a_topic_that_dds_refuses_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mapperd.bridges.dds.Topic", refused)
+    with pytest.raises(LiveError, match=r"ROS 2: /tf cannot be opened: .*lack of resources"):
+        asyncio.run(serve(BridgeStream(), of_rov(), print))
+
+
 def test_a_peer_in_another_domain_hears_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mapperd.bridges.ros2.ALONE_S", 0.3)
 
@@ -786,6 +936,111 @@ def test_where_the_daemon_maps_by_odometry_its_map_is_in_that_frame() -> None:
     assert odometry.pose.pose.position.x == 1.0
     corrected = published(LOCALIZES, sure(), a_pose(), MapChanged(key, T0, 0))
     assert corrected["/sonar_3d_map"][-1].header.frame_id == "map"
+
+
+def test_a_reset_replaces_the_grid_that_readers_hold() -> None:
+    stream, node = BridgeStream(), Recorded()
+    bridge = Ros2Bridge(stream, of_rov(), node, print)  # type: ignore[arg-type]
+
+    async def run() -> None:
+        now_s = 0.0
+
+        async def publish(*changes: Any) -> None:
+            nonlocal now_s
+            for change in changes:
+                bridge.take(change)
+            now_s += 100.0
+            await bridge.tick(now_s)
+
+        await publish(began())
+        assert "/map" not in node.sent  # nobody holds one
+        feed_map(stream)
+        await publish(MapChanged(np.array([[1, -1, 0]], np.int32), T0, 0))
+        assert stream.mirror is not None
+        stream.mirror.begin(INFO, Interest())
+        await publish(a_status(at_s=9.0), began())
+        await publish(began())
+
+    asyncio.run(run())
+    full, empty = node.sent["/map"]
+    assert (full.data == 100).sum() == 2
+    assert (empty.info.width, empty.info.height, empty.data.tolist()) == (1, 1, [-1])
+    assert empty.info.resolution == 0.5
+    assert empty.header.stamp.sec == T0 // S + 9
+
+
+def test_corrections_move_the_frame_of_the_odometry_and_not_the_vehicle_in_it() -> None:
+    """The daemon corrects at every ping; its reports are rarer."""
+    changes: list[Any] = [LOCALIZES]
+    corrections = [Rotation.from_euler("Z", 0.02 * (number // 3)) for number in range(20)]
+    places: list[np.ndarray] = []
+    for number, correction in enumerate(corrections):
+        at_s, odom = number / 10, np.array([number / 10, 2.0, -5.0])
+        places.append(correction.apply(odom) + np.array([0.3 * (number // 3), 0.0, 0.0]))
+        if number % 5 == 0:
+            changes.append(sure())  # of an earlier correction
+        x, y, z = places[-1].tolist()
+        place = {"odom_position_m": tuple(odom.tolist()), "odom_orientation_xyzw": (0, 0, 0, 1)}
+        yaw_rad = float(correction.as_euler("ZYX")[0])
+        changes.append(a_pose(at_s, (x, y, z), yaw_rad, **place))
+    sent = published(*changes)
+    transforms = [one for message in sent["/tf"] for one in message.transforms]
+    by_child: dict[str, list[Any]] = {"odom": [], "base_link": []}
+    for one in transforms:
+        by_child[one.child_frame_id].append(one)
+    steps = np.diff([one.transform.translation.x for one in by_child["base_link"]])
+    np.testing.assert_allclose(steps, 0.1)
+    for number, (odom, base) in enumerate(zip(*by_child.values(), strict=True)):
+        shift, turn = vector(odom.transform.translation), turn_of(odom.transform.rotation)
+        assert turn.apply(vector(base.transform.translation)) + shift == pytest.approx(
+            places[number]
+        )
+        assert odom.header.stamp.sec * S + odom.header.stamp.nanosec == T0 + number * S // 10 + S
+    steps = np.diff([one.pose.pose.position.x for one in sent["mapperd/odometry"]])
+    np.testing.assert_allclose(steps, 0.1)
+    assert sent["mapperd/odometry"][-1].twist.twist.linear.x == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("source", "has_odometry"),
+    [("localization", True), ("localization", False), ("odometry", False)],
+)
+def test_a_transform_of_the_map_ends_with_the_reports(source: str, *, has_odometry: bool) -> None:
+    stream, node, now_s = BridgeStream(), Recorded(), [10.0]
+    bridge = Ros2Bridge(stream, Config(), node, print, lambda: now_s[0])  # type: ignore[arg-type]
+    bridge.heard = frozenset(TOPICS)
+    odom: dict[str, Any] = {
+        "odom_position_m": (5.0, 0.0, 0.0),
+        "odom_orientation_xyzw": (0.0, 0.0, 0.0, 1.0),
+    }
+    place = odom if has_odometry else {}
+
+    def children() -> list[str]:
+        node.sent.clear()
+        bridge.take(a_pose(source=source, **place))
+        return [one.child_frame_id for each in node.sent.get("/tf", ()) for one in each.transforms]
+
+    def level() -> int:
+        bridge.take(LOCALIZES)
+        return int(node.sent["/diagnostics"][-1].status[1].level)
+
+    stream.feed(LOCALIZES)
+    bridge.take(sure())
+    now_s[0] += 2.9
+    assert (children(), level()) == (["base_link", "odom"], 0)
+    now_s[0] += 0.2
+    is_known = has_odometry or source == "odometry"
+    assert (children(), level()) == (["base_link"] if is_known else [], 3)
+    bridge.take(sure())
+    assert (children(), level()) == (["base_link", "odom"], 0)
+
+
+def vector(message: Any) -> np.ndarray:
+    return np.array([message.x, message.y, message.z])
+
+
+def turn_of(message: Any) -> Rotation:
+    return Rotation.from_quat([message.x, message.y, message.z, message.w])
 
 
 def test_no_transform_of_the_map_is_invented_while_the_vehicle_is_not_localized() -> None:

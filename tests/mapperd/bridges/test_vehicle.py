@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mapperd.bridges.vehicle import (
+    REPORT_VALID_S,
+    HeldLocalization,
     LinkReporter,
     MapFrames,
     RateLimit,
@@ -147,11 +149,41 @@ def test_the_tree_of_frames_leads_to_the_vehicle(source: str) -> None:
     same(frames.odom_of_base, place, turn)
 
 
+@pytest.mark.parametrize("report", [None, localization(), localization(map_odom=None)])
+def test_the_odometry_of_a_pose_gives_the_tree_without_a_report(
+    report: LocalizationMessage | None,
+) -> None:
+    place, turn = np.array([4.0, -3.0, -5.0]), Rotation.from_euler("ZYX", (-0.4, 0.2, -0.3))
+    x, y, z = place.tolist()
+    pose = vehicle("localization", odom_position_m=(x, y, z), odom_orientation_xyzw=xyzw(turn))
+    frames = MapFrames.of(pose, report)
+    same(frames.odom_of_base, place, turn)
+    same(frames.base_of_sonar, np.array([0.5, 0.0, -0.25]), MOUNTING)
+    correction = TURN * turn.inv()
+    same(frames.map_of_odom, np.array([10.0, 20.0, -5.0]) - correction.apply(place), correction)
+    assert not frames.served_in_odom
+
+
 def test_without_localization_odometry_is_the_map() -> None:
     frames = MapFrames.of(vehicle(), None)
     same(frames.map_of_odom, np.zeros(3), Rotation.identity())
     same(frames.odom_of_base, np.array([10.0, 20.0, -5.0]), TURN)
     assert not frames.served_in_odom
+
+
+def test_a_transform_is_held_while_states_come() -> None:
+    newest = localization(map_odom=None)
+    state, first = HeldLocalization(), localization()
+    assert not state.is_stale(0.0)
+    for now_s, new in ((1.0, first), (2.0, newest)):
+        state.take(new, now_s)
+    assert state.message is first
+    assert not state.is_stale(2.0 + REPORT_VALID_S)
+    late_s = 2.1 + REPORT_VALID_S
+    assert state.is_stale(late_s)
+    state.take(newest, late_s)
+    assert state.message is newest
+    assert not state.is_stale(late_s)
 
 
 INFO = MapInfo("one", 0.25, 0.25, 0.6, -0.6)

@@ -101,6 +101,8 @@ def blocks(data: bytes, **more: Any) -> BlocksMessage:
         PoseMessage(**POSE | {"orientation_xyzw": (NAN, 0.0, 0.0, 1.0)}),
         PoseMessage(**POSE, velocity_mps=(NAN, 0.0, 0.0)),
         PoseMessage(**POSE, covariance=(INF,) * 36),
+        PoseMessage(**POSE, odom_position_m=(NAN, 0, 0), odom_orientation_xyzw=(0, 0, 0, 1)),
+        PoseMessage(**POSE, odom_position_m=(0, 0, 0), odom_orientation_xyzw=(0, 0, 0, 2)),
         PathMessage(first=1, points=b""),
         PathMessage(first=0, points=bytes(11)),
         PathMessage(first=0, points=np.full(3, NAN, "<f4").tobytes()),

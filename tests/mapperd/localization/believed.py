@@ -49,6 +49,7 @@ def snapshot(
         "transform": MapFromOdom(STAMP_NS + 10**9, 3.0, -4.0, math.pi / 2),
         "odom": None,
         "pose": None,
+        "odom_ns": None,
         "sure": belief is not None,
         "diagnosis": diagnose(None if belief is None else best, AmclConfig()),
         "warning": None,

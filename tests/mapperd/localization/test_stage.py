@@ -93,6 +93,7 @@ def test_scan_without_an_update_is_mapped_by_the_last_correction(
     after = stage.snapshot()
     assert after.updates == before.updates
     assert after.counts["still"] == 1
+    assert (after.stamp_ns, after.odom_ns) == (before.stamp_ns, 2_000_000_000)
     assert after.particles is before.particles  # resampled only after a change
     assert isinstance(where, FusedPose)
     assert before.pose is not None

@@ -1,5 +1,6 @@
 import inspect
 from collections.abc import Callable
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from mapperd.config.tree import (
     Config,
+    LocalizationConfig,
     MountingConfig,
     OctreeConfig,
     OrientationConfig,
@@ -21,6 +23,8 @@ from mapperd.mapping.sonar_map import PingStats, SonarMap
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline import step
 from mapperd.pipeline.decoder import PosedPing
+from mapperd.pipeline.executor import TOO_SLOW, PingExecutor
+from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.pipeline.pose_lookup import fixed_pose
 from mapperd.pipeline.step import PingResult, Stages, process_ping, skip_ping
 from oculus_driver.ping import Ping
@@ -143,3 +147,27 @@ def test_localization_and_the_map_share_one_filtered_image(
     unlike = ping(bearings_cdeg=np.zeros(65, dtype=np.int16))
     refused = process_ping(PosedPing(3, unlike, fixed_pose(HERE), None), stages)
     assert localization.images[2] is refused.reject is not None
+
+
+@pytest.mark.parametrize(
+    ("mapping", "localizes", "has_pose"),
+    [
+        ("odometry", True, True),
+        ("corrected", True, False),
+        ("off", True, False),
+        ("corrected", False, True),
+    ],
+)
+def test_a_dropped_ping_has_a_pose_only_where_that_of_the_odometry_is_in_the_map(
+    ping: MakePing, mapping: Any, *, localizes: bool, has_pose: bool
+) -> None:
+    config = msgspec.structs.replace(COARSE, localization=LocalizationConfig(mapping=mapping))
+    sonar_map = SonarMap(config)
+    stages = Stages(sonar_map, _Localization() if localizes else None)  # type: ignore[arg-type]
+    executor = PingExecutor(stages, MemoryPersistence(sonar_map))
+    results: list[PingResult] = []
+    executor.on_ping = results.append
+    posed = PosedPing(0, ping(), fixed_pose(HERE), None)
+    executor.drop(posed)
+    assert results[0].reject is TOO_SLOW
+    assert results[0].pose is (posed.pose if has_pose else TOO_SLOW)

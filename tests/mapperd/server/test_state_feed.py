@@ -12,10 +12,11 @@ import zstandard
 
 from mapperd.client.validation import check_message
 from mapperd.config.loader import config_from_text
-from mapperd.config.tree import Config
+from mapperd.config.tree import Config, LocalizationConfig
 from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose, pose_from_rpy, quaternion_to_matrix
 from mapperd.imaging.ping_image import PingImage
+from mapperd.localization.status import LocalizationSnapshot
 from mapperd.mapping.sonar_map import PingStats
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.decoder import PosedPing
@@ -31,11 +32,14 @@ from mapperd.wire.messages import (
     RobotsMessage,
 )
 from oculus_driver.ping import Ping
+from tests.mapperd.localization.believed import snapshot
 from tests.support.control_server import FakeDaemon
 
 MOUNTED = config_from_text(
     "mounting: {position: {x: 1, y: 0, z: 0.5}, orientation: {roll: 0, pitch: 30, yaw: 0}}"
 )
+
+MAPS_NOTHING = LocalizationConfig(mode="track", mapping="off")
 
 
 @dataclass
@@ -44,7 +48,7 @@ class SentState:
 
     odometry: dict[str, Any] = field(default_factory=lambda: {"source": "odometry"})
     robots: list[dict[str, Any]] = field(default_factory=list)
-    localization: None = None
+    localization: LocalizationSnapshot | None = None
 
 
 @pytest.fixture(name="ping")
@@ -90,6 +94,32 @@ def test_the_pose_is_the_pings_and_the_sonars_beside_it(ping: Ping) -> None:
     np.testing.assert_allclose(ahead, (0, math.cos(math.radians(30)), -down), atol=1e-12)
     assert output.covariance is not None
     assert output.covariance[:8] == (0.04, 0, 0, 0, 0, 0, 0, 0.04)
+
+
+def test_a_corrected_pose_has_that_of_the_odometry_beside_it(ping: Ping) -> None:
+    feed, _, _ = feed_of()
+    odom, corrected = fused(5.0, yaw_deg=90.0), fused(7.0, yaw_deg=180.0)
+    posed = PosedPing(0, ping, odom, 2_000, 1_000)
+    feed.put(PingResult(posed, corrected, PingStats()))
+    feed.refresh({"pose"}, 0.0)
+    output = message(feed.newest("pose").frame)
+    assert (output.position_m, output.odom_position_m) == ((7.0, 2.0, -3.0), (5.0, 2.0, -3.0))
+    half = math.sqrt(0.5)
+    assert output.odom_orientation_xyzw == pytest.approx((0, 0, half, half))
+    check_message(output)
+    feed.put(ping_result(ping, odom, PingStats()))
+    feed.refresh({"pose"}, 0.1)
+    assert b"odom_" not in feed.newest("pose").frame  # earlier clients get what they know
+
+
+def test_where_nothing_is_mapped_the_estimate_has_its_odometry() -> None:
+    feed, sent, _ = feed_of(msgspec.structs.replace(MOUNTED, localization=MAPS_NOTHING))
+    sent.localization = snapshot(0.0, pose=fused(7.0).pose, odom=fused(5.0).pose, odom_ns=77)
+    feed.refresh({"pose"}, 0.0)
+    output = message(feed.newest("pose").frame)
+    assert (output.source, output.position_m) == ("localization", (7.0, 2.0, -3.0))
+    assert output.odom_position_m == (5.0, 2.0, -3.0)
+    assert output.stamp_ns == 77  # not that of the last update, which is older
 
 
 def test_a_ping_without_a_pose_moves_nothing(ping: Ping) -> None:
