@@ -11,6 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 from sonar_sim.geometry.live_path import LivePath
 from sonar_sim.geometry.pose import FramePose
+from sonar_sim.navigation.follow import PoseFollower
 from sonar_sim.navigation.formats import format_named
 from sonar_sim.navigation.odometry_output import OdometrySender
 from sonar_sim.navigation.pose_records import (
@@ -219,6 +220,18 @@ def test_a_path_told_over_a_link_is_the_true_one(form: str) -> None:
     assert np.sqrt(np.mean(np.square(errors_m))) < 0.015
     assert np.sqrt(np.mean(np.square(errors_deg))) < 0.6
     assert live.updates > 400
+
+
+def test_an_attitude_alone_is_not_followed() -> None:
+    live = LivePath(FramePose(np.zeros(3), np.eye(3)))
+    follower = PoseFollower("mavlink://127.0.0.1:1", live, Vehicle(), lambda: 1.0)
+    link = common.MAVLink(None, srcSystem=1, srcComponent=1)
+    turned = common.MAVLink_attitude_message(10, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
+    placed = common.MAVLink_local_position_ned_message(11, 1.0, 2.0, 3.0, 0.0, 0.0, 0.0)
+    follower.take(turned.pack(link), lambda _: None)
+    assert (follower.records, follower.state, live.updates) == (1, "waiting", 0)
+    follower.take(placed.pack(link), lambda _: None)
+    assert (follower.records, follower.state, live.updates) == (2, "following", 2)  # put there, then moved on
 
 
 def test_a_vehicle_that_is_put_elsewhere_does_not_fly_there() -> None:

@@ -16,8 +16,8 @@ Load = Callable[..., Scenario]
 def test_mesh_of_every_format_is_read_to_scale(tmp_path: Path, load: Load, ending: str) -> None:
     trimesh.creation.box(extents=(1000.0, 2000.0, 3000.0)).export(tmp_path / f"box.{ending}")
     made = load(
-        f"objects: [{{name: m, shape: {{kind: mesh, file: box.{ending}, scale: 0.001}}, "
-        "material: rock, position_m: [0, 0, -5]}]"
+        f"objects: [{{name: m, shape: {{kind: mesh, file: box.{ending}, scale: 0.001, "
+        "up: z}, material: rock, position_m: [0, 0, -5]}]"
     )
     corners = made.scene.surfaces[0].vertices_m
     assert len(made.scene.surfaces[0].faces) == 12
@@ -180,6 +180,15 @@ def test_collada_stands_upright_in_metres(
     assert np.ptp(corners[:, 2]) == pytest.approx((0.1, 0.2, 0.3)[high])
     mesh = trimesh.Trimesh(corners, made.scene.surfaces[0].faces)
     assert mesh.volume == pytest.approx(0.006)  # not inside out
+
+
+@pytest.mark.parametrize(("option", "high_m"), [("", 2.0), (", up: z", 3.0)])
+def test_y_of_gltf_is_up_by_its_specification(
+    tmp_path: Path, load: Load, option: str, high_m: float
+) -> None:
+    boxes_of_two_materials().geometry["box 0"].export(tmp_path / "m.glb")
+    made = load(OBJECT.format(f"m.glb{option}", ", position_m: [0, 0, -5]"))
+    assert np.ptp(made.scene.surfaces[0].vertices_m[:, 2]) == pytest.approx(high_m)
 
 
 def test_y_of_other_files_is_turned_up_on_demand(tmp_path: Path, load: Load) -> None:

@@ -65,8 +65,8 @@ class PoseFollower:
 
     @property
     def state(self) -> str:
-        """`waiting` before the first record, `following`, or `silent` after the last."""
-        if self._heard_s is None:
+        """`waiting` before the first whole pose, `following`, or `silent` after the last record."""
+        if self._heard_s is None or not self._assembler.is_placed:
             return "waiting"
         return "following" if self._clock() - self._heard_s < SILENT_S else "silent"
 

@@ -298,6 +298,11 @@ class PoseAssembler:
         self._attitude: tuple[float, Vector, Vector] | None = None
         self._last_s = -math.inf
 
+    @property
+    def is_placed(self) -> bool:
+        """Whether position and attitude have come."""
+        return self._position is not None and self._attitude is not None
+
     def take(self, record: PoseRecord, arrival_s: float) -> None:
         """Add a record.
 
@@ -313,7 +318,7 @@ class PoseAssembler:
             self._attitude = time_s, record.rotation, rates
         if record.position_m is not None:
             self._position = time_s, record.position_m, self._map_velocity(record, time_s)
-        if self._position is not None and self._attitude is not None:
+        if self.is_placed:
             self._publish(time_s)
 
     def _map_velocity(self, record: PoseRecord, time_s: float) -> Vector:

@@ -28,6 +28,8 @@ UP_TURN: Mapping[str, NDArray[np.float64]] = MappingProxyType(
     }
 )
 """Turns a file's axes so that z is up, by the axis that is up in it (COLLADA 1.4.1, `up_axis`)."""
+FILE_UP = MappingProxyType({".glb": "y", ".gltf": "y"})
+"""Axis that is up by the format (glTF 2.0, 3.4 Coordinate System and Units)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +55,8 @@ def read_parts(path: Path, scale: float = 1.0, up: str | None = None) -> list[Na
     Args:
         path: of the file; its ending names the format.
         scale: metres a unit of the file; of COLLADA, on top of the unit that it declares.
-        up: the file's axis that points up, x, y or z; None is what COLLADA declares, z elsewhere.
+        up: the file's axis that points up, x, y or z; None is what COLLADA declares, y of glTF as
+            its specification says, z elsewhere.
 
     Returns:
         Its parts, in an order that depends on the file alone; at least one.
@@ -67,7 +70,7 @@ def read_parts(path: Path, scale: float = 1.0, up: str | None = None) -> list[Na
     if not path.is_file():
         raise SceneError(f"{path}: there is no such file")
     try:
-        up = up or (_collada_up(path) if ending == ".dae" else "z")
+        up = up or (_collada_up(path) if ending == ".dae" else FILE_UP.get(ending, "z"))
         found = sorted(READERS[ending](path), key=lambda part: (part[1], part[0]))
     except SceneError:
         raise

@@ -106,7 +106,9 @@ class Mesh(Section, frozen=True, tag="mesh", tag_field="kind"):
     scale: Annotated[float, field_info("Metres a unit of the file.", "m", gt=0, le=1e6)] = 1.0
     up: Annotated[
         Literal["x", "y", "z"] | None,
-        field_info("The file's axis that points up; left out, what a DAE file declares, else z."),
+        field_info(
+            "The file's axis that points up; left out, what a DAE file declares, y of glTF, else z."
+        ),
     ] = None
     materials: Annotated[
         dict[str, str | None],
