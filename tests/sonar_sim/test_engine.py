@@ -9,12 +9,14 @@ from sonar_sim.engine import PingEngine
 from sonar_sim.errors import SceneError
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.geometry.trajectory import Drift
+from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.physics import Cloud, Mirror, Physics, SoundSpeedProfile
 from sonar_sim.raycast.meshes import NOTHING, SEA
 from sonar_sim.scene.material import Material
 from sonar_sim.scene.scene import PointTarget, Scene, Sea, Surface
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.scene.water import Water
+from sonar_sim.simulator import Simulator
 from sonar_sim.validation.setups import (
     CHALK,
     DULL,
@@ -299,6 +301,32 @@ def test_a_cloud_swallows_and_scatters() -> None:
     drawn = dataclasses.replace(SPECKLED, clouds=(cloud,))
     fields = [np.square(picture(scene, drawn, ping_id=k))[120:180] for k in range(4)]
     assert decibel(np.mean(fields) / murky[120:180].mean()) == pytest.approx(0.0, abs=0.3)
+
+
+def test_a_level_sonar_hears_the_floor_straight_below() -> None:
+    """From range = height on, by the far lobes: mu pi h² V(h / R) / R⁵ a metre of range."""
+    height_m, width_rad = 2.0, math.radians(20.0)
+    physics = dataclasses.replace(MEAN, vertical_width_rad=width_rad, all_elevations=True)
+    sonar = narrow_sonar(3.0, 0.01)
+    engine = PingEngine(Scene((floor(-height_m, CHALK),)), sonar)
+    rows = cell_power(engine, HERE, physics).sum(axis=1)
+    assert not rows[:199].any()
+    # So far, all of the ring ahead is within the fan's bearings.
+    range_m = np.linspace(height_m, 2.06, 601)
+    density = CHALK.mu * math.pi * height_m**2 / range_m**5
+    density *= vertical_two_way_power(height_m / range_m, width_rad)
+    expected = float(np.trapezoid(density, range_m))
+    assert decibel(rows[199:206].sum() / expected) == pytest.approx(0.0, abs=0.5)
+
+
+@pytest.mark.parametrize("effects", ["auto", "all"])
+def test_a_pose_that_is_not_finite_is_refused(effects: str) -> None:
+    simulator = Simulator(Scene((floor(-2.0, CHALK),)), narrow_sonar(3.0, 0.01), effects=effects)
+    for bad in (math.nan, math.inf):
+        with pytest.raises(SceneError, match="pose is not finite"):
+            simulator.ping(pose_at((0.0, 0.0, bad)))
+    with pytest.raises(SceneError, match="time is not finite"):
+        simulator.ping(HERE, time_s=math.nan)
 
 
 def test_a_point_target_is_hidden_by_a_wall() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
+from sonar_sim.errors import SceneError
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.clouds import cloud_power
@@ -83,6 +84,22 @@ class EnginePing:
         return visible_points(self.rays, self.sonar)
 
 
+def check_finite(pose: FramePose, time_s: float, motion: SonarMotion | None) -> None:
+    """Refuse what no ray can be cast from.
+
+    Raises:
+        SceneError: the pose, the motion or the time is not finite.
+    """
+    moving = () if motion is None else (motion.linear_mps, motion.angular_rps)
+    for name, values in (
+        ("pose", (pose.position_m, pose.rotation)),
+        ("motion", moving),
+        ("time", (time_s,)),
+    ):
+        if not all(np.isfinite(value).all() for value in values):
+            raise SceneError(f"the sonar's {name} is not finite: {values}")
+
+
 class PingEngine:
     """A sonar in a scene. Equal seed, pose, physics, number and time give equal bytes.
 
@@ -154,7 +171,11 @@ class PingEngine:
             time_s: of the transmission; moving objects stand where they are then.
             motion: of the sonar while it listens, used where `physics.pose_blocks` > 1.
             truth: whether to work out the truth of rays and pixels.
+
+        Raises:
+            SceneError: the pose, the motion or the time is not finite.
         """
+        check_finite(map_T_sonar, time_s, motion)
         clock = _StageTimer()
         here = self._situation(map_T_sonar, physics, time_s, motion)
         rays, ways = self._ways(here)

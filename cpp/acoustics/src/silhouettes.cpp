@@ -10,8 +10,8 @@ namespace {
 
 constexpr double kPiece = 0.005;  // rad, to which a straight edge is a straight line of s and w
 constexpr double kMinCut = 2e-5;  // of s and w: cuts closer than that are one
-constexpr std::size_t kMaxSlabs = 16;  // of a cell
-constexpr std::size_t kMaxCuts = 24;   // of a slab
+constexpr std::size_t kMaxSlabs = 16;   // of a cell
+constexpr std::size_t kMaxParts = 400;  // of a cell, about
 constexpr double kHiddenFactor = 1.02;
 constexpr double kHiddenM = 0.02;    // so far behind all that was met about it, an edge is hidden
 constexpr std::size_t kBetween = 8;  // rays between two that met different surfaces
@@ -156,7 +156,7 @@ class Rasteriser {
     const double nearest = std::clamp(-dot(a, way) / std::max(length2, 1e-18), 0.0, 1.0);
     const Vec3 near = a + nearest * way;
     const double near_m = std::sqrt(dot(near, near));
-    if (near_m > reach_m_ || near_m < 1e-6) return;
+    if (!(near_m <= reach_m_) || near_m < 1e-6) return;
     proto_.outline = outline;
     proto_.round = outline && edge.round;
     proto_.turn = outline ? turn_of(a, b, seen(mesh, edge.inner_m)) : 0.0F;
@@ -321,14 +321,20 @@ class Cutter {
              to.end());
     if (to.size() >= kMaxSlabs) {
       const double first = to.front(), last = to.back();
-      to.resize(kMaxSlabs - 1);
-      for (std::size_t k = 0; k < to.size(); ++k) {
-        to[k] =
-            first + (last - first) * static_cast<double>(k) / static_cast<double>(to.size() - 1);
+      to.clear();
+      for (std::size_t k = 0; k + 1 < kMaxSlabs; ++k) {
+        to.push_back(first + (last - first) * uneven(k, kMaxSlabs - 1));
       }
     }
     to.insert(to.begin(), low);
     to.push_back(high);
+  }
+
+  // The k-th of some steps from 0 to 1, all of about one size: no pattern repeats with them.
+  static double uneven(std::size_t k, std::size_t steps) {
+    constexpr double kGolden = 0.6180339887498949;
+    const double shift = std::fmod(static_cast<double>(k) * kGolden, 1.0);
+    return (static_cast<double>(k) + shift) / static_cast<double>(steps);
   }
 
   // Whether another segment goes straight on from a segment's end: how finely an edge is divided
@@ -357,12 +363,12 @@ class Cutter {
   void slabs(const Box& cell, const Segment* segments, std::size_t count) {
     for (std::size_t k = 0; k + 1 < slabs_.size(); ++k) {
       const double w0 = slabs_[k], w1 = slabs_[k + 1];
-      cross(0.5 * (w0 + w1), segments, count);
+      cross(cell, 0.5 * (w0 + w1), segments, count);
       parts(cell, w0, w1);
     }
   }
 
-  void cross(double w, const Segment* segments, std::size_t count) {
+  void cross(const Box& cell, double w, const Segment* segments, std::size_t count) {
     cuts_.clear();
     for (std::size_t i = 0; i < count; ++i) {
       const Segment& g = segments[i];
@@ -374,9 +380,13 @@ class Cutter {
           {s0 + (w - a) / (b - a) * (s1 - s0), upwards > 0.0F, upwards < 0.0F, g.round});
     }
     std::sort(cuts_.begin(), cuts_.end(), [](const Cut& a, const Cut& b) { return a.at < b.at; });
-    while (cuts_.size() > kMaxCuts) {
-      for (std::size_t k = 0; 2 * k < cuts_.size(); ++k) cuts_[k] = cuts_[2 * k];
-      cuts_.resize((cuts_.size() + 1) / 2);
+    // Of too many, as of a net far off, each part shows what its middle meets.
+    const std::size_t most = kMaxParts / (slabs_.size() - 1);
+    if (cuts_.size() > most) {
+      cuts_.clear();
+      for (std::size_t k = 0; k < most; ++k) {
+        cuts_.push_back({cell.s0 + (cell.s1 - cell.s0) * uneven(k, most), false, false, false});
+      }
     }
   }
 
