@@ -24,7 +24,7 @@ from mapperd.bridges.mavlink_messages import (
 )
 from mapperd.bridges.vehicle import (
     BridgeClient,
-    HeldLocalization,
+    ConnectionState,
     LinkReporter,
     RateLimit,
     VehiclePose,
@@ -116,14 +116,13 @@ class AutopilotBridge:
         self._was_connected = False
         self._heard_s: float | None = None
         self._kind = common.MAV_AUTOPILOT_GENERIC
-        self._forget()
+        self._state = ConnectionState()
+        self._returns: ReturnsMessage | None = None
 
     def _forget(self) -> None:
         """Forget the state of the daemon: it may be old when it comes again."""
-        self._vehicle: PoseMessage | None = None
-        self._localization = HeldLocalization()
-        self._localizes: bool | None = None
-        self._returns: ReturnsMessage | None = None
+        self._state.clear()
+        self._returns = None
 
     def take(self, change: ClientChange, now_s: float) -> Iterator[bytes]:
         """Yield the messages that a change causes.
@@ -135,11 +134,11 @@ class AutopilotBridge:
         Raises:
             ConfigError: these poses must not go to this autopilot.
         """
+        self._state.take(change, now_s)
         match change:
             case LinkChanged(link):
                 self._connected(is_connected=self._link.take(link))
             case LocalizationMessage():
-                self._localization.take(change, now_s)
                 state = change.report.get("state")
                 is_off = state == "off" and self._config.poses == "all"
                 if not is_off and (state != "localized" or change.report.get("sure") is not True):
@@ -147,10 +146,8 @@ class AutopilotBridge:
             case ReturnsMessage():
                 self._returns = change
             case PoseMessage():
-                self._vehicle = change
                 yield from self._pose(change, now_s)
             case StatusMessage():
-                self._localizes = change.status.get("localization") is not None
                 self._look_at_problems(change.status)
             case EventMessage():
                 self._look_at_event(change.event)
@@ -241,13 +238,10 @@ class AutopilotBridge:
             )
 
     def _pose(self, vehicle: PoseMessage, now_s: float) -> Iterator[bytes]:
-        # Without a state, localization may be off, or its state may not have come yet.
-        localization = self._localization.message
-        by_odometry = self._config.poses == "all" and (
-            self._localizes is False or localization is not None
-        )
-        located = sure_pose(vehicle, localization, odometry=by_odometry)
-        if self._localization.is_stale(now_s):
+        localization = self._state.localization
+        by_odometry = self._config.poses == "all" and self._state.localizes is False
+        located = sure_pose(vehicle, localization.message, odometry=by_odometry)
+        if localization.is_stale(now_s):
             located = "localization: no report"
         if isinstance(located, str):
             self._doubt(located)

@@ -18,7 +18,7 @@ from mapperd.bridges.vehicle import (
     REPORT_VALID_S,
     BridgeClient,
     CloudCache,
-    HeldLocalization,
+    ConnectionState,
     LinkReporter,
     MapFrames,
     VehiclePose,
@@ -151,8 +151,9 @@ class Ros2Bridge:
         self._grid_error = ""
         self._has_grid = False
         """The last grid had cells: readers hold it until another one comes."""
-        self._localization_state = HeldLocalization()
-        """Of this connection: that of an earlier one may be another session's."""
+        self._state = ConnectionState()
+        self._is_in_odom = False
+        """The daemon's map lies in the odometry's frame, as of the last pose."""
         self._slow: set[str] = set()
         self._particles_ns = 0
         self._due: set[str] = set()
@@ -178,13 +179,14 @@ class Ros2Bridge:
 
     def take(self, change: ClientChange) -> None:
         """Publish a change, or schedule it for `tick`."""
+        self._state.take(change, self._clock())
         handler = self._handlers.get(type(change))
         if handler is not None:
             handler(change)
 
     def _linked(self, change: LinkChanged) -> None:
         if not self._link.take(change.link):
-            self._localization_state = HeldLocalization()
+            self._state.clear()
 
     def _reset(self, _: MapReset) -> None:
         self._is_reset = True
@@ -266,7 +268,8 @@ class Ros2Bridge:
 
     def _pose(self, vehicle: PoseMessage) -> None:
         self._stamp_ns = max(self._stamp_ns, vehicle.stamp_ns)
-        localization, frames = self._localization_state.message, self._frames(vehicle)
+        self._look_at_frame(vehicle)
+        localization, frames = self._state.localization.message, self._frames(vehicle)
         if frames is None:
             return
         world, odom, base = (self._frame(name) for name in ("map", "odom", "base"))
@@ -274,7 +277,7 @@ class Ros2Bridge:
             turned = [Turned(odom, base, frames.odom_of_base)]
             self._send("tf", self.messages.transforms(vehicle.stamp_ns, turned))
             report = localization.report if localization else {}
-            is_known = map_odom_of(report) is not None or not self._localizes()
+            is_known = map_odom_of(report) is not None or self._state.localizes is False
             if is_known and not self._is_stale() and self._is_on("amcl.tf_broadcast"):
                 stamp_ns = self._valid_until_ns(vehicle, localization)
                 turned = [Turned(world, odom, frames.map_of_odom)]
@@ -289,11 +292,11 @@ class Ros2Bridge:
 
     def _frames(self, vehicle: PoseMessage) -> MapFrames | None:
         """Return the frames at a pose; None until the state of localization is known."""
-        localization = self._localization_state.message
+        localization = self._state.localization.message
         if odom_pose_of(vehicle) is not None:
             return MapFrames.of(vehicle, localization)
         is_corrected = vehicle.source == "localization"
-        if localization is None and (self._localizes() or is_corrected):
+        if localization is None and (self._state.localizes is not False or is_corrected):
             return None
         if is_corrected and (
             localization is None or map_odom_of(localization.report) is None or self._is_stale()
@@ -317,11 +320,7 @@ class Ros2Bridge:
         return max(until_ns, vehicle.stamp_ns)
 
     def _is_stale(self) -> bool:
-        return self._localization_state.is_stale(self._clock())
-
-    def _localizes(self) -> bool:
-        status = self._client.status
-        return status is not None and status.status.get("localization") is not None
+        return self._state.localization.is_stale(self._clock())
 
     def _publish_mounting(self, mounting: Pose, stamp_ns: int) -> None:
         """Publish the sonar's place on the vehicle when it changes."""
@@ -336,12 +335,11 @@ class Ros2Bridge:
         self._send("tf_static", self.messages.transforms(stamp_ns, turned))
 
     def _localization(self, state: LocalizationMessage) -> None:
-        self._localization_state.take(state, self._clock())
         estimate = planar_estimate(state.report)
         stamp_s = state.report.get("t_s")
         if not isinstance(stamp_s, int | float):
             return
-        stamp_ns, vehicle = round(stamp_s * NS), self._client.pose
+        stamp_ns, vehicle = round(stamp_s * NS), self._state.vehicle
         height_m = vehicle.position_m[2] if vehicle else 0.0
         frame = str((state.report.get("pose") or {}).get("frame", self._frame("map")))
         if estimate is not None and "pose" in self.heard:
@@ -360,8 +358,7 @@ class Ros2Bridge:
         if "sonar" in self.heard:
             self._send("sonar", self.messages.image(image.stamp_ns, frame, pixels))
         if "ping" in self.heard:
-            status = self._client.status
-            sonar = (status.status.get("sonar") or {}) if status else {}
+            sonar = self._state.status.get("sonar") or {}
             speed_mps = float(sonar.get("speed_of_sound_mps") or 0.0)
             message = self.messages.ping(image, pixels, frame, self._client.fan, speed_mps)
             self._send("ping", message)
@@ -390,11 +387,19 @@ class Ros2Bridge:
         message = self.messages.markers(self._stamp_ns, frame, places, self._changes)
         self._send("markers", message)
 
+    def _look_at_frame(self, vehicle: PoseMessage) -> None:
+        """Note the frame of the daemon's map; all of the map is due again when it changes."""
+        localizes = self._state.localizes
+        if localizes is None:
+            return
+        is_in_odom = localizes and vehicle.source == "odometry"
+        if is_in_odom != self._is_in_odom:
+            self._is_in_odom = is_in_odom
+            self._due |= {"cloud", "grid", "markers"}
+
     def _map_frame(self) -> str:
         """Return the frame that the served map lies in."""
-        vehicle = self._client.pose
-        by_odometry = vehicle is not None and vehicle.source == "odometry"
-        return self._frame("odom" if by_odometry and self._localizes() else "map")
+        return self._frame("odom" if self._is_in_odom else "map")
 
     async def _publish_map(self) -> float:
         """Publish cloud and grid; return the processor time that it took."""
@@ -433,7 +438,7 @@ class Ros2Bridge:
         return time.thread_time() - began_s
 
     def _heights(self) -> tuple[float, float]:
-        half_m, vehicle = self._config.ros2.slice_height / 2, self._client.pose
+        half_m, vehicle = self._config.ros2.slice_height / 2, self._state.vehicle
         if half_m and vehicle is not None:
             return vehicle.position_m[2] - half_m, vehicle.position_m[2] + half_m
         return self._config.export.min_z, self._config.export.max_z
@@ -456,7 +461,7 @@ class Ros2Bridge:
         level = ERROR if problems else OK
         make = self.messages.diagnostic
         statuses = [make(level, "mapperd: daemon", text, vehicle, values)]
-        localization = self._localization_state.message
+        localization = self._state.localization.message
         report = localization.report if localization else {}
         if report.get("state", "off") != "off":
             found = report.get("diagnostics") or {}

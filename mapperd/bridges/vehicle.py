@@ -30,6 +30,7 @@ __all__ = [
     "REPORT_VALID_S",
     "BridgeClient",
     "CloudCache",
+    "ConnectionState",
     "HeldLocalization",
     "LinkReporter",
     "MapFrames",
@@ -234,6 +235,48 @@ class HeldLocalization:
         if self.message is None or self.message.report.get("state", "off") == "off":
             return False
         return now_s - self._came_s > REPORT_VALID_S
+
+
+class ConnectionState:
+    """What the daemon sent on this connection: that of an earlier one may be another session's.
+
+    Attributes:
+        vehicle: newest pose; None before the first.
+        localization: its state in force.
+        status: the last one that had content, as heartbeats without room for it are empty; {}
+            before the first.
+    """
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything: the connection broke."""
+        self.vehicle: PoseMessage | None = None
+        self.localization = HeldLocalization()
+        self.status: Mapping[str, Any] = {}
+
+    def take(self, change: ClientChange, now_s: float) -> None:
+        """Take a change of the client.
+
+        Args:
+            change: as it came.
+            now_s: monotonic time.
+        """
+        if isinstance(change, StatusMessage):
+            self.status = change.status or self.status
+        elif isinstance(change, LocalizationMessage):
+            self.localization.take(change, now_s)
+        elif isinstance(change, PoseMessage):
+            self.vehicle = change
+
+    @property
+    def localizes(self) -> bool | None:
+        """Whether the daemon localizes on a known map; None until it is known."""
+        message = self.localization.message
+        if message is not None:
+            return bool(message.report.get("state", "off") != "off")
+        return self.status.get("localization") is not None if self.status else None
 
 
 def map_odom_of(report: Mapping[str, Any]) -> Pose | None:

@@ -126,6 +126,11 @@ def a_ping(at_s: float = 0.0, points: Any = ((3.0, -1.0, 0.0),), **changes: Any)
     return ReturnsMessage(**(fields | changes))
 
 
+def beat(at_s: float = 0.0) -> StatusMessage:
+    """Return a heartbeat that has no room for the status."""
+    return StatusMessage(stamp_ns=T0 + round(at_s * S))
+
+
 def a_status(*codes: str, at_s: float = 0.0, **status: Any) -> StatusMessage:
     problems = [{"code": code, "text": f"{code}: it is so. Do this"} for code in codes]
     return StatusMessage(

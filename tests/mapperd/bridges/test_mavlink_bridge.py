@@ -30,6 +30,7 @@ from tests.mapperd.bridges.bridge_fakes import (
     a_ping,
     a_pose,
     a_status,
+    beat,
     linked,
     sure,
 )
@@ -242,6 +243,20 @@ def test_odometry_of_a_slam_is_sent_where_it_is_wanted() -> None:
     peer.now_s += 1
     (message,) = peer.give(a_status(localization=None), a_pose(1.0, source="odometry"))
     assert (message.x, message.y) == pytest.approx((2.0, 1.0))
+
+
+def test_a_heartbeat_without_a_status_says_nothing_of_localization() -> None:
+    peer = Peer(msgspec.structs.replace(POSES, poses="all"))
+    by_odometry = a_pose(source="odometry")
+    assert peer.give(beat(), by_odometry) == []
+    localizes = a_status(localization={"state": "waiting for a pose"})
+    assert peer.give(localizes, beat(), by_odometry) == []
+    off = a_status(localization=None)
+    peer.now_s += 1
+    assert peer.give(off, beat(), by_odometry)
+    peer.give(linked("waiting", "gone"), peer.stream.connect("s-2"))
+    peer.now_s += 1
+    assert peer.give(beat(), by_odometry) == []  # another session may localize
 
 
 def test_an_autopilot_never_gets_its_own_odometry() -> None:

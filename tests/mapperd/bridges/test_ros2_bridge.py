@@ -47,6 +47,7 @@ from tests.mapperd.bridges.bridge_fakes import (
     a_ping,
     a_pose,
     a_status,
+    beat,
     began,
     linked,
     sure,
@@ -936,6 +937,42 @@ def test_where_the_daemon_maps_by_odometry_its_map_is_in_that_frame() -> None:
     assert odometry.pose.pose.position.x == 1.0
     corrected = published(LOCALIZES, sure(), a_pose(), MapChanged(key, T0, 0))
     assert corrected["/sonar_3d_map"][-1].header.frame_id == "map"
+
+
+def test_a_heartbeat_without_a_status_changes_nothing() -> None:
+    by_odometry, change = a_pose(source="odometry"), MapChanged(np.zeros((0, 3), int), T0, 0)
+    assert "/tf" not in published(beat(), by_odometry)
+    sent = published(LOCALIZES, by_odometry, beat(), by_odometry, change)
+    assert "/tf" not in sent  # the state of localization has not come yet
+    assert sent["/sonar_3d_map"][-1].header.frame_id == "odom"
+    sonar = a_status(sonar={"speed_of_sound_mps": 1480.0})
+    assert published(sonar, beat(), IMAGE)["mapperd/ping"][-1].ping_info.sound_speed == 1480.0
+
+
+def test_a_new_connection_begins_with_an_unknown_state() -> None:
+    lost = linked("waiting", "gone"), linked("connected")
+    by_odometry = a_pose(source="odometry")
+    off = a_status(localization=None, sonar={"speed_of_sound_mps": 1480.0})
+    assert len(published(off, by_odometry)["/tf"]) == 2
+    sent = published(off, *lost, by_odometry, IMAGE)
+    assert "/tf" not in sent
+    assert sent["mapperd/ping"][-1].ping_info.sound_speed == 0.0
+
+
+def test_the_map_comes_again_when_its_frame_changes() -> None:
+    stream, node = BridgeStream(), Recorded()
+    bridge = Ros2Bridge(stream, of_rov(), node, print)  # type: ignore[arg-type]
+    feed_map(stream)
+
+    async def run() -> None:
+        by_odometry = a_pose(source="odometry")
+        changes: list[Any] = [began(), LOCALIZES, by_odometry, by_odometry]
+        for number, change in enumerate(changes):
+            bridge.take(change)
+            await bridge.tick(100.0 * number)
+
+    asyncio.run(run())
+    assert [one.header.frame_id for one in node.sent["my_cloud"]] == ["map", "odom"]
 
 
 def test_a_reset_replaces_the_grid_that_readers_hold() -> None:
