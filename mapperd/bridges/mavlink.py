@@ -23,6 +23,7 @@ from mapperd.bridges.mavlink_messages import (
     text_chunks,
 )
 from mapperd.bridges.vehicle import (
+    NS,
     BridgeClient,
     ConnectionState,
     LinkReporter,
@@ -63,8 +64,8 @@ HEARTBEAT_HZ = 1.0
 SILENT_S = 5.0
 """An autopilot is lost that sent no heartbeat for this time."""
 
-FRESH_NS = 1_000_000_000
-"""Obstacles are relative to a pose, and from a ping, that are no older."""
+FRESH_S = 1.0
+"""Poses that are older are not sent; obstacles are from a ping that is no older than the pose."""
 
 MAX_TEXTS = 16
 SONAR, RECORDING = "sonar", "recording"
@@ -243,6 +244,9 @@ class AutopilotBridge:
         located = sure_pose(vehicle, localization.message, odometry=by_odometry)
         if localization.is_stale(now_s):
             located = "localization: no report"
+        if self._state.age_s(vehicle.stamp_ns, now_s) > FRESH_S:
+            self._doubt("pose is old")
+            return
         if isinstance(located, str):
             self._doubt(located)
         else:
@@ -322,7 +326,7 @@ class AutopilotBridge:
             returns is None
             or returns.sonar_position_m is None
             or returns.sonar_orientation_xyzw is None
-            or abs(stamp_ns - returns.stamp_ns) > FRESH_NS
+            or abs(stamp_ns - returns.stamp_ns) > FRESH_S * NS
         ):
             return np.zeros((0, 3))
         points = np.frombuffer(returns.points, "<f4").reshape(-1, 3).astype(np.float64)

@@ -27,6 +27,7 @@ from mapperd.wire.messages import (
 )
 
 __all__ = [
+    "NS",
     "REPORT_VALID_S",
     "BridgeClient",
     "CloudCache",
@@ -46,6 +47,7 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
+NS = 1_000_000_000
 REPORT_VALID_S = 3.0
 """A state of localization counts for this time: states come five times a second, and on a slow link
 every other second."""
@@ -220,15 +222,16 @@ class HeldLocalization:
         self.message: LocalizationMessage | None = None
         self._came_s = -math.inf
 
-    def take(self, new: LocalizationMessage, now_s: float) -> None:
+    def take(self, new: LocalizationMessage, now_s: float, age_s: float = 0.0) -> None:
         """Take the newest state.
 
         Args:
             new: as it came.
             now_s: monotonic time.
+            age_s: since it was so.
         """
         self.message = new if self.is_stale(now_s) else held(self.message, new)
-        self._came_s = now_s
+        self._came_s = now_s - age_s
 
     def is_stale(self, now_s: float) -> bool:
         """Return whether no state came for `REPORT_VALID_S`, so that nothing is sure."""
@@ -255,6 +258,7 @@ class ConnectionState:
         self.vehicle: PoseMessage | None = None
         self.localization = HeldLocalization()
         self.status: Mapping[str, Any] = {}
+        self._beat: tuple[int, float] | None = None
 
     def take(self, change: ClientChange, now_s: float) -> None:
         """Take a change of the client.
@@ -265,10 +269,29 @@ class ConnectionState:
         """
         if isinstance(change, StatusMessage):
             self.status = change.status or self.status
+            self._beat = change.stamp_ns, now_s
         elif isinstance(change, LocalizationMessage):
-            self.localization.take(change, now_s)
+            self.localization.take(change, now_s, self._report_age_s(change, now_s))
         elif isinstance(change, PoseMessage):
             self.vehicle = change
+
+    def age_s(self, stamp_ns: int, now_s: float) -> float:
+        """Return the age of a stamp by the daemon's clock; infinite before its first heartbeat.
+
+        A daemon sends its newest pose to each new connection, however old it is.
+        """
+        if self._beat is None:
+            return math.inf
+        beat_ns, came_s = self._beat
+        return (beat_ns - stamp_ns) / NS + now_s - came_s
+
+    def _report_age_s(self, message: LocalizationMessage, now_s: float) -> float:
+        """Return the age of a state; 0 if it has no transform, whose stamp is that of the scan."""
+        transform = message.report.get("map_odom")
+        stamp_s = transform.get("t_s") if isinstance(transform, Mapping) else None
+        if not isinstance(stamp_s, int | float):
+            return 0.0
+        return max(self.age_s(round(stamp_s * NS), now_s), 0.0)
 
     @property
     def localizes(self) -> bool | None:

@@ -22,7 +22,7 @@ from mapperd.client.changes import ClientChange
 from mapperd.config.tree import MavlinkConfig
 from mapperd.errors import ConfigError
 from mapperd.wire.blocks import CELLS, BlockSet
-from mapperd.wire.messages import EventMessage, SettingsMessage
+from mapperd.wire.messages import EventMessage, PoseMessage, SettingsMessage, StatusMessage
 from tests.mapperd.bridges.bridge_fakes import (
     T0,
     BridgeStream,
@@ -57,6 +57,15 @@ class Peer:
         self.give(linked("connected"))
 
     def give(self, *changes: ClientChange) -> list[Any]:
+        """Give changes; a heartbeat comes with each pose."""
+        frames: list[bytes] = []
+        for change in changes:
+            if isinstance(change, PoseMessage):
+                frames += self.bridge.take(StatusMessage(stamp_ns=change.stamp_ns), self.now_s)
+            frames += self.bridge.take(change, self.now_s)
+        return self._read(frames)
+
+    def give_alone(self, *changes: ClientChange) -> list[Any]:
         frames = [frame for change in changes for frame in self.bridge.take(change, self.now_s)]
         return self._read(frames)
 
@@ -257,6 +266,33 @@ def test_a_heartbeat_without_a_status_says_nothing_of_localization() -> None:
     peer.give(linked("waiting", "gone"), peer.stream.connect("s-2"))
     peer.now_s += 1
     assert peer.give(beat(), by_odometry) == []  # another session may localize
+
+
+def test_an_old_pose_is_not_sent_however_often_the_daemon_is_found() -> None:
+    peer = Peer(msgspec.structs.replace(POSES, obstacle_rate=10.0))
+    old = a_pose(0.0)
+    assert peer.give_alone(sure(), old) == []  # how old it is, is not known
+    for _ in range(3):
+        peer.give_alone(linked("waiting", "gone"), linked("connected"))
+        assert peer.give_alone(beat(1.1), sure(), old) == []
+        assert peer.bridge.reason == "pose is old"
+        peer.now_s += 1
+    assert len(peer.give_alone(beat(20.0), sure(), a_pose(19.1))) == 2
+    peer.now_s += 0.8
+    assert peer.give_alone(a_pose(19.7)) == []  # 1.1 s old
+    assert peer.give_alone(a_pose(19.9))
+
+
+def test_an_old_state_of_localization_is_not_sure() -> None:
+    peer = Peer(POSES)
+    moved = {"position_m": [3.0, 0.0, 0.0], "orientation_wxyz": [1.0, 0.0, 0.0, 0.0]}
+    fresh = a_pose(0.0, source="odometry")
+    for age_s, sent in ((-1.0, 1), (2.9, 1), (3.1, 0)):
+        peer.give_alone(linked("waiting", "gone"), linked("connected"), beat())
+        report = sure(map_odom=moved | {"t_s": T0 / S - age_s})
+        assert len(peer.give_alone(report, fresh)) == sent
+        peer.now_s += 1
+    assert peer.bridge.reason == "localization: no report"
 
 
 def test_an_autopilot_never_gets_its_own_odometry() -> None:
