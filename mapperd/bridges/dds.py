@@ -247,6 +247,13 @@ class DdsErrors:
     def __init__(self, report: Callable[[str], None]) -> None:
         self.counts: Counter[tuple[str, int]] = Counter()
         self._report = report
+        self._slow: set[str] = set()
+
+    def dropped(self, name: str) -> None:
+        """Report once that readers of a topic do not keep up."""
+        if name not in self._slow:
+            self._slow.add(name)
+            self._report(f"ROS 2: a subscriber of {name} does not keep up")
 
     @contextlib.contextmanager
     def counted(self, name: str) -> Iterator[None]:
@@ -299,11 +306,13 @@ class DdsPublisher:
         return 0
 
     def publish(self, message: Any) -> bool:  # noqa: ANN401 of rosbags
-        """Send a message; return False if it was dropped, because readers do not keep up."""
+        """Send a message; return False if readers do not keep up, or DDS refuses it."""
         sample = _sample(self._sample_type, self._types.encoded(message))
         with self._errors.counted(self.name):
-            return _written(self._writer, sample)
-        return True
+            if _written(self._writer, sample):
+                return True
+            self._errors.dropped(self.name)
+        return False
 
 
 def _written(writer: Any, sample: Any) -> bool:  # noqa: ANN401 of cyclonedds

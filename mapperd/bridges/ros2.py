@@ -154,7 +154,6 @@ class Ros2Bridge:
         self._state = ConnectionState()
         self._is_in_odom = False
         """The daemon's map lies in the odometry's frame, as of the last pose."""
-        self._slow: set[str] = set()
         self._particles_ns = 0
         self._due: set[str] = set()
         """Latched topics whose last message is outdated: DDS keeps that one for new readers."""
@@ -245,11 +244,9 @@ class Ros2Bridge:
                 "ROS_DOMAIN_ID)"
             )
 
-    def _send(self, key: str, message: Any) -> None:  # noqa: ANN401 of rosbags
-        publisher = self._publishers[key]
-        if not publisher.publish(message) and key not in self._slow:
-            self._slow.add(key)
-            self._report(f"ROS 2: a subscriber of {publisher.name} does not keep up")
+    def _send(self, key: str, message: Any) -> bool:  # noqa: ANN401 of rosbags
+        """Publish a message; return whether it was sent."""
+        return self._publishers[key].publish(message)
 
     def _frame(self, which: str) -> str:
         """Return the name of a frame: `map`, `odom`, `base` or `sonar`."""
@@ -330,9 +327,9 @@ class Ros2Bridge:
             turn = 1 - abs(float(before[0].map_q_base @ mounting.map_q_base))
             if shift_m < POSITION_M and turn < TURN:
                 return
-        self._mounting = (mounting, base, sonar)
         turned = [Turned(base, sonar, mounting)]
-        self._send("tf_static", self.messages.transforms(stamp_ns, turned))
+        if self._send("tf_static", self.messages.transforms(stamp_ns, turned)):
+            self._mounting = (mounting, base, sonar)
 
     def _localization(self, state: LocalizationMessage) -> None:
         estimate = planar_estimate(state.report)

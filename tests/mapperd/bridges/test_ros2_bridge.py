@@ -649,7 +649,7 @@ def test_errors_of_dds_are_counted_and_a_few_lines(monkeypatch: pytest.MonkeyPat
     ):
         monkeypatch.setattr(kind, name, refused)
     for _ in range(150):
-        assert odometry.publish(message)
+        assert not odometry.publish(message)
     assert odometry.readers == poses.writers == 0
     assert [*poses.take(5), *service.take(5)] == []
     service.answer(SimpleNamespace(guid=1, seq=2), structure_needs_at_least_one_member=0)
@@ -893,10 +893,11 @@ class Recorded:
     def __init__(self) -> None:
         self.types = RosTypes()
         self.sent: dict[str, list[Any]] = {}
+        self.refused: set[str] = set()
 
     def publisher(self, name: str, *_: object) -> "Recorded":
         one = Recorded.__new__(Recorded)
-        one.name, one.sent = name, self.sent  # type: ignore[attr-defined]
+        one.name, one.sent, one.refused = name, self.sent, self.refused  # type: ignore[attr-defined]
         return one
 
     @property
@@ -904,6 +905,8 @@ class Recorded:
         return 1
 
     def publish(self, message: Any) -> bool:
+        if self.name in self.refused:  # type: ignore[attr-defined]
+            return False
         self.sent.setdefault(self.name, []).append(message)  # type: ignore[attr-defined]
         return True
 
@@ -973,6 +976,18 @@ def test_the_map_comes_again_when_its_frame_changes() -> None:
 
     asyncio.run(run())
     assert [one.header.frame_id for one in node.sent["my_cloud"]] == ["map", "odom"]
+
+
+def test_a_mounting_that_could_not_be_written_is_published_again() -> None:
+    node = Recorded()
+    bridge = Ros2Bridge(BridgeStream(), of_rov(), node, print)  # type: ignore[arg-type]
+    node.refused.add("/tf_static")
+    bridge.take(sure())
+    bridge.take(a_pose())
+    node.refused.clear()
+    bridge.take(a_pose(1.0))
+    bridge.take(a_pose(2.0))
+    assert len(node.sent["/tf_static"]) == 1
 
 
 def test_a_reset_replaces_the_grid_that_readers_hold() -> None:
