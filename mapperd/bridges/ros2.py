@@ -377,12 +377,12 @@ class Ros2Bridge:
     def _publish_markers(self) -> None:
         if not self._stamp_ns:
             return
-        self._due.discard("markers")
         robots = self._client.robots
         places = [place for _, *place in robots.seen] if robots else []
         frame = self._map_frame()
         message = self.messages.markers(self._stamp_ns, frame, places, self._changes)
-        self._send("markers", message)
+        if self._send("markers", message):
+            self._due.discard("markers")
 
     def _look_at_frame(self, vehicle: PoseMessage) -> None:
         """Note the frame of the daemon's map; all of the map is due again when it changes."""
@@ -409,15 +409,22 @@ class Ros2Bridge:
         wanted = self.heard & self._due & {"cloud", "grid"}
         self._due -= wanted
         names, self._changed = self._changed, set()
-        return await asyncio.to_thread(self._map, mirror, wanted, names)
+        took_s, failed = await asyncio.to_thread(self._map, mirror, wanted, names)
+        self._due |= failed
+        return took_s
 
-    def _map(self, mirror: MapMirror, wanted: Collection[str], names: Collection[bytes]) -> float:
-        """Publish the map; runs in a thread."""
+    def _map(
+        self, mirror: MapMirror, wanted: Collection[str], names: Collection[bytes]
+    ) -> tuple[float, set[str]]:
+        """Publish the map; return the processor time, and what was not sent; runs in a thread."""
+        failed: set[str] = set()
         began_s = time.thread_time()
         frame, stamp_ns = self._map_frame(), self._map_stamp_ns or self._stamp_ns
         self._cloud.update(mirror, names)
         if "cloud" in wanted:
-            self._send("cloud", self.messages.points(stamp_ns, frame, self._cloud.rows()))
+            cloud = self.messages.points(stamp_ns, frame, self._cloud.rows())
+            if not self._send("cloud", cloud):
+                failed.add("cloud")
         if "grid" in wanted:
             try:
                 layer = map_slice(mirror, *self._heights())
@@ -430,9 +437,12 @@ class Ros2Bridge:
             if layer is None and self._has_grid and not self._grid_error:
                 layer = NO_GRID
             if layer is not None:
-                self._has_grid = layer is not NO_GRID
-                self._send("grid", self.messages.grid(stamp_ns, frame, layer, mirror.cell_m))
-        return time.thread_time() - began_s
+                grid = self.messages.grid(stamp_ns, frame, layer, mirror.cell_m)
+                if self._send("grid", grid):
+                    self._has_grid = layer is not NO_GRID
+                else:
+                    failed.add("grid")
+        return time.thread_time() - began_s, failed
 
     def _heights(self) -> tuple[float, float]:
         half_m, vehicle = self._config.ros2.slice_height / 2, self._state.vehicle

@@ -990,6 +990,44 @@ def test_a_mounting_that_could_not_be_written_is_published_again() -> None:
     assert len(node.sent["/tf_static"]) == 1
 
 
+def test_a_map_that_could_not_be_written_is_published_again() -> None:
+    stream, node = BridgeStream(), Recorded()
+    bridge = Ros2Bridge(stream, of_rov(), node, print)  # type: ignore[arg-type]
+    feed_map(stream)
+    topics = {"my_cloud", "/map", "/sonar_3d_map_markers"}
+
+    async def run() -> None:
+        node.refused.update(topics)
+        changes: list[Any] = [began(), MapChanged(np.array([[1, -1, 0]], np.int32), T0, 0)]
+        for change in (*changes, a_status(), ROBOTS):
+            bridge.take(change)
+        await bridge.tick(100.0)
+        assert not topics & {*node.sent}
+        node.refused.clear()
+        await bridge.tick(200.0)
+        await bridge.tick(300.0)
+
+    asyncio.run(run())
+    assert {name: len(node.sent[name]) for name in topics} == dict.fromkeys(topics, 1)
+    assert node.sent["my_cloud"][0].width == 2
+
+
+def test_a_reader_that_does_not_keep_up_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def late(*_: Any) -> None:
+        raise DDSException(DDSException.DDS_RETCODE_TIMEOUT, "while it wrote")
+
+    lines: list[str] = []
+    node = DdsNode(DOMAIN, "rov", lines.append)
+    odometry = node.publisher("a", "nav_msgs/msg/Odometry")
+    message = Messages(node.types.classes).odometry(T0, "odom", "base", AT_REST)
+    monkeypatch.setattr(DataWriter, "write", late)
+    for _ in range(3):
+        assert not odometry.publish(message)
+    assert lines == ["ROS 2: a subscriber of /rov/a does not keep up"]
+    assert not node.errors.counts
+    node.close()
+
+
 def test_a_reset_replaces_the_grid_that_readers_hold() -> None:
     stream, node = BridgeStream(), Recorded()
     bridge = Ros2Bridge(stream, of_rov(), node, print)  # type: ignore[arg-type]
