@@ -149,6 +149,8 @@ class Ros2Bridge:
         self._map_due_s = -np.inf
         self._is_reset = False
         self._grid_error = ""
+        self._grid_z_m: float | None = None
+        """Height of the slice that was published last."""
         self._has_grid = False
         """The last grid had cells: readers hold it until another one comes."""
         self._state = ConnectionState()
@@ -266,6 +268,7 @@ class Ros2Bridge:
     def _pose(self, vehicle: PoseMessage) -> None:
         self._stamp_ns = max(self._stamp_ns, vehicle.stamp_ns)
         self._look_at_frame(vehicle)
+        self._look_at_height(vehicle)
         localization, frames = self._state.localization.message, self._frames(vehicle)
         if frames is None:
             return
@@ -394,6 +397,14 @@ class Ros2Bridge:
             self._is_in_odom = is_in_odom
             self._due |= {"cloud", "grid", "markers"}
 
+    def _look_at_height(self, vehicle: PoseMessage) -> None:
+        """A slice around the vehicle is due again when its depth changed by a cell."""
+        mirror, before_m = self._client.mirror, self._grid_z_m
+        if not self._config.ros2.slice_height or mirror is None or before_m is None:
+            return
+        if abs(vehicle.position_m[2] - before_m) > mirror.cell_m:
+            self._due.add("grid")
+
     def _map_frame(self) -> str:
         """Return the frame that the served map lies in."""
         return self._frame("odom" if self._is_in_odom else "map")
@@ -407,7 +418,14 @@ class Ros2Bridge:
             self._is_reset = False
             self._cloud.clear()
         wanted = self.heard & self._due & {"cloud", "grid"}
+        vehicle = self._state.vehicle
+        if self._config.ros2.slice_height and vehicle is None:
+            wanted -= {"grid"}  # with the first pose
+        if not wanted:
+            return 0.0
         self._due -= wanted
+        if "grid" in wanted and vehicle is not None:
+            self._grid_z_m = vehicle.position_m[2]
         names, self._changed = self._changed, set()
         took_s, failed = await asyncio.to_thread(self._map, mirror, wanted, names)
         self._due |= failed
@@ -445,9 +463,9 @@ class Ros2Bridge:
         return time.thread_time() - began_s, failed
 
     def _heights(self) -> tuple[float, float]:
-        half_m, vehicle = self._config.ros2.slice_height / 2, self._state.vehicle
-        if half_m and vehicle is not None:
-            return vehicle.position_m[2] - half_m, vehicle.position_m[2] + half_m
+        half_m, z_m = self._config.ros2.slice_height / 2, self._grid_z_m
+        if half_m and z_m is not None:
+            return z_m - half_m, z_m + half_m
         return self._config.export.min_z, self._config.export.max_z
 
     def _diagnostics(self, status: StatusMessage) -> Any:  # noqa: ANN401 of rosbags

@@ -1012,6 +1012,37 @@ def test_a_map_that_could_not_be_written_is_published_again() -> None:
     assert node.sent["my_cloud"][0].width == 2
 
 
+def test_a_slice_follows_the_depth_and_waits_for_a_pose() -> None:
+    stream, node = BridgeStream(), Recorded()
+    bridge = Ros2Bridge(stream, of_rov(slice_height=1.0), node, print)  # type: ignore[arg-type]
+    feed_map(stream)  # occupied cells at z 0.25 and 1.25, free ones at 0.25
+    now_s = 0.0
+
+    async def occupied(z_m: float | None, *changes: Any) -> list[list[int]]:
+        nonlocal now_s
+        now_s += 100
+        before = len(node.sent.get("/map", ()))
+        poses = [] if z_m is None else [a_pose(now_s, (1.0, 2.0, z_m))]
+        for change in (*changes, *poses):
+            bridge.take(change)
+        await bridge.tick(now_s)
+        grids = node.sent.get("/map", [])[before:]
+        return [np.flatnonzero(one.data == 100).tolist() for one in grids]
+
+    async def run() -> None:
+        changed = MapChanged(np.array([[1, -1, 0]], np.int32), T0, 0)
+        assert await occupied(None, sure(), changed) == []
+        assert len(node.sent["my_cloud"]) == 1
+        assert await occupied(0.25) == [[0]]
+        assert await occupied(0.7) == []  # less than a cell
+        assert await occupied(0.76) == [[2]]
+        assert await occupied(9.0) == [[]]
+        assert await occupied(None, linked("waiting", "gone"), linked("connected"), changed) == []
+        assert await occupied(0.25) == [[0]]
+
+    asyncio.run(run())
+
+
 def test_a_reader_that_does_not_keep_up_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     def late(*_: Any) -> None:
         raise DDSException(DDSException.DDS_RETCODE_TIMEOUT, "while it wrote")
