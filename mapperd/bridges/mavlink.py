@@ -118,6 +118,7 @@ class AutopilotBridge:
         self._heard_s: float | None = None
         self._kind = common.MAV_AUTOPILOT_GENERIC
         self._state = ConnectionState()
+        self._origin: tuple[str, bool | None] | None = None
         self._returns: ReturnsMessage | None = None
 
     def _forget(self) -> None:
@@ -251,6 +252,10 @@ class AutopilotBridge:
             self._doubt(located)
         else:
             self.reason = ""
+            origin = vehicle.source, self._state.localizes
+            if origin != self._origin:
+                self._origin = origin
+                self._jumps.lose()  # another frame, however near
             resets = self._jumps.take(located)
             if self._poses.due(now_s):
                 yield self._packed(self._pose_message(located, resets))

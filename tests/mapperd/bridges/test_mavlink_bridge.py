@@ -254,6 +254,19 @@ def test_odometry_of_a_slam_is_sent_where_it_is_wanted() -> None:
     assert (message.x, message.y) == pytest.approx((2.0, 1.0))
 
 
+@pytest.mark.parametrize("source", ["localization", "odometry"])
+def test_another_origin_of_the_pose_is_a_reset(source: str) -> None:
+    peer = Peer(msgspec.structs.replace(POSES, poses="all"))
+    counters = []
+    for at_s, state in ((0.0, sure()), (0.2, sure()), (0.4, sure(state="off")), (0.6, None)):
+        peer.give(*([] if state is None else [state]))
+        by = source if at_s < 0.3 else "odometry"
+        (message,) = peer.give(a_pose(at_s, (at_s, 2.0, -5.0), source=by))
+        counters.append(message.reset_counter)
+        peer.now_s += 0.2
+    assert counters == [0, 0, 1, 1]
+
+
 def test_a_heartbeat_without_a_status_says_nothing_of_localization() -> None:
     peer = Peer(msgspec.structs.replace(POSES, poses="all"))
     by_odometry = a_pose(source="odometry")
