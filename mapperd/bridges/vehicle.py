@@ -3,7 +3,7 @@
 import math
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -185,7 +185,7 @@ def sure_pose(
     if state != "localized" or report.get("sure") is not True:
         return f"localization: {'not sure' if state == 'localized' else state}"
     if vehicle.source == "localization":
-        return VehiclePose.of(vehicle)
+        return _with_unknown(VehiclePose.of(vehicle))
     correction, estimate = map_odom_of(report), planar_estimate(report)
     if correction is None or estimate is None:
         return "localization: no transform"
@@ -193,7 +193,22 @@ def sure_pose(
     covariance = np.zeros((6, 6)) if located.covariance is None else located.covariance
     covariance[[0, 1, 5], :] = covariance[:, [0, 1, 5]] = 0.0
     covariance[PLANAR] = estimate[1]
-    return VehiclePose(located.stamp_ns, located.pose, located.velocity_mps, covariance)
+    return _with_unknown(
+        VehiclePose(located.stamp_ns, located.pose, located.velocity_mps, covariance)
+    )
+
+
+UNKNOWN_VARIANCE = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+"""Metres and radians, squared: larger than those of estimates in use, and small enough for an
+autopilot that makes one figure of all axes, as ArduPilot does, to still use the others."""
+
+
+def _with_unknown(located: VehiclePose) -> VehiclePose:
+    """Return the pose with a large variance for the axes that have none: localization is planar."""
+    if located.covariance is None:
+        return located
+    missing = np.where(np.diag(located.covariance) > 0, 0.0, UNKNOWN_VARIANCE)
+    return replace(located, covariance=located.covariance + np.diag(missing))
 
 
 def held(last: LocalizationMessage | None, new: LocalizationMessage) -> LocalizationMessage:
