@@ -541,6 +541,8 @@ async def serve(client: Ros2Client, config: Config, report: Callable[[str], None
         _follow(client, bridge),
         _repeat(bridge.tick),
         _repeat(requests.look),
+        _repeat(requests.look_at_commands),
+        _repeat(requests.look_at_poses),
         _repeat(forwarder.look) if forwarder is not None else asyncio.Event().wait(),
     )
     tasks: list[asyncio.Task[Any]] = [asyncio.create_task(work) for work in works]

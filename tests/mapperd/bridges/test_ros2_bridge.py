@@ -448,19 +448,22 @@ def test_a_bag_recorded_from_it_opens_with_rosbags(heard: Heard, tmp_path: Path)
     assert seen == set(KINDS)
 
 
+async def answer_of(heard: Heard, topic: str, *, seq: int, **fields: Any) -> dict[str, Any]:
+    """Call a service until it answers."""
+    for _ in range(100):
+        heard.ask("call", name=topic, seq=seq, **fields)
+        await asyncio.sleep(0.1)
+        found = [one for one in heard[topic] if one["seq"] == seq]
+        if found:
+            return found[0]
+    pytest.fail(f"no answer of {topic}")
+
+
 def test_commands_and_poses_reach_the_daemon_where_they_are_allowed() -> None:
     async def act(stream: BridgeStream, heard: Heard) -> None:
         stream.feed(SETTINGS)
 
-        async def asked(topic: str, *, seq: int, **fields: Any) -> dict[str, Any]:
-            for _ in range(100):
-                heard.ask("call", name=topic, seq=seq, **fields)
-                await asyncio.sleep(0.1)
-                found = [one for one in heard[topic] if one["seq"] == seq]
-                if found:
-                    return found[0]
-            pytest.fail(f"no answer of {topic}")
-
+        asked = partial(answer_of, heard)
         empty = {"structure_needs_at_least_one_member": 0}
         answer = await asked("/rov/global_localization", seq=1, **empty)
         assert answer["guid"] == 77
@@ -489,6 +492,28 @@ def test_commands_and_poses_reach_the_daemon_where_they_are_allowed() -> None:
     assert pose["yaw_rad"] == pytest.approx(2 * np.arctan2(0.6, 0.8))
     assert pose["covariance"] == [[0.25, 0, 0], [0, 0.25, 0], [0, 0, 0.06]]
     assert "initial pose from ROS: set" in heard.lines
+
+
+def test_a_daemon_that_hangs_holds_up_neither_poses_nor_parameters() -> None:
+    async def act(stream: BridgeStream, heard: Heard) -> None:
+        stream.feed(SETTINGS)
+        while not stream.requests:
+            heard.ask(
+                "call", name="/rov/mapperd/reset", seq=1, structure_needs_at_least_one_member=0
+            )
+            await asyncio.sleep(0.1)
+        names = ["filtering.min_range"]
+        await answer_of(heard, "/rov/mapperd/get_parameters", seq=2, names=names)
+        while stream.requests[-1]["do"] != "initial_pose":
+            heard.ask("pose", x_m=4.0, y_m=5.0, z=0.0, w=1.0, frame="map")
+            await asyncio.sleep(0.1)
+        stream.hangs.add("initial_pose")
+        await asyncio.sleep(1.0)  # longer than two poses are apart
+        await answer_of(heard, "/rov/mapperd/get_parameters", seq=3, names=names)
+
+    stream = BridgeStream()
+    stream.hangs.add("reset")
+    beside_ros(act, of_rov(commands=True), stream=stream)
 
 
 def test_a_flood_of_initial_poses_is_thinned_and_one_line() -> None:
