@@ -26,8 +26,10 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
-from mapperd.bridges.dds import MARINE, DdsNode, RosTypes, full_name
+from mapperd.bridges.dds import MARINE, SERVICES, DdsNode, RosTypes, full_name
 from mapperd.bridges.ros2 import TOPICS, Ros2Bridge, domain_of, serve
+from mapperd.bridges.ros2_messages import LiveMessages
+from mapperd.bridges.ros2_services import Ros2Requests
 from mapperd.client.changes import MapChanged
 from mapperd.client.validation import AskError
 from mapperd.config.tree import Config, Ros2Config, TopicsConfig
@@ -39,6 +41,7 @@ from mapperd.odometry.native import decode_native
 from mapperd.odometry.records import Odometry
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
 from mapperd.wire.messages import EventMessage, Interest, RobotsMessage, SettingsMessage
+from tests.mapperd.bridges import ros_peer
 from tests.mapperd.bridges.bridge_fakes import (
     INFO,
     T0,
@@ -492,6 +495,115 @@ def test_commands_and_poses_reach_the_daemon_where_they_are_allowed() -> None:
     assert pose["yaw_rad"] == pytest.approx(2 * np.arctan2(0.6, 0.8))
     assert pose["covariance"] == [[0.25, 0, 0], [0, 0.25, 0], [0, 0, 0.06]]
     assert "initial pose from ROS: set" in heard.lines
+
+
+EMPTY = {"structure_needs_at_least_one_member": 0}
+NAMES = ["filtering.min_range", "processing.frame_skip", "mqtt.host", "none"]
+TO_3 = [{"name": NAMES[0], "value": {"type": 2, "integer_value": 3}}]
+SET_3 = {"do": "set", "changes": {NAMES[0]: 3.0}}
+SET = {"successful": True, "reason": ""}
+DONE = {"success": True, "message": ""}
+SAVE = {"map_topic": "", "image_format": "", "map_mode": "", "free_thresh": 0, "occupied_thresh": 0}
+CALLS: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any] | None]] = {
+    "/rov/global_localization": (EMPTY, EMPTY, {"do": "global_localization"}),
+    "/rov/reinitialize_global_localization": (EMPTY, EMPTY, {"do": "global_localization"}),
+    "/rov/request_nomotion_update": (EMPTY, EMPTY, {"do": "request_nomotion_update"}),
+    "/rov/mapperd/reset": (EMPTY, DONE, {"do": "reset"}),
+    "/rov/mapperd/snapshot": (EMPTY, DONE, {"do": "snapshot"}),
+    "/rov/mapperd/reload": (EMPTY, DONE, {"do": "reload"}),
+    "/rov/mapperd/load_map": (
+        {"map_url": "file:///maps/harbour.yaml"},
+        {"result": 0, "map.info.width": 1, "map.info.height": 1, "map.data": [-1]},
+        {"do": "set_map", "name": "harbour.yaml"},
+    ),
+    "/rov/mapperd/save_map": (
+        {"map_url": "/maps/harbour", **SAVE},
+        {"result": True},
+        {"do": "save", "name": "harbour.pgm"},
+    ),
+    "/rov/mapperd/get_parameters": (
+        {"names": NAMES},
+        {"values.0.double_value": 1.5, "values.1.integer_value": 2, "values.3.type": 0},
+        None,
+    ),
+    "/rov/mapperd/get_parameter_types": ({"names": NAMES}, {"types": [3, 2, 4, 0]}, None),
+    "/rov/mapperd/describe_parameters": (
+        {"names": NAMES},
+        {
+            "descriptors.0.name": NAMES[0],
+            "descriptors.0.type": 3,
+            "descriptors.0.read_only": False,
+            "descriptors.2.read_only": True,
+        },
+        None,
+    ),
+    "/rov/mapperd/list_parameters": (
+        {"prefixes": ["filtering", "mqtt"], "depth": 0},
+        {"result": {"names": [NAMES[0], NAMES[2]], "prefixes": ["filtering", "mqtt"]}},
+        None,
+    ),
+    "/rov/mapperd/set_parameters": ({"parameters": TO_3}, {"results": [SET]}, SET_3),
+    "/rov/mapperd/set_parameters_atomically": ({"parameters": TO_3}, {"result": SET}, SET_3),
+}
+"""Fields of a request, fields of its response by their paths, and what the daemon is asked."""
+
+
+@pytest.fixture(scope="module")
+def called() -> dict[str, tuple[dict[str, Any], list[dict[str, Any]]]]:
+    """The response to a call of each service, and the requests of the daemon."""
+    found: dict[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {}
+
+    async def act(stream: BridgeStream, heard: Heard) -> None:
+        stream.feed(SETTINGS)
+        for seq, (name, (fields, _, _)) in enumerate(CALLS.items(), 1):
+            del stream.requests[:]
+            found[name] = await answer_of(heard, name, seq=seq, **fields), [*stream.requests]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CYCLONEDDS_URI", LOOPBACK)
+        beside_ros(act, of_rov(commands=True))
+    return found
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_call_reaches_the_daemon_and_is_answered(
+    name: str, called: dict[str, tuple[dict[str, Any], list[dict[str, Any]]]]
+) -> None:
+    answer, asked = called[name]
+    for path, value in CALLS[name][1].items():
+        found: Any = answer
+        for part in path.split("."):
+            found = found[int(part)] if part.isdigit() else found[part]
+        assert found == value, path
+    request = CALLS[name][2]
+    assert all(one == request for one in asked)  # a call may be repeated until it is answered
+    assert bool(asked) == (request is not None)
+
+
+def test_every_service_is_called(monkeypatch: pytest.MonkeyPatch) -> None:
+    offered: dict[str, str] = {}
+
+    def offer(node: DdsNode, name: str, kind: str) -> None:  # noqa: ARG001 as the method
+        offered[full_name("rov", name)] = kind
+
+    monkeypatch.setattr(DdsNode, "service", offer)
+    node = DdsNode(DOMAIN, "rov")
+    Ros2Requests(BridgeStream(), node, LiveMessages({}), of_rov(commands=True), print)
+    node.close()
+    assert {*CALLS} == {*offered} == {*ros_peer.SERVICES}
+    assert {*offered.values()} == {*SERVICES}
+
+
+def test_a_map_that_cannot_be_loaded_has_the_reason_as_its_result() -> None:
+    async def act(stream: BridgeStream, heard: Heard) -> None:
+        for seq, (reason, result) in enumerate(
+            (("no_such_map", 1), ("bad_map", 2), ("busy", 255)), 1
+        ):
+            stream.refusal = AskError(reason, "no")
+            name = "/rov/mapperd/load_map"
+            assert (await answer_of(heard, name, seq=seq, map_url="a"))["result"] == result
+
+    beside_ros(act, of_rov(commands=True))
 
 
 def test_a_daemon_that_hangs_holds_up_neither_poses_nor_parameters() -> None:
