@@ -205,7 +205,6 @@ def feed_everything(stream: BridgeStream) -> None:
 async def everything(stream: BridgeStream, heard: Heard) -> None:
     """Feed the state of a daemon again and again until all topics have been heard."""
     feed_everything(stream)
-    topics = 15
 
     def feed() -> bool:
         stream.feed(sure(map_odom=CORRECTION))
@@ -216,7 +215,7 @@ async def everything(stream: BridgeStream, heard: Heard) -> None:
         sonar = {"state": "x", "speed_of_sound_mps": 1480.0}
         stream.feed(a_status("no_sonar", sonar=sonar, changes=[CHANGE]))
         stream.feed(APPEARED)
-        return len(heard.messages) == topics
+        return {*heard.messages} == {*KINDS}
 
     for _ in range(300):
         if feed():
@@ -414,16 +413,12 @@ def test_each_change_of_a_link_is_one_line(heard: Heard) -> None:
     assert len(heard.lines) <= 3
 
 
-KINDS = {
-    "/tf": "tf2_msgs/msg/TFMessage",
-    "/rov/mapperd/odometry": "nav_msgs/msg/Odometry",
-    "/rov/amcl_pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "/rov/mapperd/ping": "marine_acoustic_msgs/msg/ProjectedSonarImage",
-    "/rov/my_cloud": "sensor_msgs/msg/PointCloud2",
-    "/map": "nav_msgs/msg/OccupancyGrid",
-    "/sonar_3d_map_markers": "visualization_msgs/msg/MarkerArray",
-    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+NAMED = {
+    "sonar": of_rov().topics.sonar,
+    "cloud": of_rov().topics.pointcloud,
+    "markers": of_rov().topics.marker,
 }
+KINDS = {full_name("rov", NAMED.get(key, name)): kind for key, (name, kind, *_) in TOPICS.items()}
 
 
 def test_a_bag_recorded_from_it_opens_with_rosbags(heard: Heard, tmp_path: Path) -> None:
