@@ -533,7 +533,8 @@ async def serve(client: Ros2Client, config: Config, report: Callable[[str], None
     """
     link = config.ros2.odometry_link
     target = await odometry_target(link) if link else None
-    node = DdsNode(domain_of(config, os.environ), config.ros2.namespace, report)
+    ros2 = config.ros2
+    node = DdsNode(domain_of(config, os.environ), ros2.namespace, report, ros2.remap)
     bridge = Ros2Bridge(client, config, node, report)
     requests = Ros2Requests(client, node, bridge.messages, config, report)
     forwarder = OdometryForwarder(node, config.topics.odometry, target) if target else None

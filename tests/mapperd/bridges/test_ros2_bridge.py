@@ -32,6 +32,7 @@ from mapperd.bridges.ros2_messages import LiveMessages
 from mapperd.bridges.ros2_services import Ros2Requests
 from mapperd.client.changes import MapChanged
 from mapperd.client.validation import AskError
+from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config, Ros2Config, TopicsConfig
 from mapperd.errors import ConfigError, LiveError
 from mapperd.export.rosbag import Messages
@@ -1011,6 +1012,53 @@ def test_names_are_those_of_ros() -> None:
     assert full_name("", "/tf") == full_name("rov", "/tf") == "/tf"
     assert full_name("rov", "map") == full_name("/rov/", "map") == "/rov/map"
     assert full_name("", "mapperd/ping") == "/mapperd/ping"
+
+
+def test_names_of_topics_and_services_are_settings() -> None:
+    text = "ros2: {domain: 5, namespace: rov, remap: '/tf:=tf mapperd/reset:=/reset here:=there'}"
+    ros2 = config_from_text(text, "").ros2
+    node = DdsNode(DOMAIN, ros2.namespace, print, ros2.remap)
+    kind = "nav_msgs/msg/Odometry"
+    assert node.publisher("/tf", kind).name == "/rov/tf"
+    assert node.publisher("/tf_static", kind).name == "/tf_static"
+    assert node.subscriber("/rov/here", kind).name == "/rov/there"
+    assert node.service("mapperd/reset", "std_srvs/Trigger").name == "/reset"
+    node.close()
+
+
+@pytest.mark.parametrize("rules", ["/tf", "/tf:=", "a:=b,c:=d", "a:=b c", "a:=1b", "a:=b  c:=d"])
+def test_a_wrong_rule_for_names_is_refused(rules: str) -> None:
+    with pytest.raises(ConfigError, match="FROM:=TO"):
+        config_from_text(f"ros2: {{remap: '{rules}'}}", "")
+
+
+def test_two_vehicles_in_one_domain_do_not_mix() -> None:
+    """The peer hears only the vehicle whose names are those of ROS."""
+    rules = " ".join(f"{name}:={name[1:]}" for name in KINDS if not name.startswith("/rov/"))
+
+    async def act(stream: BridgeStream, heard: Heard) -> None:
+        other = BridgeStream()
+        serving = asyncio.create_task(
+            serve(other, of_rov(namespace="other", remap=rules), heard.lines.append)
+        )
+        for one, yaw_rad in ((other, 1.0), (stream, 0.3)):
+            feed_everything(one)
+            for _ in range(10):
+                one.feed(sure())
+                one.feed(a_pose(0.0, yaw_rad=yaw_rad))
+        while len(heard["/tf"]) < 5:
+            for one, yaw_rad in ((other, 1.0), (stream, 0.3)):
+                one.feed(a_pose(0.0, yaw_rad=yaw_rad))
+            await asyncio.sleep(0.1)
+        serving.cancel()
+        await asyncio.wait((serving,))
+
+    heard = beside_ros(act)
+    for message in heard["/tf"]:
+        for one in message["transforms"]:
+            if one["child_frame_id"] == "base_link":
+                _, turn = pose_of(one["transform"])
+                assert turn.as_euler("ZYX")[0] == pytest.approx(0.3)
 
 
 def test_type_hashes_are_those_that_ros_computes() -> None:
