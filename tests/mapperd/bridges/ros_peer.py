@@ -663,11 +663,11 @@ class Peer:
     def listen(self) -> None:
         for name, reader in self.readers.items():
             for sample in reader.take(100):
-                if dataclasses.is_dataclass(sample):
+                if isinstance(sample, IdlStruct):  # else a note that a writer went away
                     say(name, sample)
         for name, (_, reader) in self.clients.items():
             for sample in reader.take(100):
-                if dataclasses.is_dataclass(sample):
+                if isinstance(sample, IdlStruct):  # else a note that a writer went away
                     say(name, sample)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mapperd.client import LocalizationMessage, MapClient, PoseMessage
+from mapperd.client import Interest, LocalizationMessage, MapClient, PoseMessage, Want
 from mapperd.daemon.daemon import Daemon
 from mapperd.localization.map_io import write_nav2_map
 from mapperd.localization.maps import FREE, OCCUPIED, GridMap
@@ -36,6 +36,10 @@ pytestmark = [pytest.mark.net, pytest.mark.slow]
 
 MakeBytes = Callable[..., bytes]
 CODE = "import sys; from mapperd.cli.mapperctl.command import main; sys.exit(main())"
+WANTS: tuple[Want, ...] = ("map", "pose", "localization")
+PART = Interest(level=2)
+"""Fewer cells: the peer writes clouds as JSON."""
+
 SETTINGS = "topics: {pointcloud: my_cloud}\nros2: {cloud_period: 0.1}\n"
 
 
@@ -57,6 +61,7 @@ async def served(daemon: Daemon, path: Path) -> AsyncIterator[None]:
 async def ros2(folder: Path, socket: Path) -> AsyncIterator[None]:
     (folder / "ros.yaml").write_text(SETTINGS)
     given = ["--domain", str(DOMAIN), "--namespace", "rov", "--socket", str(socket)]
+    given += ["--level", str(PART.level)]
     program = await asyncio.create_subprocess_exec(
         sys.executable, "-c", CODE, "ros2", *given, "--config", str(folder / "ros.yaml")
     )
@@ -194,7 +199,7 @@ def test_a_peer_hears_what_a_client_of_the_daemon_gets(
             served(daemon, path),
             heard.listening(DOMAIN),
             ros2(folder, path),
-            MapClient(str(path), wants=("map", "pose", "localization")) as client,
+            MapClient(str(path), wants=WANTS, interest=PART) as client,
         ):
             following = asyncio.create_task(got.follow(client))
             await daemon.set_map("wall.yaml", None, "test")
