@@ -76,13 +76,16 @@ def test_command_prints_its_version(command: str) -> None:
         ("mapperctl", ["view"]),
         ("mapperctl", ["bag"]),
         ("mapperctl", ["convert"]),
+        ("mapperctl", ["changes"]),
+        ("mapperctl", ["mavlink"]),
+        ("mapperctl", ["ros2"]),
         ("oculus", []),
         ("oculus", ["render"]),
     ],
 )
 def test_help_needs_no_extra(command: str, words: list[str]) -> None:
-    extras = "aiomqtt cv2 embreex foxglove laspy matplotlib msgpack PIL pymavlink pynmea2 rosbags"
-    extras += " scipy serial shtab tifffile tqdm trimesh viser"
+    extras = "aiomqtt cv2 cyclonedds embreex foxglove laspy matplotlib msgpack PIL pymavlink"
+    extras += " pynmea2 rosbags scipy serial shtab tifffile tqdm trimesh viser"
     code = (
         "import sys\n"
         f"for name in {extras.split()}:\n"

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.bridges.vehicle import BridgeClient, LinkReporter, MapFrames
+from mapperd.bridges.vehicle import BridgeClient, ConnectionState, LinkReporter
 from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapReset
 from mapperd.client.mirror import MapMirror, keys_of, map_of, names_of
 from mapperd.client.validation import AskError
@@ -34,7 +34,7 @@ from mapperd.wire.messages import BLOCK_EDGE, Want
 
 __all__ = ["WANTS", "ChangeTracker", "MapWatch", "TrackedChange", "in_memory", "serve"]
 
-WANTS: tuple[Want, ...] = ("map", "pose", "localization", "settings")
+WANTS: tuple[Want, ...] = ("map", "pose", "localization", "status", "settings")
 
 Floats = NDArray[np.float64]
 
@@ -237,22 +237,29 @@ class _Watcher:
         self._config = config
         self._report = report
         self._link = LinkReporter(report)
+        self._state = ConnectionState()
         self._watch = MapWatch(known, config)
         self._tracker = ChangeTracker(config.tolerance or 2 * known.resolution_m)
         self._changed: dict[bytes, None] = {}
         self._session = ""
         self._is_begun = False
+        self._is_withdrawn = False
         self._error = ""
         self._compare_s = self._report_s = -math.inf
         self._reset = False
 
-    def take(self, change: ClientChange) -> None:
+    def take(self, change: ClientChange, now_s: float) -> None:
+        self._state.take(change, now_s)
         match change:
             case LinkChanged(link):
                 welcome = self._client.welcome
                 is_other = welcome is not None and welcome.session != self._session
-                if self._link.take(link) and welcome is not None and is_other:
-                    self._session, self._is_begun = welcome.session, False
+                is_connected = self._link.take(link)
+                if not is_connected:
+                    self._state.clear()
+                if is_connected and welcome is not None and is_other:
+                    self._session = welcome.session
+                    self._is_begun = self._is_withdrawn = False
             case MapReset():
                 self._changed.clear()
                 self._reset = True
@@ -266,16 +273,18 @@ class _Watcher:
     async def tick(self, now_s: float) -> None:
         if now_s < self._compare_s or self._client.link.state != "connected":
             return
-        mirror, vehicle = self._client.mirror, self._client.pose
-        if mirror is None:
+        mirror, is_in_odom = self._client.mirror, self._is_in_odom()
+        if mirror is None or is_in_odom is None:
             return
-        if vehicle is not None and MapFrames.of(vehicle, self._client.localization).served_in_odom:
+        if is_in_odom:
+            self._compare_s = now_s + self._config.period
             self._say_error(
                 "the daemon maps in the odometry's frame, which is not that of the known map: set "
                 "localization.mapping to corrected"
             )
-            self._compare_s = now_s + self._config.period
+            await self._withdraw()
             return
+        self._is_withdrawn = False
         if self._reset:
             self._reset = False
             self._watch.reset()
@@ -287,6 +296,24 @@ class _Watcher:
         self._report_s = now_s + self._config.period
         due, over = await asyncio.to_thread(self._find)
         await self._send(due, over)
+
+    def _is_in_odom(self) -> bool | None:
+        """Return whether the map lies in the odometry's frame; None until it is known."""
+        localizes, vehicle = self._state.localizes, self._state.vehicle
+        if not localizes:
+            return localizes
+        return None if vehicle is None else vehicle.source == "odometry"
+
+    async def _withdraw(self) -> None:
+        """Take back what was reported: it may have been compared in another frame."""
+        if self._is_withdrawn:
+            return
+        self._is_begun = False
+        with contextlib.suppress(AskError):  # with the next look
+            await self._client.ask(
+                "report", timeout_s=TIMEOUT_S, changes=[], known=self._name, begin=True
+            )
+            self._is_withdrawn = True
 
     def _compare(self, mirror: MapMirror, names: set[bytes]) -> float:
         began_s = time.thread_time()
@@ -373,7 +400,7 @@ async def serve(
     ticking = asyncio.create_task(tick())
     try:
         async for change in client.changes():
-            watcher.take(change)
+            watcher.take(change, asyncio.get_running_loop().time())
             if ticking.done():
                 ticking.result()
     finally:

@@ -247,6 +247,13 @@ class DdsErrors:
     def __init__(self, report: Callable[[str], None]) -> None:
         self.counts: Counter[tuple[str, int]] = Counter()
         self._report = report
+        self._slow: set[str] = set()
+
+    def dropped(self, name: str) -> None:
+        """Report once that readers of a topic do not keep up."""
+        if name not in self._slow:
+            self._slow.add(name)
+            self._report(f"ROS 2: a subscriber of {name} does not keep up")
 
     @contextlib.contextmanager
     def counted(self, name: str) -> Iterator[None]:
@@ -299,11 +306,13 @@ class DdsPublisher:
         return 0
 
     def publish(self, message: Any) -> bool:  # noqa: ANN401 of rosbags
-        """Send a message; return False if it was dropped, because readers do not keep up."""
+        """Send a message; return False if readers do not keep up, or DDS refuses it."""
         sample = _sample(self._sample_type, self._types.encoded(message))
         with self._errors.counted(self.name):
-            return _written(self._writer, sample)
-        return True
+            if _written(self._writer, sample):
+                return True
+            self._errors.dropped(self.name)
+        return False
 
 
 def _written(writer: Any, sample: Any) -> bool:  # noqa: ANN401 of cyclonedds
@@ -418,6 +427,7 @@ class DdsNode:
         domain: number of the domain.
         namespace: of relative names.
         report: takes a line for errors of DDS.
+        remap: other names, as of `ros2.remap`.
 
     Raises:
         LiveError: DDS cannot start in this domain.
@@ -429,11 +439,19 @@ class DdsNode:
     """
 
     def __init__(
-        self, domain: int, namespace: str, report: Callable[[str], None] = lambda _: None
+        self,
+        domain: int,
+        namespace: str,
+        report: Callable[[str], None] = lambda _: None,
+        remap: str = "",
     ) -> None:
         self.types = RosTypes()
         self.errors = DdsErrors(report)
         self._namespace = namespace
+        rules = (rule.split(":=") for rule in remap.split())
+        self._names = {
+            full_name(namespace, before): full_name(namespace, after) for before, after in rules
+        }
         try:
             self.participant = DomainParticipant(domain)
         except DDSException as error:
@@ -452,12 +470,16 @@ class DdsNode:
         Raises:
             LiveError: DDS refuses it.
         """
-        return DdsPublisher(self, full_name(self._namespace, name), kind, profile)
+        return DdsPublisher(self, self._name(name), kind, profile)
 
     def subscriber(self, name: str, kind: str, profile: Profile = "default") -> DdsSubscriber:
         """Subscribe to a topic."""
-        return DdsSubscriber(self, full_name(self._namespace, name), kind, profile)
+        return DdsSubscriber(self, self._name(name), kind, profile)
 
     def service(self, name: str, kind: str) -> DdsService:
         """Offer a service, of a type such as `std_srvs/Empty`."""
-        return DdsService(self, full_name(self._namespace, name), kind)
+        return DdsService(self, self._name(name), kind)
+
+    def _name(self, name: str) -> str:
+        absolute = full_name(self._namespace, name)
+        return self._names.get(absolute, absolute)

@@ -23,8 +23,9 @@ from mapperd.bridges.mavlink_messages import (
     text_chunks,
 )
 from mapperd.bridges.vehicle import (
+    NS,
     BridgeClient,
-    HeldLocalization,
+    ConnectionState,
     LinkReporter,
     RateLimit,
     VehiclePose,
@@ -63,8 +64,8 @@ HEARTBEAT_HZ = 1.0
 SILENT_S = 5.0
 """An autopilot is lost that sent no heartbeat for this time."""
 
-FRESH_NS = 1_000_000_000
-"""Obstacles are relative to a pose, and from a ping, that are no older."""
+FRESH_S = 1.0
+"""Poses that are older are not sent; obstacles are from a ping that is no older than the pose."""
 
 MAX_TEXTS = 16
 SONAR, RECORDING = "sonar", "recording"
@@ -116,14 +117,14 @@ class AutopilotBridge:
         self._was_connected = False
         self._heard_s: float | None = None
         self._kind = common.MAV_AUTOPILOT_GENERIC
-        self._forget()
+        self._state = ConnectionState()
+        self._origin: tuple[str, bool | None] | None = None
+        self._returns: ReturnsMessage | None = None
 
     def _forget(self) -> None:
         """Forget the state of the daemon: it may be old when it comes again."""
-        self._vehicle: PoseMessage | None = None
-        self._localization = HeldLocalization()
-        self._localizes: bool | None = None
-        self._returns: ReturnsMessage | None = None
+        self._state.clear()
+        self._returns = None
 
     def take(self, change: ClientChange, now_s: float) -> Iterator[bytes]:
         """Yield the messages that a change causes.
@@ -135,11 +136,11 @@ class AutopilotBridge:
         Raises:
             ConfigError: these poses must not go to this autopilot.
         """
+        self._state.take(change, now_s)
         match change:
             case LinkChanged(link):
                 self._connected(is_connected=self._link.take(link))
             case LocalizationMessage():
-                self._localization.take(change, now_s)
                 state = change.report.get("state")
                 is_off = state == "off" and self._config.poses == "all"
                 if not is_off and (state != "localized" or change.report.get("sure") is not True):
@@ -147,10 +148,8 @@ class AutopilotBridge:
             case ReturnsMessage():
                 self._returns = change
             case PoseMessage():
-                self._vehicle = change
                 yield from self._pose(change, now_s)
             case StatusMessage():
-                self._localizes = change.status.get("localization") is not None
                 self._look_at_problems(change.status)
             case EventMessage():
                 self._look_at_event(change.event)
@@ -241,18 +240,22 @@ class AutopilotBridge:
             )
 
     def _pose(self, vehicle: PoseMessage, now_s: float) -> Iterator[bytes]:
-        # Without a state, localization may be off, or its state may not have come yet.
-        localization = self._localization.message
-        by_odometry = self._config.poses == "all" and (
-            self._localizes is False or localization is not None
-        )
-        located = sure_pose(vehicle, localization, odometry=by_odometry)
-        if self._localization.is_stale(now_s):
+        localization = self._state.localization
+        by_odometry = self._config.poses == "all" and self._state.localizes is False
+        located = sure_pose(vehicle, localization.message, odometry=by_odometry)
+        if localization.is_stale(now_s):
             located = "localization: no report"
+        if self._state.age_s(vehicle.stamp_ns, now_s) > FRESH_S:
+            self._doubt("pose is old")
+            return
         if isinstance(located, str):
             self._doubt(located)
         else:
             self.reason = ""
+            origin = vehicle.source, self._state.localizes
+            if origin != self._origin:
+                self._origin = origin
+                self._jumps.lose()  # another frame, however near
             resets = self._jumps.take(located)
             if self._poses.due(now_s):
                 yield self._packed(self._pose_message(located, resets))
@@ -328,7 +331,7 @@ class AutopilotBridge:
             returns is None
             or returns.sonar_position_m is None
             or returns.sonar_orientation_xyzw is None
-            or abs(stamp_ns - returns.stamp_ns) > FRESH_NS
+            or abs(stamp_ns - returns.stamp_ns) > FRESH_S * NS
         ):
             return np.zeros((0, 3))
         points = np.frombuffer(returns.points, "<f4").reshape(-1, 3).astype(np.float64)

@@ -18,7 +18,7 @@ from mapperd.bridges.vehicle import (
     REPORT_VALID_S,
     BridgeClient,
     CloudCache,
-    HeldLocalization,
+    ConnectionState,
     LinkReporter,
     MapFrames,
     VehiclePose,
@@ -149,11 +149,13 @@ class Ros2Bridge:
         self._map_due_s = -np.inf
         self._is_reset = False
         self._grid_error = ""
+        self._grid_z_m: float | None = None
+        """Height of the slice that was published last."""
         self._has_grid = False
         """The last grid had cells: readers hold it until another one comes."""
-        self._localization_state = HeldLocalization()
-        """Of this connection: that of an earlier one may be another session's."""
-        self._slow: set[str] = set()
+        self._state = ConnectionState()
+        self._is_in_odom = False
+        """The daemon's map lies in the odometry's frame, as of the last pose."""
         self._particles_ns = 0
         self._due: set[str] = set()
         """Latched topics whose last message is outdated: DDS keeps that one for new readers."""
@@ -178,13 +180,14 @@ class Ros2Bridge:
 
     def take(self, change: ClientChange) -> None:
         """Publish a change, or schedule it for `tick`."""
+        self._state.take(change, self._clock())
         handler = self._handlers.get(type(change))
         if handler is not None:
             handler(change)
 
     def _linked(self, change: LinkChanged) -> None:
         if not self._link.take(change.link):
-            self._localization_state = HeldLocalization()
+            self._state.clear()
 
     def _reset(self, _: MapReset) -> None:
         self._is_reset = True
@@ -243,11 +246,9 @@ class Ros2Bridge:
                 "ROS_DOMAIN_ID)"
             )
 
-    def _send(self, key: str, message: Any) -> None:  # noqa: ANN401 of rosbags
-        publisher = self._publishers[key]
-        if not publisher.publish(message) and key not in self._slow:
-            self._slow.add(key)
-            self._report(f"ROS 2: a subscriber of {publisher.name} does not keep up")
+    def _send(self, key: str, message: Any) -> bool:  # noqa: ANN401 of rosbags
+        """Publish a message; return whether it was sent."""
+        return self._publishers[key].publish(message)
 
     def _frame(self, which: str) -> str:
         """Return the name of a frame: `map`, `odom`, `base` or `sonar`."""
@@ -266,7 +267,9 @@ class Ros2Bridge:
 
     def _pose(self, vehicle: PoseMessage) -> None:
         self._stamp_ns = max(self._stamp_ns, vehicle.stamp_ns)
-        localization, frames = self._localization_state.message, self._frames(vehicle)
+        self._look_at_frame(vehicle)
+        self._look_at_height(vehicle)
+        localization, frames = self._state.localization.message, self._frames(vehicle)
         if frames is None:
             return
         world, odom, base = (self._frame(name) for name in ("map", "odom", "base"))
@@ -274,7 +277,7 @@ class Ros2Bridge:
             turned = [Turned(odom, base, frames.odom_of_base)]
             self._send("tf", self.messages.transforms(vehicle.stamp_ns, turned))
             report = localization.report if localization else {}
-            is_known = map_odom_of(report) is not None or not self._localizes()
+            is_known = map_odom_of(report) is not None or self._state.localizes is False
             if is_known and not self._is_stale() and self._is_on("amcl.tf_broadcast"):
                 stamp_ns = self._valid_until_ns(vehicle, localization)
                 turned = [Turned(world, odom, frames.map_of_odom)]
@@ -289,11 +292,11 @@ class Ros2Bridge:
 
     def _frames(self, vehicle: PoseMessage) -> MapFrames | None:
         """Return the frames at a pose; None until the state of localization is known."""
-        localization = self._localization_state.message
+        localization = self._state.localization.message
         if odom_pose_of(vehicle) is not None:
             return MapFrames.of(vehicle, localization)
         is_corrected = vehicle.source == "localization"
-        if localization is None and (self._localizes() or is_corrected):
+        if localization is None and (self._state.localizes is not False or is_corrected):
             return None
         if is_corrected and (
             localization is None or map_odom_of(localization.report) is None or self._is_stale()
@@ -317,11 +320,7 @@ class Ros2Bridge:
         return max(until_ns, vehicle.stamp_ns)
 
     def _is_stale(self) -> bool:
-        return self._localization_state.is_stale(self._clock())
-
-    def _localizes(self) -> bool:
-        status = self._client.status
-        return status is not None and status.status.get("localization") is not None
+        return self._state.localization.is_stale(self._clock())
 
     def _publish_mounting(self, mounting: Pose, stamp_ns: int) -> None:
         """Publish the sonar's place on the vehicle when it changes."""
@@ -331,17 +330,16 @@ class Ros2Bridge:
             turn = 1 - abs(float(before[0].map_q_base @ mounting.map_q_base))
             if shift_m < POSITION_M and turn < TURN:
                 return
-        self._mounting = (mounting, base, sonar)
         turned = [Turned(base, sonar, mounting)]
-        self._send("tf_static", self.messages.transforms(stamp_ns, turned))
+        if self._send("tf_static", self.messages.transforms(stamp_ns, turned)):
+            self._mounting = (mounting, base, sonar)
 
     def _localization(self, state: LocalizationMessage) -> None:
-        self._localization_state.take(state, self._clock())
         estimate = planar_estimate(state.report)
         stamp_s = state.report.get("t_s")
         if not isinstance(stamp_s, int | float):
             return
-        stamp_ns, vehicle = round(stamp_s * NS), self._client.pose
+        stamp_ns, vehicle = round(stamp_s * NS), self._state.vehicle
         height_m = vehicle.position_m[2] if vehicle else 0.0
         frame = str((state.report.get("pose") or {}).get("frame", self._frame("map")))
         if estimate is not None and "pose" in self.heard:
@@ -360,8 +358,7 @@ class Ros2Bridge:
         if "sonar" in self.heard:
             self._send("sonar", self.messages.image(image.stamp_ns, frame, pixels))
         if "ping" in self.heard:
-            status = self._client.status
-            sonar = (status.status.get("sonar") or {}) if status else {}
+            sonar = self._state.status.get("sonar") or {}
             speed_mps = float(sonar.get("speed_of_sound_mps") or 0.0)
             message = self.messages.ping(image, pixels, frame, self._client.fan, speed_mps)
             self._send("ping", message)
@@ -383,18 +380,34 @@ class Ros2Bridge:
     def _publish_markers(self) -> None:
         if not self._stamp_ns:
             return
-        self._due.discard("markers")
         robots = self._client.robots
         places = [place for _, *place in robots.seen] if robots else []
         frame = self._map_frame()
         message = self.messages.markers(self._stamp_ns, frame, places, self._changes)
-        self._send("markers", message)
+        if self._send("markers", message):
+            self._due.discard("markers")
+
+    def _look_at_frame(self, vehicle: PoseMessage) -> None:
+        """Note the frame of the daemon's map; all of the map is due again when it changes."""
+        localizes = self._state.localizes
+        if localizes is None:
+            return
+        is_in_odom = localizes and vehicle.source == "odometry"
+        if is_in_odom != self._is_in_odom:
+            self._is_in_odom = is_in_odom
+            self._due |= {"cloud", "grid", "markers"}
+
+    def _look_at_height(self, vehicle: PoseMessage) -> None:
+        """A slice around the vehicle is due again when its depth changed by a cell."""
+        mirror, before_m = self._client.mirror, self._grid_z_m
+        if not self._config.ros2.slice_height or mirror is None or before_m is None:
+            return
+        if abs(vehicle.position_m[2] - before_m) > mirror.cell_m:
+            self._due.add("grid")
 
     def _map_frame(self) -> str:
         """Return the frame that the served map lies in."""
-        vehicle = self._client.pose
-        by_odometry = vehicle is not None and vehicle.source == "odometry"
-        return self._frame("odom" if by_odometry and self._localizes() else "map")
+        return self._frame("odom" if self._is_in_odom else "map")
 
     async def _publish_map(self) -> float:
         """Publish cloud and grid; return the processor time that it took."""
@@ -405,17 +418,31 @@ class Ros2Bridge:
             self._is_reset = False
             self._cloud.clear()
         wanted = self.heard & self._due & {"cloud", "grid"}
+        vehicle = self._state.vehicle
+        if self._config.ros2.slice_height and vehicle is None:
+            wanted -= {"grid"}  # with the first pose
+        if not wanted:
+            return 0.0
         self._due -= wanted
+        if "grid" in wanted and vehicle is not None:
+            self._grid_z_m = vehicle.position_m[2]
         names, self._changed = self._changed, set()
-        return await asyncio.to_thread(self._map, mirror, wanted, names)
+        took_s, failed = await asyncio.to_thread(self._map, mirror, wanted, names)
+        self._due |= failed
+        return took_s
 
-    def _map(self, mirror: MapMirror, wanted: Collection[str], names: Collection[bytes]) -> float:
-        """Publish the map; runs in a thread."""
+    def _map(
+        self, mirror: MapMirror, wanted: Collection[str], names: Collection[bytes]
+    ) -> tuple[float, set[str]]:
+        """Publish the map; return the processor time, and what was not sent; runs in a thread."""
+        failed: set[str] = set()
         began_s = time.thread_time()
         frame, stamp_ns = self._map_frame(), self._map_stamp_ns or self._stamp_ns
         self._cloud.update(mirror, names)
         if "cloud" in wanted:
-            self._send("cloud", self.messages.points(stamp_ns, frame, self._cloud.rows()))
+            cloud = self.messages.points(stamp_ns, frame, self._cloud.rows())
+            if not self._send("cloud", cloud):
+                failed.add("cloud")
         if "grid" in wanted:
             try:
                 layer = map_slice(mirror, *self._heights())
@@ -428,14 +455,17 @@ class Ros2Bridge:
             if layer is None and self._has_grid and not self._grid_error:
                 layer = NO_GRID
             if layer is not None:
-                self._has_grid = layer is not NO_GRID
-                self._send("grid", self.messages.grid(stamp_ns, frame, layer, mirror.cell_m))
-        return time.thread_time() - began_s
+                grid = self.messages.grid(stamp_ns, frame, layer, mirror.cell_m)
+                if self._send("grid", grid):
+                    self._has_grid = layer is not NO_GRID
+                else:
+                    failed.add("grid")
+        return time.thread_time() - began_s, failed
 
     def _heights(self) -> tuple[float, float]:
-        half_m, vehicle = self._config.ros2.slice_height / 2, self._client.pose
-        if half_m and vehicle is not None:
-            return vehicle.position_m[2] - half_m, vehicle.position_m[2] + half_m
+        half_m, z_m = self._config.ros2.slice_height / 2, self._grid_z_m
+        if half_m and z_m is not None:
+            return z_m - half_m, z_m + half_m
         return self._config.export.min_z, self._config.export.max_z
 
     def _diagnostics(self, status: StatusMessage) -> Any:  # noqa: ANN401 of rosbags
@@ -456,7 +486,7 @@ class Ros2Bridge:
         level = ERROR if problems else OK
         make = self.messages.diagnostic
         statuses = [make(level, "mapperd: daemon", text, vehicle, values)]
-        localization = self._localization_state.message
+        localization = self._state.localization.message
         report = localization.report if localization else {}
         if report.get("state", "off") != "off":
             found = report.get("diagnostics") or {}
@@ -503,7 +533,8 @@ async def serve(client: Ros2Client, config: Config, report: Callable[[str], None
     """
     link = config.ros2.odometry_link
     target = await odometry_target(link) if link else None
-    node = DdsNode(domain_of(config, os.environ), config.ros2.namespace, report)
+    ros2 = config.ros2
+    node = DdsNode(domain_of(config, os.environ), ros2.namespace, report, ros2.remap)
     bridge = Ros2Bridge(client, config, node, report)
     requests = Ros2Requests(client, node, bridge.messages, config, report)
     forwarder = OdometryForwarder(node, config.topics.odometry, target) if target else None
@@ -511,6 +542,8 @@ async def serve(client: Ros2Client, config: Config, report: Callable[[str], None
         _follow(client, bridge),
         _repeat(bridge.tick),
         _repeat(requests.look),
+        _repeat(requests.look_at_commands),
+        _repeat(requests.look_at_poses),
         _repeat(forwarder.look) if forwarder is not None else asyncio.Event().wait(),
     )
     tasks: list[asyncio.Task[Any]] = [asyncio.create_task(work) for work in works]

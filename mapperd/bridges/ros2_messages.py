@@ -322,19 +322,19 @@ class LiveMessages(Messages):
         )
 
     def no_grid(self) -> Any:  # noqa: ANN401
-        """nav_msgs/OccupancyGrid without cells."""
+        """nav_msgs/OccupancyGrid of one unknown cell: readers refuse one without cells."""
         return self._of(
             "nav_msgs/msg/OccupancyGrid",
             header=self._header(0, ""),
             info=self._of(
                 "nav_msgs/msg/MapMetaData",
                 map_load_time=self._time(0),
-                resolution=0.0,
-                width=0,
-                height=0,
+                resolution=1.0,
+                width=1,
+                height=1,
                 origin=self._pose(Pose(np.zeros(3), np.eye(4)[0])),
             ),
-            data=np.zeros(0, np.int8),
+            data=np.full(1, -1, np.int8),
         )
 
 

@@ -72,33 +72,37 @@ class Ros2Requests:
         self._messages = messages
         self._report = report
         self._may_change = config.ros2.commands
-        self._services: list[tuple[DdsService, Handler]] = []
+        self._readers: list[tuple[DdsService, Handler]] = []
+        self._changers: list[tuple[DdsService, Handler]] = []
         self._poses = None
         self._newest: Any = None
         self._pose_s = self._told_s = -math.inf
         self._skipped = 0
-        for name, kind, handler in self._readers():
-            self._services.append((node.service(f"mapperd/{name}", kind), handler))
+        for name, kind, handler in self._reading():
+            self._readers.append((node.service(f"mapperd/{name}", kind), handler))
+        for name, kind, handler in self._changing():
+            self._changers.append((node.service(f"mapperd/{name}", kind), handler))
         if self._may_change:
-            for name, kind, handler in self._changers():
-                self._services.append((node.service(name, kind), handler))
+            for name, kind, handler in self._commands():
+                self._changers.append((node.service(name, kind), handler))
             self._poses = node.subscriber(
                 config.amcl.initial_pose_topic, "geometry_msgs/msg/PoseWithCovarianceStamped"
             )
 
-    async def look(self, now_s: float) -> None:
-        """Carry out what has been asked; call it several times a second.
+    async def look(self, _: float) -> None:
+        """Answer what needs no daemon; call it several times a second."""
+        await _answer(self._readers)
+
+    async def look_at_commands(self, _: float) -> None:
+        """Carry out commands one after the other, in a task of its own: a daemon may hang."""
+        await _answer(self._changers)
+
+    async def look_at_poses(self, now_s: float) -> None:
+        """Take the newest initial pose, in a task of its own; those that come faster are skipped.
 
         Args:
             now_s: monotonic time.
         """
-        await self._look_at_poses(now_s)
-        for service, handler in self._services:
-            for request in service.take(MAX_TAKEN):
-                service.answer(request, **await handler(request))
-
-    async def _look_at_poses(self, now_s: float) -> None:
-        """Take the newest initial pose; those that come faster are skipped."""
         if self._poses is not None:
             for message in self._poses.take(MAX_TAKEN):
                 self._skipped += self._newest is not None
@@ -121,18 +125,23 @@ class Ros2Requests:
             return str(error)
         return ""
 
-    def _readers(self) -> list[tuple[str, str, Handler]]:
-        """Services of parameters, below the node's name, as of every ROS node."""
+    def _reading(self) -> list[tuple[str, str, Handler]]:
+        """Services that read parameters, below the node's name, as of every ROS node."""
         return [
             ("get_parameters", "rcl_interfaces/GetParameters", self._get),
             ("get_parameter_types", "rcl_interfaces/GetParameterTypes", self._types),
             ("describe_parameters", "rcl_interfaces/DescribeParameters", self._describe),
             ("list_parameters", "rcl_interfaces/ListParameters", self._list),
+        ]
+
+    def _changing(self) -> list[tuple[str, str, Handler]]:
+        """Services that change parameters, below the node's name."""
+        return [
             ("set_parameters", "rcl_interfaces/SetParameters", self._set),
             ("set_parameters_atomically", "rcl_interfaces/SetParametersAtomically", self._set_all),
         ]
 
-    def _changers(self) -> list[tuple[str, str, Handler]]:
+    def _commands(self) -> list[tuple[str, str, Handler]]:
         empty = [
             ("global_localization", "global_localization"),
             ("reinitialize_global_localization", "global_localization"),
@@ -234,6 +243,12 @@ class Ros2Requests:
         reason = await self._asked("set", changes=changes) if changes else ""
         self._report(f"{', '.join(changes)} from ROS: {reason or 'set'}")
         return reason
+
+
+async def _answer(services: Iterable[tuple[DdsService, Handler]]) -> None:
+    for service, handler in services:
+        for request in service.take(MAX_TAKEN):
+            service.answer(request, **await handler(request))
 
 
 def _like(fact: Mapping[str, Any], value: object) -> object:

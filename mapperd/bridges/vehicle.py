@@ -3,7 +3,7 @@
 import math
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -27,9 +27,11 @@ from mapperd.wire.messages import (
 )
 
 __all__ = [
+    "NS",
     "REPORT_VALID_S",
     "BridgeClient",
     "CloudCache",
+    "ConnectionState",
     "HeldLocalization",
     "LinkReporter",
     "MapFrames",
@@ -45,6 +47,7 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
+NS = 1_000_000_000
 REPORT_VALID_S = 3.0
 """A state of localization counts for this time: states come five times a second, and on a slow link
 every other second."""
@@ -182,7 +185,7 @@ def sure_pose(
     if state != "localized" or report.get("sure") is not True:
         return f"localization: {'not sure' if state == 'localized' else state}"
     if vehicle.source == "localization":
-        return VehiclePose.of(vehicle)
+        return _with_unknown(VehiclePose.of(vehicle))
     correction, estimate = map_odom_of(report), planar_estimate(report)
     if correction is None or estimate is None:
         return "localization: no transform"
@@ -190,7 +193,22 @@ def sure_pose(
     covariance = np.zeros((6, 6)) if located.covariance is None else located.covariance
     covariance[[0, 1, 5], :] = covariance[:, [0, 1, 5]] = 0.0
     covariance[PLANAR] = estimate[1]
-    return VehiclePose(located.stamp_ns, located.pose, located.velocity_mps, covariance)
+    return _with_unknown(
+        VehiclePose(located.stamp_ns, located.pose, located.velocity_mps, covariance)
+    )
+
+
+UNKNOWN_VARIANCE = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+"""Metres and radians, squared: larger than those of estimates in use, and small enough for an
+autopilot that makes one figure of all axes, as ArduPilot does, to still use the others."""
+
+
+def _with_unknown(located: VehiclePose) -> VehiclePose:
+    """Return the pose with a large variance for the axes that have none: localization is planar."""
+    if located.covariance is None:
+        return located
+    missing = np.where(np.diag(located.covariance) > 0, 0.0, UNKNOWN_VARIANCE)
+    return replace(located, covariance=located.covariance + np.diag(missing))
 
 
 def held(last: LocalizationMessage | None, new: LocalizationMessage) -> LocalizationMessage:
@@ -219,21 +237,84 @@ class HeldLocalization:
         self.message: LocalizationMessage | None = None
         self._came_s = -math.inf
 
-    def take(self, new: LocalizationMessage, now_s: float) -> None:
+    def take(self, new: LocalizationMessage, now_s: float, age_s: float = 0.0) -> None:
         """Take the newest state.
 
         Args:
             new: as it came.
             now_s: monotonic time.
+            age_s: since it was so.
         """
         self.message = new if self.is_stale(now_s) else held(self.message, new)
-        self._came_s = now_s
+        self._came_s = now_s - age_s
 
     def is_stale(self, now_s: float) -> bool:
         """Return whether no state came for `REPORT_VALID_S`, so that nothing is sure."""
         if self.message is None or self.message.report.get("state", "off") == "off":
             return False
         return now_s - self._came_s > REPORT_VALID_S
+
+
+class ConnectionState:
+    """What the daemon sent on this connection: that of an earlier one may be another session's.
+
+    Attributes:
+        vehicle: newest pose; None before the first.
+        localization: its state in force.
+        status: the last one that had content, as heartbeats without room for it are empty; {}
+            before the first.
+    """
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything: the connection broke."""
+        self.vehicle: PoseMessage | None = None
+        self.localization = HeldLocalization()
+        self.status: Mapping[str, Any] = {}
+        self._beat: tuple[int, float] | None = None
+
+    def take(self, change: ClientChange, now_s: float) -> None:
+        """Take a change of the client.
+
+        Args:
+            change: as it came.
+            now_s: monotonic time.
+        """
+        if isinstance(change, StatusMessage):
+            self.status = change.status or self.status
+            self._beat = change.stamp_ns, now_s
+        elif isinstance(change, LocalizationMessage):
+            self.localization.take(change, now_s, self._report_age_s(change, now_s))
+        elif isinstance(change, PoseMessage):
+            self.vehicle = change
+
+    def age_s(self, stamp_ns: int, now_s: float) -> float:
+        """Return the age of a stamp by the daemon's clock; infinite before its first heartbeat.
+
+        A daemon sends its newest pose to each new connection, however old it is.
+        """
+        if self._beat is None:
+            return math.inf
+        beat_ns, came_s = self._beat
+        return (beat_ns - stamp_ns) / NS + now_s - came_s
+
+    def _report_age_s(self, message: LocalizationMessage, now_s: float) -> float:
+        """Return the age of a state; 0 if it has no transform, whose stamp is that of the scan."""
+        transform = message.report.get("map_odom")
+        stamp_s = transform.get("t_s") if isinstance(transform, Mapping) else None
+        if not isinstance(stamp_s, int | float):
+            return 0.0
+        return max(self.age_s(round(stamp_s * NS), now_s), 0.0)
+
+    @property
+    def localizes(self) -> bool | None:
+        """Whether the daemon localizes on a known map; None until it is known."""
+        message = self.localization.message
+        if message is not None:
+            return bool(message.report.get("state", "off") != "off")
+        return self.status.get("localization") is not None if self.status else None
 
 
 def map_odom_of(report: Mapping[str, Any]) -> Pose | None:

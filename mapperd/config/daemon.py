@@ -257,6 +257,7 @@ class VisualizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 TOPIC_PATTERN = "^/?[A-Za-z_][A-Za-z0-9_]{0,63}(/[A-Za-z_][A-Za-z0-9_]{0,63}){0,15}$"
+REMAP_PATTERN = f"^({TOPIC_PATTERN[1:-1]}:={TOPIC_PATTERN[1:-1]}( (?=.)|$))*$"
 NO_OR_TOPIC_PATTERN = TOPIC_PATTERN.replace("^", "^(", 1)[:-1] + ")?$"
 
 
@@ -299,6 +300,15 @@ class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True):
             "Namespace of relative topics and services, such as that of the robot.",
             "a name or nothing",
             pattern=NO_OR_TOPIC_PATTERN,
+        ),
+    ] = ""
+    remap: Annotated[
+        str,
+        rule(
+            "Other names of topics and services, as in ROS: /tf:=tf /map:=map. Relative names are "
+            "in the namespace.",
+            "rules FROM:=TO with a space between them, or nothing",
+            pattern=REMAP_PATTERN,
         ),
     ] = ""
     cloud_period: Annotated[

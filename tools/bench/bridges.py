@@ -53,6 +53,11 @@ CHANGED = 60
 TICKS = os.sysconf("SC_CLK_TCK")
 DOMAIN = 97
 WARM_UP_S = 15.0
+STATUS = {
+    "phase": "mapping",
+    "problems": [],
+    "localization": {"mode": "track", "state": "localized", "sure": True},
+}
 COMMAND = "import sys; from mapperd.cli.mapperctl.command import main; sys.exit(main())"
 LISTENER = f"""
 import time
@@ -143,6 +148,8 @@ class LoadedDaemon:
         stamp_ns, angle = time.time_ns(), number / 200
         place = (10 * math.cos(angle), 10 * math.sin(angle), -5.0)
         turn = (0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2))
+        if number % PING_HZ == 0:
+            yield StatusMessage(stamp_ns=stamp_ns, status=STATUS)
         if number % 2 == 0:
             yield self._localization(stamp_ns)
             yield self._change(stamp_ns)
@@ -153,7 +160,6 @@ class LoadedDaemon:
                 min_range_m=0.5,
                 max_range_m=20.0,
             )
-            yield StatusMessage(stamp_ns=stamp_ns, status={"phase": "mapping", "problems": []})
         yield PoseMessage(
             stamp_ns=stamp_ns,
             position_m=place,
@@ -163,6 +169,8 @@ class LoadedDaemon:
             velocity_mps=(0.5, 0.0, 0.0),
             covariance=tuple((0.01 * np.eye(6)).ravel().tolist()),
             source="localization",
+            odom_position_m=place,
+            odom_orientation_xyzw=turn,
         )
         points = self._random.normal(size=(BEAMS, 3)).astype("<f4")
         yield ReturnsMessage(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +36,7 @@ class BridgeStream(FakeStream):
         self.mirror = MapMirror(INFO, Interest())
         self.requests: list[dict[str, Any]] = []
         self.refusal: AskError | None = None
+        self.hangs: set[str] = set()
         self.connect("s-1")
 
     def connect(self, session: str, map_id: str = "one") -> LinkChanged:
@@ -58,6 +60,8 @@ class BridgeStream(FakeStream):
     async def ask(self, do: str, **fields: Any) -> dict[str, Any]:
         fields.pop("timeout_s", None)
         self.requests.append({"do": do, **fields})
+        if do in self.hangs:
+            await asyncio.Event().wait()
         if self.refusal is not None:
             raise self.refusal
         return {}
@@ -124,6 +128,11 @@ def a_ping(at_s: float = 0.0, points: Any = ((3.0, -1.0, 0.0),), **changes: Any)
         "intensities": bytes(len(rows)),
     }
     return ReturnsMessage(**(fields | changes))
+
+
+def beat(at_s: float = 0.0) -> StatusMessage:
+    """Return a heartbeat that has no room for the status."""
+    return StatusMessage(stamp_ns=T0 + round(at_s * S))
 
 
 def a_status(*codes: str, at_s: float = 0.0, **status: Any) -> StatusMessage:

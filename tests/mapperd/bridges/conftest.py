@@ -6,5 +6,13 @@ from tests.support.mapperctl import no_settings
 
 __all__ = ["collect_ignore", "no_settings"]
 
-collect_ignore = [] if find_spec("cyclonedds") else ["test_bridge_docs.py", "test_ros2_bridge.py"]
+collect_ignore = (
+    []
+    if find_spec("cyclonedds")
+    else [
+        "test_bridge_docs.py",
+        "test_ros2_bridge.py",
+        "test_ros2_with_daemon.py",
+    ]
+)
 """PyPI has no cyclonedds for ARM64."""

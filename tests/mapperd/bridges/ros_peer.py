@@ -391,6 +391,145 @@ class SetParametersResponse(
     results: sequence[SetParametersResult]
 
 
+@dataclass
+class GetParameterTypesRequest(
+    IdlStruct, typename="rcl_interfaces::srv::dds_::GetParameterTypes_Request_"
+):
+    guid: t.uint64
+    seq: t.int64
+    names: sequence[str]
+
+
+@dataclass
+class GetParameterTypesResponse(
+    IdlStruct, typename="rcl_interfaces::srv::dds_::GetParameterTypes_Response_"
+):
+    guid: t.uint64
+    seq: t.int64
+    types: sequence[t.uint8]
+
+
+@dataclass
+class FloatingPointRange(IdlStruct, typename="rcl_interfaces::msg::dds_::FloatingPointRange_"):
+    from_value: t.float64
+    to_value: t.float64
+    step: t.float64
+
+
+@dataclass
+class IntegerRange(IdlStruct, typename="rcl_interfaces::msg::dds_::IntegerRange_"):
+    from_value: t.int64
+    to_value: t.int64
+    step: t.uint64
+
+
+@dataclass
+class ParameterDescriptor(IdlStruct, typename="rcl_interfaces::msg::dds_::ParameterDescriptor_"):
+    name: str
+    type: t.uint8
+    description: str
+    additional_constraints: str
+    read_only: bool
+    dynamic_typing: bool
+    floating_point_range: sequence[FloatingPointRange]
+    integer_range: sequence[IntegerRange]
+
+
+@dataclass
+class DescribeParametersRequest(
+    IdlStruct, typename="rcl_interfaces::srv::dds_::DescribeParameters_Request_"
+):
+    guid: t.uint64
+    seq: t.int64
+    names: sequence[str]
+
+
+@dataclass
+class DescribeParametersResponse(
+    IdlStruct, typename="rcl_interfaces::srv::dds_::DescribeParameters_Response_"
+):
+    guid: t.uint64
+    seq: t.int64
+    descriptors: sequence[ParameterDescriptor]
+
+
+@dataclass
+class ListParametersRequest(
+    IdlStruct, typename="rcl_interfaces::srv::dds_::ListParameters_Request_"
+):
+    guid: t.uint64
+    seq: t.int64
+    prefixes: sequence[str]
+    depth: t.uint64
+
+
+@dataclass
+class ListParametersResult(IdlStruct, typename="rcl_interfaces::msg::dds_::ListParametersResult_"):
+    names: sequence[str]
+    prefixes: sequence[str]
+
+
+@dataclass
+class ListParametersResponse(
+    IdlStruct, typename="rcl_interfaces::srv::dds_::ListParameters_Response_"
+):
+    guid: t.uint64
+    seq: t.int64
+    result: ListParametersResult
+
+
+@dataclass
+class SetParametersAtomicallyRequest(
+    IdlStruct, typename="rcl_interfaces::srv::dds_::SetParametersAtomically_Request_"
+):
+    guid: t.uint64
+    seq: t.int64
+    parameters: sequence[Parameter]
+
+
+@dataclass
+class SetParametersAtomicallyResponse(
+    IdlStruct, typename="rcl_interfaces::srv::dds_::SetParametersAtomically_Response_"
+):
+    guid: t.uint64
+    seq: t.int64
+    result: SetParametersResult
+
+
+@dataclass
+class LoadMapRequest(IdlStruct, typename="nav2_msgs::srv::dds_::LoadMap_Request_"):
+    guid: t.uint64
+    seq: t.int64
+    map_url: str
+
+
+@dataclass
+class LoadMapResponse(IdlStruct, typename="nav2_msgs::srv::dds_::LoadMap_Response_"):
+    guid: t.uint64
+    seq: t.int64
+    map: OccupancyGrid
+    result: t.uint8
+
+
+@dataclass
+class SaveMapRequest(IdlStruct, typename="nav2_msgs::srv::dds_::SaveMap_Request_"):
+    guid: t.uint64
+    seq: t.int64
+    map_topic: str
+    map_url: str
+    image_format: str
+    map_mode: str
+    free_thresh: t.float32
+    occupied_thresh: t.float32
+
+
+@dataclass
+class SaveMapResponse(IdlStruct, typename="nav2_msgs::srv::dds_::SaveMap_Response_"):
+    guid: t.uint64
+    seq: t.int64
+    result: bool
+
+
 RELIABLE = Policy.Reliability.Reliable(duration(seconds=1))
 LATCHED = Qos(RELIABLE, Policy.Durability.TransientLocal, Policy.History.KeepLast(100))
 SENSOR = Qos(Policy.Reliability.BestEffort, Policy.Durability.Volatile, Policy.History.KeepLast(5))
@@ -416,9 +555,22 @@ TOPICS: dict[str, tuple[Any, Qos]] = {
 
 SERVICES: dict[str, tuple[Any, Any]] = {
     "/rov/global_localization": (EmptyRequest, EmptyResponse),
+    "/rov/reinitialize_global_localization": (EmptyRequest, EmptyResponse),
+    "/rov/request_nomotion_update": (EmptyRequest, EmptyResponse),
     "/rov/mapperd/reset": (TriggerRequest, TriggerResponse),
+    "/rov/mapperd/snapshot": (TriggerRequest, TriggerResponse),
+    "/rov/mapperd/reload": (TriggerRequest, TriggerResponse),
+    "/rov/mapperd/load_map": (LoadMapRequest, LoadMapResponse),
+    "/rov/mapperd/save_map": (SaveMapRequest, SaveMapResponse),
     "/rov/mapperd/get_parameters": (GetParametersRequest, GetParametersResponse),
+    "/rov/mapperd/get_parameter_types": (GetParameterTypesRequest, GetParameterTypesResponse),
+    "/rov/mapperd/describe_parameters": (DescribeParametersRequest, DescribeParametersResponse),
+    "/rov/mapperd/list_parameters": (ListParametersRequest, ListParametersResponse),
     "/rov/mapperd/set_parameters": (SetParametersRequest, SetParametersResponse),
+    "/rov/mapperd/set_parameters_atomically": (
+        SetParametersAtomicallyRequest,
+        SetParametersAtomicallyResponse,
+    ),
 }
 
 
@@ -511,11 +663,11 @@ class Peer:
     def listen(self) -> None:
         for name, reader in self.readers.items():
             for sample in reader.take(100):
-                if dataclasses.is_dataclass(sample):
+                if isinstance(sample, IdlStruct):  # else a note that a writer went away
                     say(name, sample)
         for name, (_, reader) in self.clients.items():
             for sample in reader.take(100):
-                if dataclasses.is_dataclass(sample):
+                if isinstance(sample, IdlStruct):  # else a note that a writer went away
                     say(name, sample)
 
 

@@ -13,7 +13,7 @@ import pytest
 from mapperd.api import ChangeReport, ReportedChanges
 from mapperd.bridges.changes import ChangeTracker, MapWatch, in_memory, serve
 from mapperd.cli.mapperctl.command import main
-from mapperd.client.changes import MapChanged
+from mapperd.client.changes import ClientChange, MapChanged
 from mapperd.client.mirror import MapMirror, map_of, names_of
 from mapperd.client.validation import AskError
 from mapperd.config.tree import ChangesConfig, Config, OctreeConfig
@@ -25,7 +25,7 @@ from mapperd.store.map_files import map_in
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
 from mapperd.wire.messages import Interest, MapInfo
 from mapperd.wire.requests import Fault, ReportRequest, decode_request
-from tests.mapperd.bridges.bridge_fakes import BridgeStream, a_pose, linked, sure
+from tests.mapperd.bridges.bridge_fakes import BridgeStream, a_pose, a_status, beat, sure
 from tests.support.waiting import until
 
 INFO = MapInfo("one", 0.25, 0.25, 0.6, -0.6)
@@ -208,9 +208,10 @@ def test_an_invalid_report_is_refused(change: dict[str, Any]) -> None:
 
 
 class Watched:
-    """A watch beside a fake daemon."""
+    """A watch beside a fake daemon, which does not localize unless it is told so."""
 
-    def __init__(self, known: SonarMap, mirror: MapMirror) -> None:
+    def __init__(self, known: SonarMap, mirror: MapMirror, *state: ClientChange) -> None:
+        self.state = state or (a_status(),)
         self.stream = BridgeStream()
         self.stream.mirror = mirror
         self.lines: list[str] = []
@@ -219,12 +220,16 @@ class Watched:
 
     async def __aenter__(self) -> Self:
         self._task = asyncio.create_task(self.work)
-        self.stream.feed(linked("connected"))
+        self.connect("s-1")
         return self
 
     async def __aexit__(self, *_: object) -> None:
         self._task.cancel()
         await asyncio.wait((self._task,))
+
+    def connect(self, session: str) -> None:
+        for change in (self.stream.connect(session), *self.state):
+            self.stream.feed(change)
 
     def change(self, keys: np.ndarray) -> None:
         self.stream.feed(MapChanged(keys, 5, 0))
@@ -308,7 +313,7 @@ def test_another_session_is_told_everything_again_and_a_refusal_is_one_line() ->
             watched.stream.refusal = None
             await until(lambda: watched.stream.requests[-1]["begin"] and watched.reports())
             del watched.stream.requests[:]
-            watched.stream.feed(watched.stream.connect("s-2"))
+            watched.connect("s-2")
             await until(watched.reports)
             assert watched.stream.requests[0]["begin"]
             assert watched.reports()[0]["voxels"] == 64
@@ -316,15 +321,51 @@ def test_another_session_is_told_everything_again_and_a_refusal_is_one_line() ->
     asyncio.run(asyncio.wait_for(run(), 30))
 
 
-def test_a_map_in_another_frame_is_not_compared() -> None:
+LOCALIZES = a_status(localization={"state": "waiting for a pose"})
+WITHDRAWN = {"do": "report", "changes": [], "known": "old.map", "begin": True}
+
+
+@pytest.mark.parametrize(
+    "state",
+    [(sure(),), (LOCALIZES,), (sure(state="waiting for a pose", map_odom=None),)],
+)
+def test_a_map_in_another_frame_is_not_compared(state: tuple[ClientChange, ...]) -> None:
     async def run() -> None:
         known, live, keys = free_map()
-        async with Watched(known, live) as watched:
-            watched.stream.feed(a_pose(source="odometry"))
-            watched.stream.feed(sure())
+        async with Watched(known, live, *state, a_pose(source="odometry")) as watched:
             watched.change(pile(live, keys))
             await until(lambda: any("localization.mapping" in line for line in watched.lines))
+            await asyncio.sleep(1.2)
+            assert watched.stream.requests == [WITHDRAWN]
+            assert sum("localization.mapping" in line for line in watched.lines) == 1
+
+    asyncio.run(asyncio.wait_for(run(), 30))
+
+
+def test_changes_are_taken_back_once_the_map_is_in_another_frame() -> None:
+    async def run() -> None:
+        known, live, keys = free_map()
+        async with Watched(known, live, LOCALIZES, sure(), a_pose()) as watched:
+            watched.change(pile(live, keys))
+            await until(watched.reports)
+            watched.state = (LOCALIZES, a_pose(source="odometry"))
+            watched.connect("s-2")
+            await until(lambda: watched.stream.requests[-1] == WITHDRAWN)
+
+    asyncio.run(asyncio.wait_for(run(), 30))
+
+
+@pytest.mark.parametrize("state", [beat(), LOCALIZES])
+def test_nothing_is_compared_before_the_frame_of_the_map_is_known(state: ClientChange) -> None:
+    async def run() -> None:
+        known, live, keys = free_map()
+        async with Watched(known, live, state) as watched:
+            watched.change(pile(live, keys))
+            await asyncio.sleep(1.2)
             assert watched.stream.requests == []
+            watched.stream.feed(LOCALIZES)
+            watched.stream.feed(a_pose())
+            await until(watched.reports)
 
     asyncio.run(asyncio.wait_for(run(), 30))
 

@@ -22,7 +22,7 @@ from mapperd.client.changes import ClientChange
 from mapperd.config.tree import MavlinkConfig
 from mapperd.errors import ConfigError
 from mapperd.wire.blocks import CELLS, BlockSet
-from mapperd.wire.messages import EventMessage, SettingsMessage
+from mapperd.wire.messages import EventMessage, PoseMessage, SettingsMessage, StatusMessage
 from tests.mapperd.bridges.bridge_fakes import (
     T0,
     BridgeStream,
@@ -30,6 +30,7 @@ from tests.mapperd.bridges.bridge_fakes import (
     a_ping,
     a_pose,
     a_status,
+    beat,
     linked,
     sure,
 )
@@ -56,6 +57,15 @@ class Peer:
         self.give(linked("connected"))
 
     def give(self, *changes: ClientChange) -> list[Any]:
+        """Give changes; a heartbeat comes with each pose."""
+        frames: list[bytes] = []
+        for change in changes:
+            if isinstance(change, PoseMessage):
+                frames += self.bridge.take(StatusMessage(stamp_ns=change.stamp_ns), self.now_s)
+            frames += self.bridge.take(change, self.now_s)
+        return self._read(frames)
+
+    def give_alone(self, *changes: ClientChange) -> list[Any]:
         frames = [frame for change in changes for frame in self.bridge.take(change, self.now_s)]
         return self._read(frames)
 
@@ -242,6 +252,60 @@ def test_odometry_of_a_slam_is_sent_where_it_is_wanted() -> None:
     peer.now_s += 1
     (message,) = peer.give(a_status(localization=None), a_pose(1.0, source="odometry"))
     assert (message.x, message.y) == pytest.approx((2.0, 1.0))
+
+
+@pytest.mark.parametrize("source", ["localization", "odometry"])
+def test_another_origin_of_the_pose_is_a_reset(source: str) -> None:
+    peer = Peer(msgspec.structs.replace(POSES, poses="all"))
+    counters = []
+    for at_s, state in ((0.0, sure()), (0.2, sure()), (0.4, sure(state="off")), (0.6, None)):
+        peer.give(*([] if state is None else [state]))
+        by = source if at_s < 0.3 else "odometry"
+        (message,) = peer.give(a_pose(at_s, (at_s, 2.0, -5.0), source=by))
+        counters.append(message.reset_counter)
+        peer.now_s += 0.2
+    assert counters == [0, 0, 1, 1]
+
+
+def test_a_heartbeat_without_a_status_says_nothing_of_localization() -> None:
+    peer = Peer(msgspec.structs.replace(POSES, poses="all"))
+    by_odometry = a_pose(source="odometry")
+    assert peer.give(beat(), by_odometry) == []
+    localizes = a_status(localization={"state": "waiting for a pose"})
+    assert peer.give(localizes, beat(), by_odometry) == []
+    off = a_status(localization=None)
+    peer.now_s += 1
+    assert peer.give(off, beat(), by_odometry)
+    peer.give(linked("waiting", "gone"), peer.stream.connect("s-2"))
+    peer.now_s += 1
+    assert peer.give(beat(), by_odometry) == []  # another session may localize
+
+
+def test_an_old_pose_is_not_sent_however_often_the_daemon_is_found() -> None:
+    peer = Peer(msgspec.structs.replace(POSES, obstacle_rate=10.0))
+    old = a_pose(0.0)
+    assert peer.give_alone(sure(), old) == []  # how old it is, is not known
+    for _ in range(3):
+        peer.give_alone(linked("waiting", "gone"), linked("connected"))
+        assert peer.give_alone(beat(1.1), sure(), old) == []
+        assert peer.bridge.reason == "pose is old"
+        peer.now_s += 1
+    assert len(peer.give_alone(beat(20.0), sure(), a_pose(19.1))) == 2
+    peer.now_s += 0.8
+    assert peer.give_alone(a_pose(19.7)) == []  # 1.1 s old
+    assert peer.give_alone(a_pose(19.9))
+
+
+def test_an_old_state_of_localization_is_not_sure() -> None:
+    peer = Peer(POSES)
+    moved = {"position_m": [3.0, 0.0, 0.0], "orientation_wxyz": [1.0, 0.0, 0.0, 0.0]}
+    fresh = a_pose(0.0, source="odometry")
+    for age_s, sent in ((-1.0, 1), (2.9, 1), (3.1, 0)):
+        peer.give_alone(linked("waiting", "gone"), linked("connected"), beat())
+        report = sure(map_odom=moved | {"t_s": T0 / S - age_s})
+        assert len(peer.give_alone(report, fresh)) == sent
+        peer.now_s += 1
+    assert peer.bridge.reason == "localization: no report"
 
 
 def test_an_autopilot_never_gets_its_own_odometry() -> None:

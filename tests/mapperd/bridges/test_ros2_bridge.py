@@ -26,10 +26,13 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
-from mapperd.bridges.dds import MARINE, DdsNode, RosTypes, full_name
+from mapperd.bridges.dds import MARINE, SERVICES, DdsNode, RosTypes, full_name
 from mapperd.bridges.ros2 import TOPICS, Ros2Bridge, domain_of, serve
+from mapperd.bridges.ros2_messages import LiveMessages
+from mapperd.bridges.ros2_services import Ros2Requests
 from mapperd.client.changes import MapChanged
 from mapperd.client.validation import AskError
+from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config, Ros2Config, TopicsConfig
 from mapperd.errors import ConfigError, LiveError
 from mapperd.export.rosbag import Messages
@@ -39,6 +42,7 @@ from mapperd.odometry.native import decode_native
 from mapperd.odometry.records import Odometry
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
 from mapperd.wire.messages import EventMessage, Interest, RobotsMessage, SettingsMessage
+from tests.mapperd.bridges import ros_peer
 from tests.mapperd.bridges.bridge_fakes import (
     INFO,
     T0,
@@ -47,6 +51,7 @@ from tests.mapperd.bridges.bridge_fakes import (
     a_ping,
     a_pose,
     a_status,
+    beat,
     began,
     linked,
     sure,
@@ -201,7 +206,6 @@ def feed_everything(stream: BridgeStream) -> None:
 async def everything(stream: BridgeStream, heard: Heard) -> None:
     """Feed the state of a daemon again and again until all topics have been heard."""
     feed_everything(stream)
-    topics = 15
 
     def feed() -> bool:
         stream.feed(sure(map_odom=CORRECTION))
@@ -212,7 +216,7 @@ async def everything(stream: BridgeStream, heard: Heard) -> None:
         sonar = {"state": "x", "speed_of_sound_mps": 1480.0}
         stream.feed(a_status("no_sonar", sonar=sonar, changes=[CHANGE]))
         stream.feed(APPEARED)
-        return len(heard.messages) == topics
+        return {*heard.messages} == {*KINDS}
 
     for _ in range(300):
         if feed():
@@ -410,16 +414,12 @@ def test_each_change_of_a_link_is_one_line(heard: Heard) -> None:
     assert len(heard.lines) <= 3
 
 
-KINDS = {
-    "/tf": "tf2_msgs/msg/TFMessage",
-    "/rov/mapperd/odometry": "nav_msgs/msg/Odometry",
-    "/rov/amcl_pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "/rov/mapperd/ping": "marine_acoustic_msgs/msg/ProjectedSonarImage",
-    "/rov/my_cloud": "sensor_msgs/msg/PointCloud2",
-    "/map": "nav_msgs/msg/OccupancyGrid",
-    "/sonar_3d_map_markers": "visualization_msgs/msg/MarkerArray",
-    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+NAMED = {
+    "sonar": of_rov().topics.sonar,
+    "cloud": of_rov().topics.pointcloud,
+    "markers": of_rov().topics.marker,
 }
+KINDS = {full_name("rov", NAMED.get(key, name)): kind for key, (name, kind, *_) in TOPICS.items()}
 
 
 def test_a_bag_recorded_from_it_opens_with_rosbags(heard: Heard, tmp_path: Path) -> None:
@@ -447,19 +447,22 @@ def test_a_bag_recorded_from_it_opens_with_rosbags(heard: Heard, tmp_path: Path)
     assert seen == set(KINDS)
 
 
+async def answer_of(heard: Heard, topic: str, *, seq: int, **fields: Any) -> dict[str, Any]:
+    """Call a service until it answers."""
+    for _ in range(100):
+        heard.ask("call", name=topic, seq=seq, **fields)
+        await asyncio.sleep(0.1)
+        found = [one for one in heard[topic] if one["seq"] == seq]
+        if found:
+            return found[0]
+    pytest.fail(f"no answer of {topic}")
+
+
 def test_commands_and_poses_reach_the_daemon_where_they_are_allowed() -> None:
     async def act(stream: BridgeStream, heard: Heard) -> None:
         stream.feed(SETTINGS)
 
-        async def asked(topic: str, *, seq: int, **fields: Any) -> dict[str, Any]:
-            for _ in range(100):
-                heard.ask("call", name=topic, seq=seq, **fields)
-                await asyncio.sleep(0.1)
-                found = [one for one in heard[topic] if one["seq"] == seq]
-                if found:
-                    return found[0]
-            pytest.fail(f"no answer of {topic}")
-
+        asked = partial(answer_of, heard)
         empty = {"structure_needs_at_least_one_member": 0}
         answer = await asked("/rov/global_localization", seq=1, **empty)
         assert answer["guid"] == 77
@@ -488,6 +491,137 @@ def test_commands_and_poses_reach_the_daemon_where_they_are_allowed() -> None:
     assert pose["yaw_rad"] == pytest.approx(2 * np.arctan2(0.6, 0.8))
     assert pose["covariance"] == [[0.25, 0, 0], [0, 0.25, 0], [0, 0, 0.06]]
     assert "initial pose from ROS: set" in heard.lines
+
+
+EMPTY = {"structure_needs_at_least_one_member": 0}
+NAMES = ["filtering.min_range", "processing.frame_skip", "mqtt.host", "none"]
+TO_3 = [{"name": NAMES[0], "value": {"type": 2, "integer_value": 3}}]
+SET_3 = {"do": "set", "changes": {NAMES[0]: 3.0}}
+SET = {"successful": True, "reason": ""}
+DONE = {"success": True, "message": ""}
+SAVE = {"map_topic": "", "image_format": "", "map_mode": "", "free_thresh": 0, "occupied_thresh": 0}
+CALLS: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any] | None]] = {
+    "/rov/global_localization": (EMPTY, EMPTY, {"do": "global_localization"}),
+    "/rov/reinitialize_global_localization": (EMPTY, EMPTY, {"do": "global_localization"}),
+    "/rov/request_nomotion_update": (EMPTY, EMPTY, {"do": "request_nomotion_update"}),
+    "/rov/mapperd/reset": (EMPTY, DONE, {"do": "reset"}),
+    "/rov/mapperd/snapshot": (EMPTY, DONE, {"do": "snapshot"}),
+    "/rov/mapperd/reload": (EMPTY, DONE, {"do": "reload"}),
+    "/rov/mapperd/load_map": (
+        {"map_url": "file:///maps/harbour.yaml"},
+        {"result": 0, "map.info.width": 1, "map.info.height": 1, "map.data": [-1]},
+        {"do": "set_map", "name": "harbour.yaml"},
+    ),
+    "/rov/mapperd/save_map": (
+        {"map_url": "/maps/harbour", **SAVE},
+        {"result": True},
+        {"do": "save", "name": "harbour.pgm"},
+    ),
+    "/rov/mapperd/get_parameters": (
+        {"names": NAMES},
+        {"values.0.double_value": 1.5, "values.1.integer_value": 2, "values.3.type": 0},
+        None,
+    ),
+    "/rov/mapperd/get_parameter_types": ({"names": NAMES}, {"types": [3, 2, 4, 0]}, None),
+    "/rov/mapperd/describe_parameters": (
+        {"names": NAMES},
+        {
+            "descriptors.0.name": NAMES[0],
+            "descriptors.0.type": 3,
+            "descriptors.0.read_only": False,
+            "descriptors.2.read_only": True,
+        },
+        None,
+    ),
+    "/rov/mapperd/list_parameters": (
+        {"prefixes": ["filtering", "mqtt"], "depth": 0},
+        {"result": {"names": [NAMES[0], NAMES[2]], "prefixes": ["filtering", "mqtt"]}},
+        None,
+    ),
+    "/rov/mapperd/set_parameters": ({"parameters": TO_3}, {"results": [SET]}, SET_3),
+    "/rov/mapperd/set_parameters_atomically": ({"parameters": TO_3}, {"result": SET}, SET_3),
+}
+"""Fields of a request, fields of its response by their paths, and what the daemon is asked."""
+
+
+@pytest.fixture(scope="module")
+def called() -> dict[str, tuple[dict[str, Any], list[dict[str, Any]]]]:
+    """The response to a call of each service, and the requests of the daemon."""
+    found: dict[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {}
+
+    async def act(stream: BridgeStream, heard: Heard) -> None:
+        stream.feed(SETTINGS)
+        for seq, (name, (fields, _, _)) in enumerate(CALLS.items(), 1):
+            del stream.requests[:]
+            found[name] = await answer_of(heard, name, seq=seq, **fields), [*stream.requests]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CYCLONEDDS_URI", LOOPBACK)
+        beside_ros(act, of_rov(commands=True))
+    return found
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_call_reaches_the_daemon_and_is_answered(
+    name: str, called: dict[str, tuple[dict[str, Any], list[dict[str, Any]]]]
+) -> None:
+    answer, asked = called[name]
+    for path, value in CALLS[name][1].items():
+        found: Any = answer
+        for part in path.split("."):
+            found = found[int(part)] if part.isdigit() else found[part]
+        assert found == value, path
+    request = CALLS[name][2]
+    assert all(one == request for one in asked)  # a call may be repeated until it is answered
+    assert bool(asked) == (request is not None)
+
+
+def test_every_service_is_called(monkeypatch: pytest.MonkeyPatch) -> None:
+    offered: dict[str, str] = {}
+
+    def offer(node: DdsNode, name: str, kind: str) -> None:  # noqa: ARG001 as the method
+        offered[full_name("rov", name)] = kind
+
+    monkeypatch.setattr(DdsNode, "service", offer)
+    node = DdsNode(DOMAIN, "rov")
+    Ros2Requests(BridgeStream(), node, LiveMessages({}), of_rov(commands=True), print)
+    node.close()
+    assert {*CALLS} == {*offered} == {*ros_peer.SERVICES}
+    assert {*offered.values()} == {*SERVICES}
+
+
+def test_a_map_that_cannot_be_loaded_has_the_reason_as_its_result() -> None:
+    async def act(stream: BridgeStream, heard: Heard) -> None:
+        for seq, (reason, result) in enumerate(
+            (("no_such_map", 1), ("bad_map", 2), ("busy", 255)), 1
+        ):
+            stream.refusal = AskError(reason, "no")
+            name = "/rov/mapperd/load_map"
+            assert (await answer_of(heard, name, seq=seq, map_url="a"))["result"] == result
+
+    beside_ros(act, of_rov(commands=True))
+
+
+def test_a_daemon_that_hangs_holds_up_neither_poses_nor_parameters() -> None:
+    async def act(stream: BridgeStream, heard: Heard) -> None:
+        stream.feed(SETTINGS)
+        while not stream.requests:
+            heard.ask(
+                "call", name="/rov/mapperd/reset", seq=1, structure_needs_at_least_one_member=0
+            )
+            await asyncio.sleep(0.1)
+        names = ["filtering.min_range"]
+        await answer_of(heard, "/rov/mapperd/get_parameters", seq=2, names=names)
+        while stream.requests[-1]["do"] != "initial_pose":
+            heard.ask("pose", x_m=4.0, y_m=5.0, z=0.0, w=1.0, frame="map")
+            await asyncio.sleep(0.1)
+        stream.hangs.add("initial_pose")
+        await asyncio.sleep(1.0)  # longer than two poses are apart
+        await answer_of(heard, "/rov/mapperd/get_parameters", seq=3, names=names)
+
+    stream = BridgeStream()
+    stream.hangs.add("reset")
+    beside_ros(act, of_rov(commands=True), stream=stream)
 
 
 def test_a_flood_of_initial_poses_is_thinned_and_one_line() -> None:
@@ -648,7 +782,7 @@ def test_errors_of_dds_are_counted_and_a_few_lines(monkeypatch: pytest.MonkeyPat
     ):
         monkeypatch.setattr(kind, name, refused)
     for _ in range(150):
-        assert odometry.publish(message)
+        assert not odometry.publish(message)
     assert odometry.readers == poses.writers == 0
     assert [*poses.take(5), *service.take(5)] == []
     service.answer(SimpleNamespace(guid=1, seq=2), structure_needs_at_least_one_member=0)
@@ -880,6 +1014,53 @@ def test_names_are_those_of_ros() -> None:
     assert full_name("", "mapperd/ping") == "/mapperd/ping"
 
 
+def test_names_of_topics_and_services_are_settings() -> None:
+    text = "ros2: {domain: 5, namespace: rov, remap: '/tf:=tf mapperd/reset:=/reset here:=there'}"
+    ros2 = config_from_text(text, "").ros2
+    node = DdsNode(DOMAIN, ros2.namespace, print, ros2.remap)
+    kind = "nav_msgs/msg/Odometry"
+    assert node.publisher("/tf", kind).name == "/rov/tf"
+    assert node.publisher("/tf_static", kind).name == "/tf_static"
+    assert node.subscriber("/rov/here", kind).name == "/rov/there"
+    assert node.service("mapperd/reset", "std_srvs/Trigger").name == "/reset"
+    node.close()
+
+
+@pytest.mark.parametrize("rules", ["/tf", "/tf:=", "a:=b,c:=d", "a:=b c", "a:=1b", "a:=b  c:=d"])
+def test_a_wrong_rule_for_names_is_refused(rules: str) -> None:
+    with pytest.raises(ConfigError, match="FROM:=TO"):
+        config_from_text(f"ros2: {{remap: '{rules}'}}", "")
+
+
+def test_two_vehicles_in_one_domain_do_not_mix() -> None:
+    """The peer hears only the vehicle whose names are those of ROS."""
+    rules = " ".join(f"{name}:={name[1:]}" for name in KINDS if not name.startswith("/rov/"))
+
+    async def act(stream: BridgeStream, heard: Heard) -> None:
+        other = BridgeStream()
+        serving = asyncio.create_task(
+            serve(other, of_rov(namespace="other", remap=rules), heard.lines.append)
+        )
+        for one, yaw_rad in ((other, 1.0), (stream, 0.3)):
+            feed_everything(one)
+            for _ in range(10):
+                one.feed(sure())
+                one.feed(a_pose(0.0, yaw_rad=yaw_rad))
+        while len(heard["/tf"]) < 5:
+            for one, yaw_rad in ((other, 1.0), (stream, 0.3)):
+                one.feed(a_pose(0.0, yaw_rad=yaw_rad))
+            await asyncio.sleep(0.1)
+        serving.cancel()
+        await asyncio.wait((serving,))
+
+    heard = beside_ros(act)
+    for message in heard["/tf"]:
+        for one in message["transforms"]:
+            if one["child_frame_id"] == "base_link":
+                _, turn = pose_of(one["transform"])
+                assert turn.as_euler("ZYX")[0] == pytest.approx(0.3)
+
+
 def test_type_hashes_are_those_that_ros_computes() -> None:
     """Of REP-2016, as Jazzy prints them."""
     known = "RIHS01_9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5"
@@ -892,10 +1073,11 @@ class Recorded:
     def __init__(self) -> None:
         self.types = RosTypes()
         self.sent: dict[str, list[Any]] = {}
+        self.refused: set[str] = set()
 
     def publisher(self, name: str, *_: object) -> "Recorded":
         one = Recorded.__new__(Recorded)
-        one.name, one.sent = name, self.sent  # type: ignore[attr-defined]
+        one.name, one.sent, one.refused = name, self.sent, self.refused  # type: ignore[attr-defined]
         return one
 
     @property
@@ -903,6 +1085,8 @@ class Recorded:
         return 1
 
     def publish(self, message: Any) -> bool:
+        if self.name in self.refused:  # type: ignore[attr-defined]
+            return False
         self.sent.setdefault(self.name, []).append(message)  # type: ignore[attr-defined]
         return True
 
@@ -936,6 +1120,123 @@ def test_where_the_daemon_maps_by_odometry_its_map_is_in_that_frame() -> None:
     assert odometry.pose.pose.position.x == 1.0
     corrected = published(LOCALIZES, sure(), a_pose(), MapChanged(key, T0, 0))
     assert corrected["/sonar_3d_map"][-1].header.frame_id == "map"
+
+
+def test_a_heartbeat_without_a_status_changes_nothing() -> None:
+    by_odometry, change = a_pose(source="odometry"), MapChanged(np.zeros((0, 3), int), T0, 0)
+    assert "/tf" not in published(beat(), by_odometry)
+    sent = published(LOCALIZES, by_odometry, beat(), by_odometry, change)
+    assert "/tf" not in sent  # the state of localization has not come yet
+    assert sent["/sonar_3d_map"][-1].header.frame_id == "odom"
+    sonar = a_status(sonar={"speed_of_sound_mps": 1480.0})
+    assert published(sonar, beat(), IMAGE)["mapperd/ping"][-1].ping_info.sound_speed == 1480.0
+
+
+def test_a_new_connection_begins_with_an_unknown_state() -> None:
+    lost = linked("waiting", "gone"), linked("connected")
+    by_odometry = a_pose(source="odometry")
+    off = a_status(localization=None, sonar={"speed_of_sound_mps": 1480.0})
+    assert len(published(off, by_odometry)["/tf"]) == 2
+    sent = published(off, *lost, by_odometry, IMAGE)
+    assert "/tf" not in sent
+    assert sent["mapperd/ping"][-1].ping_info.sound_speed == 0.0
+
+
+def test_the_map_comes_again_when_its_frame_changes() -> None:
+    stream, node = BridgeStream(), Recorded()
+    bridge = Ros2Bridge(stream, of_rov(), node, print)  # type: ignore[arg-type]
+    feed_map(stream)
+
+    async def run() -> None:
+        by_odometry = a_pose(source="odometry")
+        changes: list[Any] = [began(), LOCALIZES, by_odometry, by_odometry]
+        for number, change in enumerate(changes):
+            bridge.take(change)
+            await bridge.tick(100.0 * number)
+
+    asyncio.run(run())
+    assert [one.header.frame_id for one in node.sent["my_cloud"]] == ["map", "odom"]
+
+
+def test_a_mounting_that_could_not_be_written_is_published_again() -> None:
+    node = Recorded()
+    bridge = Ros2Bridge(BridgeStream(), of_rov(), node, print)  # type: ignore[arg-type]
+    node.refused.add("/tf_static")
+    bridge.take(sure())
+    bridge.take(a_pose())
+    node.refused.clear()
+    bridge.take(a_pose(1.0))
+    bridge.take(a_pose(2.0))
+    assert len(node.sent["/tf_static"]) == 1
+
+
+def test_a_map_that_could_not_be_written_is_published_again() -> None:
+    stream, node = BridgeStream(), Recorded()
+    bridge = Ros2Bridge(stream, of_rov(), node, print)  # type: ignore[arg-type]
+    feed_map(stream)
+    topics = {"my_cloud", "/map", "/sonar_3d_map_markers"}
+
+    async def run() -> None:
+        node.refused.update(topics)
+        changes: list[Any] = [began(), MapChanged(np.array([[1, -1, 0]], np.int32), T0, 0)]
+        for change in (*changes, a_status(), ROBOTS):
+            bridge.take(change)
+        await bridge.tick(100.0)
+        assert not topics & {*node.sent}
+        node.refused.clear()
+        await bridge.tick(200.0)
+        await bridge.tick(300.0)
+
+    asyncio.run(run())
+    assert {name: len(node.sent[name]) for name in topics} == dict.fromkeys(topics, 1)
+    assert node.sent["my_cloud"][0].width == 2
+
+
+def test_a_slice_follows_the_depth_and_waits_for_a_pose() -> None:
+    stream, node = BridgeStream(), Recorded()
+    bridge = Ros2Bridge(stream, of_rov(slice_height=1.0), node, print)  # type: ignore[arg-type]
+    feed_map(stream)  # occupied cells at z 0.25 and 1.25, free ones at 0.25
+    now_s = 0.0
+
+    async def occupied(z_m: float | None, *changes: Any) -> list[list[int]]:
+        nonlocal now_s
+        now_s += 100
+        before = len(node.sent.get("/map", ()))
+        poses = [] if z_m is None else [a_pose(now_s, (1.0, 2.0, z_m))]
+        for change in (*changes, *poses):
+            bridge.take(change)
+        await bridge.tick(now_s)
+        grids = node.sent.get("/map", [])[before:]
+        return [np.flatnonzero(one.data == 100).tolist() for one in grids]
+
+    async def run() -> None:
+        changed = MapChanged(np.array([[1, -1, 0]], np.int32), T0, 0)
+        assert await occupied(None, sure(), changed) == []
+        assert len(node.sent["my_cloud"]) == 1
+        assert await occupied(0.25) == [[0]]
+        assert await occupied(0.7) == []  # less than a cell
+        assert await occupied(0.76) == [[2]]
+        assert await occupied(9.0) == [[]]
+        assert await occupied(None, linked("waiting", "gone"), linked("connected"), changed) == []
+        assert await occupied(0.25) == [[0]]
+
+    asyncio.run(run())
+
+
+def test_a_reader_that_does_not_keep_up_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def late(*_: Any) -> None:
+        raise DDSException(DDSException.DDS_RETCODE_TIMEOUT, "while it wrote")
+
+    lines: list[str] = []
+    node = DdsNode(DOMAIN, "rov", lines.append)
+    odometry = node.publisher("a", "nav_msgs/msg/Odometry")
+    message = Messages(node.types.classes).odometry(T0, "odom", "base", AT_REST)
+    monkeypatch.setattr(DataWriter, "write", late)
+    for _ in range(3):
+        assert not odometry.publish(message)
+    assert lines == ["ROS 2: a subscriber of /rov/a does not keep up"]
+    assert not node.errors.counts
+    node.close()
 
 
 def test_a_reset_replaces_the_grid_that_readers_hold() -> None:

@@ -105,6 +105,24 @@ def test_a_pose_by_odometry_is_moved_into_the_known_map() -> None:
     assert not found.covariance[np.ix_(planar, [2, 3, 4])].any()
 
 
+def test_axes_without_a_variance_are_uncertain_and_not_exact() -> None:
+    """Neither the odometry nor localization knows them."""
+    planar, others = [0, 1, 5], [2, 3, 4]
+    estimate = np.array(localization().report["pose"]["covariance"])
+    zeros = np.zeros((6, 6))
+    zeros[np.ix_(planar, planar)] = estimate
+    for pose in (
+        vehicle(covariance=None),
+        vehicle("localization", covariance=tuple(zeros.ravel().tolist())),
+    ):
+        found = sure_pose(pose, localization(), odometry=False)
+        assert isinstance(found, VehiclePose)
+        assert found.covariance is not None
+        np.testing.assert_allclose(found.covariance[np.ix_(planar, planar)], estimate)
+        assert (np.sqrt(np.diag(found.covariance)[others]) > 0.2).all()
+        assert (np.linalg.eigvalsh(found.covariance) > 0).all()
+
+
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
