@@ -165,6 +165,16 @@ def test_a_local_position_goes_before_geographic_ones_until_it_is_silent() -> No
     assert counts == [1, 1, 0, 1]
 
 
+def test_a_malformed_local_position_does_not_silence_geographic_ones() -> None:
+    decoder, send = MavlinkRecords(ORIGIN), Autopilot()
+    broken = common.MAVLink_local_position_ned_message(0, math.nan, 0, 0, 0, 0, 0)
+    globe = common.MAVLink_global_position_int_message(
+        0, -338_000_000, 1_512_000_000, 0, -4000, 0, 0, 0, 0
+    )
+    assert list(decoder.decode(send(broken), 1.0)) == [None]
+    assert only(decoder, send(globe), 1.5).position_m == pytest.approx([0.0, 0.0, -4.0])
+
+
 def test_only_the_first_autopilot_counts_and_noise_is_malformed() -> None:
     decoder = MavlinkRecords(ORIGIN)
     attitude = common.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0)

@@ -167,11 +167,12 @@ class MavlinkRecords:
                 self.autopilot = system
             if system != self.autopilot or kind not in _READERS:
                 continue
-            if kind == "LOCAL_POSITION_NED":
-                self._local_s = arrival_s
-            elif kind == "GLOBAL_POSITION_INT" and arrival_s - self._local_s < LOCAL_S:
+            if kind == "GLOBAL_POSITION_INT" and arrival_s - self._local_s < LOCAL_S:
                 continue  # the local one is finer
-            yield self._read(message)
+            record = self._read(message)
+            if kind == "LOCAL_POSITION_NED" and record is not None:
+                self._local_s = arrival_s
+            yield record
 
     def _read(self, message: Any) -> PoseRecord | None:  # noqa: ANN401 of pymavlink
         """Read one message; None if its numbers are not those of a vehicle."""
