@@ -47,6 +47,17 @@ def test_rows_follow_the_range_as_an_oculus_chooses_them_unless_forced() -> None
     assert forced.row_centres_m[[0, -1]] == pytest.approx([0.01, 19.99])
 
 
+@pytest.mark.parametrize("max_rows", [1, 2, 3, 720])
+@pytest.mark.parametrize("rows", [1.0, 1.5, 2.0, 2.5, 4.0, 7.9, 8.1, 1500.0])
+def test_rows_are_coarsened_to_at_least_one_and_at_most_max_rows(
+    max_rows: int, rows: float
+) -> None:
+    sonar = SonarSettings(
+        base_row_m=0.1, demanded_range_m=0.1 * rows, max_range_m=200.0, max_rows=max_rows
+    )
+    assert 1 <= sonar.rows <= max_rows
+
+
 @pytest.mark.parametrize(
     ("model", "mode", "changes", "word"),
     [
@@ -57,6 +68,7 @@ def test_rows_follow_the_range_as_an_oculus_chooses_them_unless_forced() -> None
         ("M750d", 1, {"demanded_range_m": 0.05}, "0.1 to 120 m"),
         ("M750d", 1, {"bits": 24}, "24 bits"),
         ("M750d", 1, {"forced_rows": 0}, "no image"),
+        ("M750d", 1, {"demanded_range_m": 0.5, "base_row_m": 1.0}, "demanded_range_m .*base_row_m"),
     ],
 )
 def test_what_no_sonar_can_is_refused(

@@ -93,14 +93,24 @@ class SonarSettings:
             raise SceneError(f"max_rows {self.max_rows} are no image")
         if self.beams < 2 or (self.forced_rows is not None and self.forced_rows < 1):  # noqa: PLR2004 one beam has no pitch
             raise SceneError(f"{self.beams} beams, {self.forced_rows} rows are no image")
+        if self.rows < 1:
+            raise SceneError(
+                f"demanded_range_m {self.demanded_range_m:g} is less than base_row_m "
+                f"{self.base_row_m:g}: the image has no row; raise the range or make rows finer"
+            )
 
     @cached_property
     def range_resolution_m(self) -> float:
-        """Row spacing: the base spacing times the smallest power of two that fits `max_rows`."""
+        """Row spacing: the base spacing times the smallest power of two that fits `max_rows`.
+
+        It is no longer than the range, so that there is a row.
+        """
         if self.forced_rows is not None:
             return self.demanded_range_m / self.forced_rows
         spacing_m = self.base_row_m
-        while self.demanded_range_m / spacing_m > self.max_rows:
+        while self.demanded_range_m / spacing_m > max(
+            self.max_rows, 2.0 - 1e-9
+        ):  # below 2, half is no row
             spacing_m *= 2.0
         return spacing_m
 
