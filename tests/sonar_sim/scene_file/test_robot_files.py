@@ -161,6 +161,18 @@ def test_a_world_is_laid_out_by_its_frames(
     [
         ("<uri>model://buoy</uri>", "<uri>model://boat</uri>", "no model 'model://boat'"),
         ('relative_to="deck"', 'relative_to="dock"', "no frame 'dock'"),
+        ('relative_to="deck"', 'relative_to="world"', "model 'rig': no frame 'world'"),
+        ('relative_to="deck"', 'relative_to="lamp::l"', "no frame 'lamp::l'"),
+        (
+            'name="rig"',
+            'name="rig" placement_frame="dock"',
+            "placement_frame of model 'rig': no frame 'dock'",
+        ),
+        (
+            "<pose>0 9 -1 0 0 0</pose>",
+            "<placement_frame>l</placement_frame>",
+            "placement_frame, but no pose",
+        ),
         ('attached_to="leg"', 'attached_to="deck"', "refers to itself"),
         ("<pose>1 0 0 0 0 0</pose>", "<pose>1 0 0</pose>", "is not 6 numbers"),
         ("<size>2 0.2 0.4</size>", "", "is not 3 numbers"),
@@ -195,3 +207,51 @@ def test_a_visual_may_stand_relative_to_another_frame(tmp_path: Path) -> None:
 </model></sdf>"""
     )
     assert bounds(list(read_parts(path))).mean(axis=0) == pytest.approx([5.0, 0.0, 2.0])
+
+
+CRANE = """<sdf version="1.9"><model name="crane" placement_frame="foot"><pose>50 0 0 0 0 0</pose>
+  <frame name="hook"><pose>0 2 6 0 0 0</pose></frame>
+  <link name="foot"><pose>0 0 -3 0 0 0.5</pose></link>
+  <link name="cab"><pose>1 0 0 0 0 0</pose>
+    <visual name="v"><geometry><box><size>1 1 1</size></box></geometry></visual></link>
+</model></sdf>
+"""
+
+
+def middle_of_cab(path: Path) -> np.ndarray:
+    (cab,) = (part for part in read_parts(path) if part.name.endswith("cab/v"))
+    return np.asarray(bounds([cab]).mean(axis=0))
+
+
+def test_a_models_pose_is_that_of_its_placement_frame(tmp_path: Path) -> None:
+    crane = tmp_path / "crane.sdf"
+    crane.write_text(CRANE)
+    # Seen from the foot, which is turned to port, the cab is 1 m ahead, turned back, and 3 m up.
+    ahead, port = np.cos(0.5), -np.sin(0.5)
+    assert middle_of_cab(crane) == pytest.approx([50 + ahead, port, 3.0])
+    world = tmp_path / "port.world"
+    include = "<include><uri>crane.sdf</uri>{}<pose>10 20 0 0 0 {}</pose></include>"
+    quarter = np.pi / 2
+    for frame, yaw_rad, expected in (
+        ("", 0.0, [10 + ahead, 20 + port, 3.0]),
+        ("<placement_frame>hook</placement_frame>", 0.0, [11.0, 18.0, -6.0]),
+        ("<placement_frame>hook</placement_frame>", quarter, [12.0, 21.0, -6.0]),
+        ("<placement_frame>__model__</placement_frame>", 0.0, [11.0, 20.0, 0.0]),
+    ):
+        text = include.format(frame, yaw_rad)
+        world.write_text(f'<sdf version="1.9"><world name="w">{text}</world></sdf>')
+        assert middle_of_cab(world) == pytest.approx(expected)
+
+
+def test_frames_may_refer_to_a_nested_model_that_is_placed_by_a_frame(tmp_path: Path) -> None:
+    path = tmp_path / "quay.sdf"
+    nested = CRANE.partition(">")[2].replace("</sdf>", "").replace('"foot"', '"hook"', 1)
+    path.write_text(
+        f"""<sdf version="1.9"><model name="quay">{nested}
+  <link name="lamp"><pose relative_to="crane">0 0 1 0 0 0</pose>
+    <visual name="v"><geometry><box><size>1 1 1</size></box></geometry></visual></link>
+</model></sdf>"""
+    )
+    assert middle_of_cab(path) == pytest.approx([51.0, -2.0, -6.0])
+    (lamp,) = (part for part in read_parts(path) if part.name == "quay/lamp/v")
+    assert bounds([lamp]).mean(axis=0) == pytest.approx([50.0, -2.0, -5.0])

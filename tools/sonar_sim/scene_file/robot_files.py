@@ -139,16 +139,20 @@ class _Sdf:
         for frame in worlds or [self._root]:
             yield from self._models(frame, np.eye(4), "")
 
-    def one_model(self, transform: Transform, name: str) -> Iterator[Geometry]:
+    def one_model(
+        self, transform: Transform, name: str, placement: str | None
+    ) -> Iterator[Geometry]:
         """Read a model's file as another file includes it: its own pose is replaced.
 
-        Its own name stands where the given one is empty or ends in a slash.
+        Its own name stands where the given one is empty or ends in a slash, its own placement frame
+        where none is given.
         """
         model = self._root.find("model")
         if model is None:
             raise SceneError(f"{self._path}: there is no model in it")
         own = model.get("name", "") if not name or name.endswith("/") else ""
-        yield from self._model(model, transform, name + own)
+        placed = _placed_by(model, str(self._path), placement)
+        yield from self._model(model, transform @ placed, name + own)
 
     def _models(self, parent: ET.Element, transform: Transform, prefix: str) -> Iterator[Geometry]:
         """Read the models of a world, or those nested in a model."""
@@ -159,10 +163,13 @@ class _Sdf:
         for include in parent.findall("include"):
             inner = _Sdf(self._included(include), self._depth + 1)
             pose = include.find("pose")
+            placement = include.findtext("placement_frame")
+            if placement is not None and pose is None:
+                raise SceneError(f"{self._path}: an include has a placement_frame, but no pose")
             own = inner._root.find("model/pose")
             at = frames.resolved(pose) if pose is not None else frames.resolved(own)
             name = prefix + include.findtext("name", "")
-            yield from inner.one_model(transform @ at, name)
+            yield from inner.one_model(transform @ at, name, placement)
 
     def _model(self, model: ET.Element, transform: Transform, name: str) -> Iterator[Geometry]:
         frames = _PoseFrames(model, f"{self._path}: model {name!r}")
@@ -239,7 +246,9 @@ class _PoseFrames:
 
     def __init__(self, parent: ET.Element, where: str) -> None:
         self._where = where
-        self._own = {"", "__model__", "world", parent.get("name", "")}
+        self._own = {"", parent.get("name", ""), "__model__"}
+        if parent.tag != "model":
+            self._own.add("world")
         self._elements = {
             one.get("name", ""): one
             for tag in ("link", "frame", "model", "joint")
@@ -266,7 +275,23 @@ class _PoseFrames:
         if element.tag == "joint":
             default = element.findtext("child", "").strip()
         relative = (pose.get("relative_to") if pose is not None else None) or default
-        return self._pose(relative, above | {name}) @ _sdf_pose(pose, self._where)
+        placed = self._pose(relative, above | {name}) @ _sdf_pose(pose, self._where)
+        return placed @ _placed_by(element, self._where) if element.tag == "model" else placed
+
+
+def _placed_by(model: ET.Element, where: str, frame: str | None = None) -> Transform:
+    """Return a model's frame in its placement frame, the one whose pose the model's pose is.
+
+    Args:
+        model: may name a placement frame.
+        where: in messages.
+        frame: named instead by who includes it.
+    """
+    frame = model.get("placement_frame", "") if frame is None else frame.strip()
+    if not frame:
+        return np.eye(4)
+    frames = _PoseFrames(model, f"{where}: placement_frame of model {model.get('name', '')!r}")
+    return np.asarray(np.linalg.inv(frames.pose(frame)), dtype=np.float64)
 
 
 def _sdf_pose(element: ET.Element | None, where: str) -> Transform:
