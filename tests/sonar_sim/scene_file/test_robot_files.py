@@ -1,5 +1,6 @@
 """URDF and SDF, judged by yourdfpy and by hand."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,7 @@ def test_a_link_without_visuals_has_its_collisions(robot: Path) -> None:
     ("old", "new", "reason"),
     [
         ('<sphere radius="0.3"/>', "<torus/>", "link 'foot': no geometry 'torus'"),
-        ('radius="0.3"', 'radius="big"', "link 'foot': 'big' is not 1 numbers"),
+        ('radius="0.3"', 'radius="big"', "link 'foot': sphere: 'big' is not 1 numbers"),
         (
             '<parent link="base"/><child link="upper"/>',
             '<parent link="tip"/><child link="upper"/>',
@@ -91,6 +92,35 @@ def test_a_broken_robot_is_refused_by_name(robot: Path, old: str, new: str, reas
     robot.write_text(ROBOT.replace(old, new))
     with pytest.raises(SceneError, match=f"(arm.urdf|stl).*{reason}"):
         read_parts(robot)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        '<box size="1 -2 1"/>',
+        '<sphere radius="-1"/>',
+        '<sphere radius="0"/>',
+        '<cylinder radius="-1" length="1"/>',
+        '<cylinder radius="1" length="0"/>',
+        '<capsule radius="1" length="-1"/>',
+        "<box><size>1 0 1</size></box>",
+        "<sphere><radius>-1</radius></sphere>",
+        "<ellipsoid><radii>1 2 -1</radii></ellipsoid>",
+        "<cylinder><radius>-1</radius><length>1</length></cylinder>",
+        "<capsule><radius>1</radius><length>0</length></capsule>",
+        "<cone><radius>1</radius><length>-1</length></cone>",
+        "<plane><size>-1 1</size></plane>",
+    ],
+)
+def test_sizes_of_a_shape_are_more_than_0(tmp_path: Path, shape: str) -> None:
+    visual = f'<link name="l"><visual name="v"><geometry>{shape}</geometry></visual></link>'
+    sdf, kind = "</" in shape, re.findall("[a-z]+", shape)[0]
+    path = tmp_path / ("m.sdf" if sdf else "m.urdf")
+    robot, model = f'<robot name="m">{visual}</robot>', f'<model name="m">{visual}</model>'
+    path.write_text(f"<sdf>{model}</sdf>" if sdf else robot)
+    place = "m/l/v" if sdf else "link 'l'"
+    with pytest.raises(SceneError, match=f"{path.name}: {place}: {kind}: .* is not more than 0"):
+        read_parts(path)
 
 
 WORLD = """<?xml version="1.0"?>

@@ -87,18 +87,21 @@ def _urdf_geometry(
     visual: ET.Element, transform: Transform, names: tuple[str, str], path: Path, where: str
 ) -> Geometry:
     shape = _only_child(visual.find("geometry"), where)
+
+    def sizes(key: str, count: int = 1) -> list[float]:
+        return _sizes(_attribute(shape, key, where), f"{where}: {shape.tag}", count)
+
     match shape.tag:
         case "mesh":
             file = _resolved(_attribute(shape, "filename", where), path)
             scale = _numbers(shape.get("scale", "1 1 1"), where)
             return Geometry(*names, transform @ np.diag([*scale, 1.0]), None, file)
         case "box":
-            mesh = _box(_numbers(_attribute(shape, "size", where), where))
+            mesh = _box(sizes("size", 3))
         case "sphere":
-            mesh = _ellipsoid([_number(shape.get("radius"), where)] * 3)
+            mesh = _ellipsoid(sizes("radius") * 3)
         case "cylinder" | "capsule":
-            radius, length = (_number(shape.get(key), where) for key in ("radius", "length"))
-            mesh = _round(shape.tag, radius, length)
+            mesh = _round(shape.tag, *sizes("radius"), *sizes("length"))
         case other:
             raise SceneError(
                 f"{where}: no geometry {other!r}; there are box, cylinder, sphere, capsule, mesh"
@@ -195,8 +198,8 @@ class _Sdf:
     ) -> Geometry | None:
         shape = _only_child(visual.find("geometry"), where)
 
-        def number(key: str) -> float:
-            return _number(shape.findtext(key), where)
+        def sizes(key: str, count: int = 1) -> list[float]:
+            return _sizes(shape.findtext(key), f"{where}: {shape.tag}", count)
 
         match shape.tag:
             case "empty":
@@ -208,15 +211,15 @@ class _Sdf:
                     raise SceneError(f"{where}: submesh is not supported: save it as its own file")
                 return Geometry(*names, transform @ np.diag([*scale, 1.0]), None, file)
             case "box":
-                mesh = _box(_numbers(shape.findtext("size", ""), where))
+                mesh = _box(sizes("size", 3))
             case "plane":
                 mesh = _plane(shape, where)
             case "sphere":
-                mesh = _ellipsoid([number("radius")] * 3)
+                mesh = _ellipsoid(sizes("radius") * 3)
             case "ellipsoid":
-                mesh = _ellipsoid(_numbers(shape.findtext("radii", ""), where))
+                mesh = _ellipsoid(sizes("radii", 3))
             case "cylinder" | "capsule" | "cone":
-                mesh = _round(shape.tag, number("radius"), number("length"))
+                mesh = _round(shape.tag, *sizes("radius"), *sizes("length"))
             case other:
                 raise SceneError(
                     f"{where}: geometry {other!r} is not supported; box, capsule, cone, cylinder, "
@@ -337,7 +340,7 @@ def _round(kind: str, radius_m: float, length_m: float) -> trimesh.Trimesh:
 
 
 def _plane(shape: ET.Element, where: str) -> trimesh.Trimesh:
-    width, length = _numbers(shape.findtext("size", "1 1"), where, 2)
+    width, length = _sizes(shape.findtext("size", "1 1"), f"{where}: plane", 2)
     normal = _numbers(shape.findtext("normal", "0 0 1"), where)
     if not np.linalg.norm(normal) > 0.0:
         raise SceneError(f"{where}: a plane's normal has no length")
@@ -402,5 +405,9 @@ def _numbers(text: str, where: str, count: int = 3) -> list[float]:
     return values
 
 
-def _number(text: str | None, where: str) -> float:
-    return _numbers(text or "", where, 1)[0]
+def _sizes(text: str | None, where: str, count: int) -> list[float]:
+    """Read sizes: what is turned inside out, or flat, is no shape."""
+    values = _numbers(text or "", where, count)
+    if min(values) <= 0.0:
+        raise SceneError(f"{where}: {text!r} is not more than 0")
+    return values
