@@ -1,3 +1,7 @@
+import math
+from dataclasses import fields, replace
+from typing import Any
+
 import numpy as np
 import pytest
 from sonar_sim.errors import SceneError
@@ -76,6 +80,37 @@ def test_what_no_sonar_can_is_refused(
 ) -> None:
     with pytest.raises(SceneError, match=word):
         sonar_preset(model, mode, **changes)
+
+
+NUMBERS = [field.name for field in fields(SonarSettings) if field.name not in ("model", "mode")]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", NUMBERS)
+def test_every_number_of_a_sonar_is_finite(name: str, value: float) -> None:
+    change: dict[str, Any] = {name: value}
+    with pytest.raises(SceneError, match=f"^{name} "):
+        replace(SonarSettings(), **change)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "frequency_hz",
+        "half_aperture_rad",
+        "beam_width_rad",
+        "vertical_width_rad",
+        "base_row_m",
+        "max_range_m",
+        "told_speed_mps",
+        "pulse_s",
+    ],
+)
+def test_what_is_divided_by_is_more_than_0(name: str, value: float) -> None:
+    change: dict[str, Any] = {name: value}
+    with pytest.raises(SceneError, match=f"^{name} .*more than 0"):
+        replace(SonarSettings(), **change)
 
 
 @pytest.mark.parametrize(
