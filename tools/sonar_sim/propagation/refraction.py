@@ -29,7 +29,7 @@ MAX_LAUNCH_RAD = 0.7
 """A path leaves no farther off the chord than this; on a longer detour it would not be heard."""
 LAUNCHES = 65
 STRETCH = (0.25, 4.0)
-"""Limits of what bending does to a ray's cell. Beyond, it is a caustic or a shadow: no ray tells."""
+"""Limits of what bending does to a ray's cell. Beyond is a caustic or a shadow: no ray tells."""
 TOUCHING = 1e-6
 """Sines between the edges of two cells that lie one upon the other."""
 REFINEMENTS = 4
