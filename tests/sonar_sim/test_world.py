@@ -119,5 +119,11 @@ def test_what_a_world_cannot_is_refused() -> None:
             world.step(dt_s)
     with pytest.raises(SonarSimError, match="not finite"):
         vehicle.move_to(at(np.nan))
+    with pytest.raises(SonarSimError, match="not finite"):
+        vehicle.place(at(np.nan))
+    for field in ("ahead_mps", "port_mps", "up_mps", "turn_rps"):
+        for value in (np.nan, np.inf):
+            with pytest.raises(SonarSimError, match=f"{field} .*not finite"):
+                vehicle.drive(DriveCommand(**{field: value}))
     with pytest.raises(EffectError):
         World(Scene(), effects="magic")

@@ -15,7 +15,7 @@ from sonar_sim.effects.plan import AUTO, Choice, EffectSelection
 from sonar_sim.errors import SonarSimError
 from sonar_sim.geometry.driving import DriveCommand, DrivenBody
 from sonar_sim.geometry.live_path import KEPT_S, LivePath
-from sonar_sim.geometry.pose import FramePose, Mounting, rotation_vector
+from sonar_sim.geometry.pose import FramePose, Mounting, require_finite, rotation_vector
 from sonar_sim.geometry.trajectory import Route, Trajectory
 from sonar_sim.scene.scenario import Scenario, motion_on, with_bodies
 from sonar_sim.scene.scene import Scene
@@ -173,8 +173,12 @@ class WorldVehicle:
         self._command, self._goal, self._followed = command, None, None
 
     def move_to(self, pose: FramePose) -> None:
-        """Move evenly during the next step, and be at a pose at its end: another simulator's."""
-        _finite(pose)
+        """Move evenly during the next step, and be at a pose at its end: another simulator's.
+
+        Raises:
+            SonarSimError: the pose is not finite.
+        """
+        require_finite(pose)
         self._command, self._goal, self._followed = None, pose, None
 
     def follow(self, path: Trajectory) -> None:
@@ -183,8 +187,12 @@ class WorldVehicle:
         self._followed = path, self._world.time_s
 
     def place(self, pose: FramePose) -> None:
-        """Be somewhere else at once, at rest."""
-        _finite(pose)
+        """Be somewhere else at once, at rest.
+
+        Raises:
+            SonarSimError: the pose is not finite.
+        """
+        require_finite(pose)
         self._command, self._goal, self._followed = None, None, None
         self.path.jump(self._world.time_s, pose)
 
@@ -266,7 +274,7 @@ class World:
         Raises:
             SonarSimError: the name is taken, or the pose is not finite.
         """
-        _finite(pose)
+        require_finite(pose)
         kind = Vehicle(vehicle) if isinstance(vehicle, str) else vehicle
         if kind.name in self.vehicles:
             raise SonarSimError(f"the world already has a vehicle {kind.name!r}")
@@ -328,8 +336,3 @@ def _due_s(sonar: WorldSonar) -> float:
 def _times(start_s: float, end_s: float) -> NDArray[np.float64]:
     """Times after the start to the end, close enough for a path, (N,)."""
     return np.linspace(start_s, end_s, max(1, math.ceil((end_s - start_s) / 0.02)) + 1)[1:]
-
-
-def _finite(pose: FramePose) -> None:
-    if not (np.isfinite(pose.position_m).all() and np.isfinite(pose.rotation).all()):
-        raise SonarSimError(f"a pose at {pose.position_m.tolist()} is not finite")

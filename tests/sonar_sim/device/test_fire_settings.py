@@ -161,6 +161,17 @@ def test_no_fire_message_asks_for_what_cannot_be(demand: FireRequest, model: str
     assert 2.0 * sonar.range_m / 1600.0 < period <= 1.0
 
 
+@pytest.mark.parametrize("max_rows", [1, 720])
+def test_a_range_shorter_than_a_row_is_one_row(max_rows: int) -> None:
+    sonar = sonar_preset(base_row_m=0.5, max_rows=max_rows)
+    made = settings_for(FireRequest(flags=METRES, range_demand=0.3), sonar, WATER)
+    assert (made.rows, made.range_m) == (1, 0.5)
+    forced = sonar_preset(base_row_m=0.5, max_rows=max_rows, forced_rows=200)
+    made = settings_for(FireRequest(flags=METRES, range_demand=0.3), forced, WATER)
+    assert made.rows == 200
+    assert made.range_m == pytest.approx(0.3)
+
+
 def test_settings_that_modes_share_stay_when_the_mode_changes() -> None:
     own = {"side_lobe_db": 20.0, "tvg_spreading_log": 20.0, "pulse_s": 5e-4, "forced_rows": 200}
     sonar = sonar_preset("M1200d", 1, array_gain_db=30.0, crosstalk_db=None, **own)

@@ -170,6 +170,48 @@ def test_an_autopilot_is_connected_to_asked_and_connected_to_again() -> None:
     run(work())
 
 
+def test_an_autopilot_whose_numbers_are_not_finite_is_followed_on() -> None:
+    async def work() -> None:
+        link = common.MAVLink(None, 1, 1)
+        bad = [
+            common.MAVLink_attitude_message(1000, math.inf, 0, 0, 0, 0, 0),
+            common.MAVLink_attitude_quaternion_message(1000, math.inf, 0, 0, 0, 0, 0, 0),
+            common.MAVLink_local_position_ned_message(1000, math.nan, 0, 0, 0, 0, 0),
+        ]
+        good = [
+            common.MAVLink_attitude_message(1000, 0, 0, 0, 0, 0, 0),
+            common.MAVLink_local_position_ned_message(1000, 3, 4, 5, 0, 0, 0),
+        ]
+        connections, gone = 0, asyncio.Event()
+
+        async def autopilot(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            nonlocal connections
+            connections += 1
+            for message in (*bad, *good):
+                writer.write(message.pack(link))
+                await writer.drain()
+                await asyncio.sleep(0.01)
+            await reader.read()  # until the follower goes
+            writer.close()
+            await writer.wait_closed()
+            gone.set()
+
+        async with await asyncio.start_server(autopilot, "127.0.0.1", 0) as server:
+            port = server.sockets[0].getsockname()[1]
+            path = LivePath(FramePose(np.zeros(3), np.eye(3)))
+            clock = asyncio.get_running_loop().time
+            follower = PoseFollower(f"mavlink+tcp://127.0.0.1:{port}", path, Vehicle(), clock)
+            await follower.open()
+            while follower.records < len(good):  # noqa: ASYNC110 over TCP
+                await asyncio.sleep(0.02)
+            await follower.close()
+            await gone.wait()
+        assert (follower.malformed, connections) == (len(bad), 1)
+        assert path.pose(clock()).position_m == pytest.approx([4.0, 3.0, -5.0])
+
+    run(work())
+
+
 def test_two_vehicles_are_served_and_driven_apart(floor_scenario: MakeScenario) -> None:
     async def work() -> None:
         one = floor_scenario()

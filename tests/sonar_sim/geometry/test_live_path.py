@@ -1,7 +1,9 @@
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
+from sonar_sim.errors import SonarSimError
 from sonar_sim.geometry.driving import SURFACE_M, DriveCommand, DrivenBody
 from sonar_sim.geometry.live_path import MAX_AHEAD_S, LivePath
 from sonar_sim.geometry.pose import (
@@ -63,6 +65,29 @@ def test_what_comes_late_is_ignored_and_a_jump_is_no_motion() -> None:
     live.jump(1.2, at(50.0))
     assert live.pose(1.3).position_m[0] == 50.0
     assert live.velocity_mps(1.3) == pytest.approx([0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_path_refuses_what_is_not_finite_and_stays(value: float) -> None:
+    live = LivePath(at(0.0))
+    live.update(1.0, at(1.0))
+    wrong = np.array([0.0, value, 0.0])
+    turned = FramePose(np.zeros(3), np.full((3, 3), value))
+    tries: list[Callable[[], object]] = [
+        lambda: LivePath(at(value)),
+        lambda: live.update(value, at(2.0)),
+        lambda: live.update(1.1, at(value)),
+        lambda: live.update(1.1, turned),
+        lambda: live.update(1.1, at(2.0), wrong),
+        lambda: live.update(1.1, at(2.0), np.zeros(3), wrong),
+        lambda: live.jump(value, at(2.0)),
+        lambda: live.jump(1.1, at(value)),
+        lambda: live.jump(1.1, turned),
+    ]
+    for one in tries:
+        with pytest.raises(SonarSimError, match="not finite"):
+            one()
+    assert (live.updates, live.last_s, live.pose(1.1).position_m[0]) == (1, 1.0, 1.0)
 
 
 def test_rotations_and_their_vectors_and_quaternions_are_inverse() -> None:

@@ -165,6 +165,16 @@ def test_a_local_position_goes_before_geographic_ones_until_it_is_silent() -> No
     assert counts == [1, 1, 0, 1]
 
 
+def test_a_malformed_local_position_does_not_silence_geographic_ones() -> None:
+    decoder, send = MavlinkRecords(ORIGIN), Autopilot()
+    broken = common.MAVLink_local_position_ned_message(0, math.nan, 0, 0, 0, 0, 0)
+    globe = common.MAVLink_global_position_int_message(
+        0, -338_000_000, 1_512_000_000, 0, -4000, 0, 0, 0, 0
+    )
+    assert list(decoder.decode(send(broken), 1.0)) == [None]
+    assert only(decoder, send(globe), 1.5).position_m == pytest.approx([0.0, 0.0, -4.0])
+
+
 def test_only_the_first_autopilot_counts_and_noise_is_malformed() -> None:
     decoder = MavlinkRecords(ORIGIN)
     attitude = common.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0)
@@ -183,6 +193,61 @@ def test_only_the_first_autopilot_counts_and_noise_is_malformed() -> None:
         (7, 511, 32.0, 20_000.0),
         (7, 511, 33.0, 20_000.0),
     }
+
+
+def not_finite(value: float) -> list[Any]:
+    """Messages of all kinds that are read, each with one number that no vehicle has."""
+    level = [1.0, 0.0, 0.0, 0.0]
+
+    def odometry(at: list[float], q: list[float], moving: list[float]) -> Any:
+        none = [math.nan] * 21
+        return common.MAVLink_odometry_message(0, 1, 8, *at, q, *moving, none, none)
+
+    messages = []
+    for k in range(6):
+        numbers = [value if j == k else 0.0 for j in range(6)]
+        messages += [
+            common.MAVLink_attitude_message(0, *numbers),
+            common.MAVLink_local_position_ned_message(0, *numbers),
+            odometry([0.0] * 3, level, numbers),
+        ]
+    for k in range(4):
+        quaternion = [value if j == k else level[j] for j in range(4)]
+        messages += [
+            common.MAVLink_attitude_quaternion_message(0, *quaternion, 0.0, 0.0, 0.0),
+            odometry([0.0] * 3, quaternion, [0.0] * 6),
+        ]
+    for k in range(3):
+        numbers = [value if j == k else 0.0 for j in range(3)]
+        messages += [
+            common.MAVLink_attitude_quaternion_message(0, *level, *numbers),
+            odometry(numbers, level, [0.0] * 6),
+        ]
+    far = 2**31 - 1  # its fields are integers
+    messages += [
+        common.MAVLink_global_position_int_message(0, far, 1, 0, 0, 0, 0, 0, 0),
+        common.MAVLink_global_position_int_message(0, 1, far, 0, 0, 0, 0, 0, 0),
+        common.MAVLink_global_position_int_message(0, 1, 1, 0, far, 0, 0, 0, 0),
+    ]
+    return messages
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
+def test_mavlink_whose_numbers_are_not_finite_is_malformed(value: float) -> None:
+    decoder, send = MavlinkRecords(ORIGIN), Autopilot()
+    for k, message in enumerate(not_finite(value)):
+        assert list(decoder.decode(send(message), 10.0 * k)) == [None], message
+    good = common.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0)
+    assert only(decoder, send(good)).rotation is not None
+
+
+def test_odometry_between_other_frames_is_malformed() -> None:
+    decoder, send = MavlinkRecords(ORIGIN), Autopilot()
+    for frame, child in ((8, 8), (1, 0), (0, 1)):
+        message = common.MAVLink_odometry_message(
+            0, frame, child, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0, 0, 0, 0, [0] * 21, [0] * 21
+        )
+        assert list(decoder.decode(send(message), 0.0)) == [None]
 
 
 def datagrams(form: str) -> Iterator[tuple[float, bytes]]:
@@ -231,11 +296,8 @@ def test_an_attitude_alone_is_not_followed() -> None:
     follower.take(turned.pack(link), lambda _: None)
     assert (follower.records, follower.state, live.updates) == (1, "waiting", 0)
     follower.take(placed.pack(link), lambda _: None)
-    assert (follower.records, follower.state, live.updates) == (
-        2,
-        "following",
-        2,
-    )  # put there, then moved on
+    # Put there, then moved on.
+    assert (follower.records, follower.state, live.updates) == (2, "following", 2)
 
 
 def test_a_vehicle_that_is_put_elsewhere_does_not_fly_there() -> None:

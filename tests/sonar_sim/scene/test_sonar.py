@@ -1,3 +1,7 @@
+import math
+from dataclasses import fields, replace
+from typing import Any
+
 import numpy as np
 import pytest
 from sonar_sim.errors import SceneError
@@ -47,6 +51,17 @@ def test_rows_follow_the_range_as_an_oculus_chooses_them_unless_forced() -> None
     assert forced.row_centres_m[[0, -1]] == pytest.approx([0.01, 19.99])
 
 
+@pytest.mark.parametrize("max_rows", [1, 2, 3, 720])
+@pytest.mark.parametrize("rows", [1.0, 1.5, 2.0, 2.5, 4.0, 7.9, 8.1, 1500.0])
+def test_rows_are_coarsened_to_at_least_one_and_at_most_max_rows(
+    max_rows: int, rows: float
+) -> None:
+    sonar = SonarSettings(
+        base_row_m=0.1, demanded_range_m=0.1 * rows, max_range_m=200.0, max_rows=max_rows
+    )
+    assert 1 <= sonar.rows <= max_rows
+
+
 @pytest.mark.parametrize(
     ("model", "mode", "changes", "word"),
     [
@@ -57,6 +72,7 @@ def test_rows_follow_the_range_as_an_oculus_chooses_them_unless_forced() -> None
         ("M750d", 1, {"demanded_range_m": 0.05}, "0.1 to 120 m"),
         ("M750d", 1, {"bits": 24}, "24 bits"),
         ("M750d", 1, {"forced_rows": 0}, "no image"),
+        ("M750d", 1, {"demanded_range_m": 0.5, "base_row_m": 1.0}, "demanded_range_m .*base_row_m"),
     ],
 )
 def test_what_no_sonar_can_is_refused(
@@ -64,6 +80,37 @@ def test_what_no_sonar_can_is_refused(
 ) -> None:
     with pytest.raises(SceneError, match=word):
         sonar_preset(model, mode, **changes)
+
+
+NUMBERS = [field.name for field in fields(SonarSettings) if field.name not in ("model", "mode")]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", NUMBERS)
+def test_every_number_of_a_sonar_is_finite(name: str, value: float) -> None:
+    change: dict[str, Any] = {name: value}
+    with pytest.raises(SceneError, match=f"^{name} "):
+        replace(SonarSettings(), **change)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "frequency_hz",
+        "half_aperture_rad",
+        "beam_width_rad",
+        "vertical_width_rad",
+        "base_row_m",
+        "max_range_m",
+        "told_speed_mps",
+        "pulse_s",
+    ],
+)
+def test_what_is_divided_by_is_more_than_0(name: str, value: float) -> None:
+    change: dict[str, Any] = {name: value}
+    with pytest.raises(SceneError, match=f"^{name} .*more than 0"):
+        replace(SonarSettings(), **change)
 
 
 @pytest.mark.parametrize(

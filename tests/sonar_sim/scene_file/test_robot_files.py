@@ -1,5 +1,6 @@
 """URDF and SDF, judged by yourdfpy and by hand."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,7 @@ def test_a_link_without_visuals_has_its_collisions(robot: Path) -> None:
     ("old", "new", "reason"),
     [
         ('<sphere radius="0.3"/>', "<torus/>", "link 'foot': no geometry 'torus'"),
-        ('radius="0.3"', 'radius="big"', "link 'foot': 'big' is not 1 numbers"),
+        ('radius="0.3"', 'radius="big"', "link 'foot': sphere: 'big' is not 1 numbers"),
         (
             '<parent link="base"/><child link="upper"/>',
             '<parent link="tip"/><child link="upper"/>',
@@ -91,6 +92,35 @@ def test_a_broken_robot_is_refused_by_name(robot: Path, old: str, new: str, reas
     robot.write_text(ROBOT.replace(old, new))
     with pytest.raises(SceneError, match=f"(arm.urdf|stl).*{reason}"):
         read_parts(robot)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        '<box size="1 -2 1"/>',
+        '<sphere radius="-1"/>',
+        '<sphere radius="0"/>',
+        '<cylinder radius="-1" length="1"/>',
+        '<cylinder radius="1" length="0"/>',
+        '<capsule radius="1" length="-1"/>',
+        "<box><size>1 0 1</size></box>",
+        "<sphere><radius>-1</radius></sphere>",
+        "<ellipsoid><radii>1 2 -1</radii></ellipsoid>",
+        "<cylinder><radius>-1</radius><length>1</length></cylinder>",
+        "<capsule><radius>1</radius><length>0</length></capsule>",
+        "<cone><radius>1</radius><length>-1</length></cone>",
+        "<plane><size>-1 1</size></plane>",
+    ],
+)
+def test_sizes_of_a_shape_are_more_than_0(tmp_path: Path, shape: str) -> None:
+    visual = f'<link name="l"><visual name="v"><geometry>{shape}</geometry></visual></link>'
+    sdf, kind = "</" in shape, re.findall("[a-z]+", shape)[0]
+    path = tmp_path / ("m.sdf" if sdf else "m.urdf")
+    robot, model = f'<robot name="m">{visual}</robot>', f'<model name="m">{visual}</model>'
+    path.write_text(f"<sdf>{model}</sdf>" if sdf else robot)
+    place = "m/l/v" if sdf else "link 'l'"
+    with pytest.raises(SceneError, match=f"{path.name}: {place}: {kind}: .* is not more than 0"):
+        read_parts(path)
 
 
 WORLD = """<?xml version="1.0"?>
@@ -161,6 +191,18 @@ def test_a_world_is_laid_out_by_its_frames(
     [
         ("<uri>model://buoy</uri>", "<uri>model://boat</uri>", "no model 'model://boat'"),
         ('relative_to="deck"', 'relative_to="dock"', "no frame 'dock'"),
+        ('relative_to="deck"', 'relative_to="world"', "model 'rig': no frame 'world'"),
+        ('relative_to="deck"', 'relative_to="lamp::l"', "no frame 'lamp::l'"),
+        (
+            'name="rig"',
+            'name="rig" placement_frame="dock"',
+            "placement_frame of model 'rig': no frame 'dock'",
+        ),
+        (
+            "<pose>0 9 -1 0 0 0</pose>",
+            "<placement_frame>l</placement_frame>",
+            "placement_frame, but no pose",
+        ),
         ('attached_to="leg"', 'attached_to="deck"', "refers to itself"),
         ("<pose>1 0 0 0 0 0</pose>", "<pose>1 0 0</pose>", "is not 6 numbers"),
         ("<size>2 0.2 0.4</size>", "", "is not 3 numbers"),
@@ -195,3 +237,51 @@ def test_a_visual_may_stand_relative_to_another_frame(tmp_path: Path) -> None:
 </model></sdf>"""
     )
     assert bounds(list(read_parts(path))).mean(axis=0) == pytest.approx([5.0, 0.0, 2.0])
+
+
+CRANE = """<sdf version="1.9"><model name="crane" placement_frame="foot"><pose>50 0 0 0 0 0</pose>
+  <frame name="hook"><pose>0 2 6 0 0 0</pose></frame>
+  <link name="foot"><pose>0 0 -3 0 0 0.5</pose></link>
+  <link name="cab"><pose>1 0 0 0 0 0</pose>
+    <visual name="v"><geometry><box><size>1 1 1</size></box></geometry></visual></link>
+</model></sdf>
+"""
+
+
+def middle_of_cab(path: Path) -> np.ndarray:
+    (cab,) = (part for part in read_parts(path) if part.name.endswith("cab/v"))
+    return np.asarray(bounds([cab]).mean(axis=0))
+
+
+def test_a_models_pose_is_that_of_its_placement_frame(tmp_path: Path) -> None:
+    crane = tmp_path / "crane.sdf"
+    crane.write_text(CRANE)
+    # Seen from the foot, which is turned to port, the cab is 1 m ahead, turned back, and 3 m up.
+    ahead, port = np.cos(0.5), -np.sin(0.5)
+    assert middle_of_cab(crane) == pytest.approx([50 + ahead, port, 3.0])
+    world = tmp_path / "port.world"
+    include = "<include><uri>crane.sdf</uri>{}<pose>10 20 0 0 0 {}</pose></include>"
+    quarter = np.pi / 2
+    for frame, yaw_rad, expected in (
+        ("", 0.0, [10 + ahead, 20 + port, 3.0]),
+        ("<placement_frame>hook</placement_frame>", 0.0, [11.0, 18.0, -6.0]),
+        ("<placement_frame>hook</placement_frame>", quarter, [12.0, 21.0, -6.0]),
+        ("<placement_frame>__model__</placement_frame>", 0.0, [11.0, 20.0, 0.0]),
+    ):
+        text = include.format(frame, yaw_rad)
+        world.write_text(f'<sdf version="1.9"><world name="w">{text}</world></sdf>')
+        assert middle_of_cab(world) == pytest.approx(expected)
+
+
+def test_frames_may_refer_to_a_nested_model_that_is_placed_by_a_frame(tmp_path: Path) -> None:
+    path = tmp_path / "quay.sdf"
+    nested = CRANE.partition(">")[2].replace("</sdf>", "").replace('"foot"', '"hook"', 1)
+    path.write_text(
+        f"""<sdf version="1.9"><model name="quay">{nested}
+  <link name="lamp"><pose relative_to="crane">0 0 1 0 0 0</pose>
+    <visual name="v"><geometry><box><size>1 1 1</size></box></geometry></visual></link>
+</model></sdf>"""
+    )
+    assert middle_of_cab(path) == pytest.approx([51.0, -2.0, -6.0])
+    (lamp,) = (part for part in read_parts(path) if part.name == "quay/lamp/v")
+    assert bounds([lamp]).mean(axis=0) == pytest.approx([50.0, -2.0, -5.0])

@@ -77,8 +77,8 @@ def initial_request(sonar: SonarSettings, ping_rate_hz: float) -> FireRequest:
 def settings_for(demand: FireRequest, sonar: SonarSettings, water: Water) -> SonarSettings:
     """Return the sonar's settings after a fire message.
 
-    Ranges are limited to those of the mode, and an unknown mode means the first one; the firmware's
-    behaviour in these cases is not documented.
+    Ranges are limited to those of the mode and are at least one row, and an unknown mode means the
+    first one; the firmware's behaviour in these cases is not documented.
 
     Args:
         demand: the fire message.
@@ -91,10 +91,13 @@ def settings_for(demand: FireRequest, sonar: SonarSettings, water: Water) -> Son
     if mode != sonar.mode:
         kept = {name: getattr(sonar, name) for name in OF_ALL_MODES}
         base = sonar_preset(sonar.model, mode, **kept)
+    range_m = min(requested_range_m(replace(demand, mode=mode), part), base.max_range_m)
+    if base.forced_rows is None:
+        range_m = max(range_m, base.base_row_m)
     gain = demand.gain_percent if math.isfinite(demand.gain_percent) else base.gain_percent
     return replace(
         base,
-        demanded_range_m=min(requested_range_m(replace(demand, mode=mode), part), base.max_range_m),
+        demanded_range_m=range_m,
         beams=FULL_BEAMS if demand.flags & FireFlags.FULL_BEAMS else HALF_BEAMS,
         gain_percent=min(max(gain, 0.0), 100.0),
         gamma_byte=demand.gamma,

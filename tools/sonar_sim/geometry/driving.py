@@ -1,9 +1,11 @@
 """A vehicle that is driven: commanded velocities, followed with a lag."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 
 import numpy as np
 
+from sonar_sim.errors import SonarSimError
 from sonar_sim.geometry.pose import FramePose, rotation_of
 
 LAG_S = 0.6
@@ -20,12 +22,20 @@ class DriveCommand:
     Attributes:
         ahead_mps, port_mps, up_mps: along the vehicle's level axes.
         turn_rps: of the heading, to port.
+
+    Raises:
+        SonarSimError: one of them is not finite; names it.
     """
 
     ahead_mps: float = 0.0
     port_mps: float = 0.0
     up_mps: float = 0.0
     turn_rps: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if not math.isfinite(value := getattr(self, field.name)):
+                raise SonarSimError(f"a command with {field.name} {value:g} is not finite")
 
 
 class DrivenBody:

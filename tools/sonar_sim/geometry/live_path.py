@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.geometry.pose import FramePose, rotation_by, rotation_vector
+from sonar_sim.geometry.pose import FramePose, require_finite, rotation_by, rotation_vector
 from sonar_sim.geometry.trajectory import DAY_S, Trajectory
 
 MAX_AHEAD_S = 0.5
@@ -41,6 +41,9 @@ class LivePath(Trajectory):
     Args:
         start: the pose of the base in the map until the first update.
 
+    Raises:
+        SonarSimError: the pose is not finite.
+
     Attributes:
         duration_s: a day.
         updates: how many there were.
@@ -49,6 +52,7 @@ class LivePath(Trajectory):
     live = True
 
     def __init__(self, start: FramePose) -> None:
+        require_finite(start)
         self.duration_s = DAY_S
         self.updates = 0
         self._lock = threading.Lock()
@@ -76,7 +80,12 @@ class LivePath(Trajectory):
             pose: map_T_base.
             velocity_mps: body frame, (3,); None is that from the last pose to this one.
             turn_rates_rps: likewise.
+
+        Raises:
+            SonarSimError: a number is not finite.
         """
+        motion = (one for one in (velocity_mps, turn_rates_rps) if one is not None)
+        require_finite(pose, time_s, *motion)
         with self._lock:
             before = self._points[-1]
             passed_s = time_s - before.time_s
@@ -104,7 +113,12 @@ class LivePath(Trajectory):
                 del self._points[:old], self._times_s[:old]
 
     def jump(self, time_s: float, pose: FramePose) -> None:
-        """Put the vehicle somewhere else at once, at rest."""
+        """Put the vehicle somewhere else at once, at rest.
+
+        Raises:
+            SonarSimError: the time or the pose is not finite.
+        """
+        require_finite(pose, time_s)
         with self._lock:
             self._points = [_PathPoint(time_s, pose, np.zeros(3), np.zeros(3))]
             self._times_s = [time_s]

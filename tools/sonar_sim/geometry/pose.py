@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sonar_sim.errors import SonarSimError
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FramePose:
@@ -29,6 +31,19 @@ class FramePose:
     def quaternion(self) -> NDArray[np.float64]:
         """Unit quaternion (w, x, y, z) with w >= 0."""
         return quaternion_of(self.rotation)
+
+
+def require_finite(pose: FramePose, *numbers: float | NDArray[np.float64]) -> None:
+    """Check a pose, and what comes with it.
+
+    Raises:
+        SonarSimError: a number is NaN or infinite.
+    """
+    if not (np.isfinite(pose.position_m).all() and np.isfinite(pose.rotation).all()):
+        raise SonarSimError(f"a pose at {np.asarray(pose.position_m).tolist()} is not finite")
+    for one in numbers:
+        if not np.isfinite(one).all():
+            raise SonarSimError(f"a time, velocity or turn rate is not finite: {one}")
 
 
 @dataclass(frozen=True, slots=True)

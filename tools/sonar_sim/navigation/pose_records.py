@@ -167,12 +167,21 @@ class MavlinkRecords:
                 self.autopilot = system
             if system != self.autopilot or kind not in _READERS:
                 continue
-            if kind == "LOCAL_POSITION_NED":
-                self._local_s = arrival_s
-            elif kind == "GLOBAL_POSITION_INT" and arrival_s - self._local_s < LOCAL_S:
+            if kind == "GLOBAL_POSITION_INT" and arrival_s - self._local_s < LOCAL_S:
                 continue  # the local one is finer
-            record = _READERS[kind](message, self._vehicle)
-            yield record if _is_plausible(record) else None
+            record = self._read(message)
+            if kind == "LOCAL_POSITION_NED" and record is not None:
+                self._local_s = arrival_s
+            yield record
+
+    def _read(self, message: Any) -> PoseRecord | None:  # noqa: ANN401 of pymavlink
+        """Read one message; None if its numbers are not those of a vehicle."""
+        try:
+            with np.errstate(invalid="ignore"):  # inf is checked afterwards
+                record = _READERS[message.get_type()](message, self._vehicle)
+        except MALFORMED:
+            return None
+        return record if _is_plausible(record) else None
 
     def interval_requests(self, period_us: int) -> bytes:
         """Ask for position and attitude at a period, by MAV_CMD_SET_MESSAGE_INTERVAL."""
@@ -212,8 +221,6 @@ def _attitude(message: Any, vehicle: Vehicle) -> PoseRecord:  # noqa: ANN401 of 
 def _attitude_quaternion(message: Any, vehicle: Vehicle) -> PoseRecord:  # noqa: ANN401
     del vehicle
     quaternion = np.array([message.q1, message.q2, message.q3, message.q4], dtype=np.float64)
-    if not np.linalg.norm(quaternion) > 0.0:
-        return PoseRecord(None, rotation=np.full((3, 3), np.nan))
     return _turned(message, rotation_of_quaternion(quaternion))
 
 
@@ -253,13 +260,13 @@ def _global_position(message: Any, vehicle: Vehicle) -> PoseRecord:  # noqa: ANN
 def _odometry(message: Any, vehicle: Vehicle) -> PoseRecord:  # noqa: ANN401
     del vehicle
     quaternion = np.array(message.q, dtype=np.float64)
-    if not np.linalg.norm(quaternion) > 0.0 or message.frame_id not in LOCAL_FRAMES:
-        return PoseRecord(None, position_m=np.full(3, np.nan))
     rates = np.array([message.rollspeed, message.pitchspeed, message.yawspeed])
     velocity = np.array([message.vx, message.vy, message.vz])
     in_the_map = message.child_frame_id in LOCAL_FRAMES
-    if not in_the_map and message.child_frame_id not in BODY_FRAMES:
-        return PoseRecord(None, position_m=np.full(3, np.nan))
+    if message.frame_id not in LOCAL_FRAMES or not (
+        in_the_map or message.child_frame_id in BODY_FRAMES
+    ):
+        raise ValueError(f"frames {message.frame_id} and {message.child_frame_id} are not read")
     return PoseRecord(
         message.time_usec / 1e6,
         position_m=NED_R_ENU @ np.array([message.x, message.y, message.z]),

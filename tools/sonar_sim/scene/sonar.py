@@ -1,7 +1,7 @@
 """The sonar's fixed properties: an Oculus, by default an M750d in its 750 kHz band, or another."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -16,6 +16,17 @@ HALF_POWER = 0.8859
 """-3 dB width of an unshaded line in lambda / L."""
 MAX_ROWS = 720
 """Rows that an Oculus sends at most; it coarsens the spacing by powers of two to keep to it."""
+POSITIVE = {
+    "frequency_hz",
+    "half_aperture_rad",
+    "beam_width_rad",
+    "vertical_width_rad",
+    "base_row_m",
+    "max_range_m",
+    "told_speed_mps",
+    "pulse_s",
+}
+"""Settings that are more than 0."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +64,9 @@ class SonarSettings:
             scale at 50 % of gain; None has none. -31 dB in a public recording, whose floor, noise
             and tail are 27 dB brighter than here at the same gain.
         dynamic_focus: beams are focused at every range; else they widen nearer than `focus_m`.
+
+    Raises:
+        SceneError: a number is not finite, or no sonar has it; names the field.
     """
 
     frequency_hz: float = 750e3
@@ -82,6 +96,13 @@ class SonarSettings:
     dynamic_focus: bool = True
 
     def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is None or isinstance(value, str):
+                continue
+            if not math.isfinite(value) or (field.name in POSITIVE and value <= 0.0):
+                wanted = "finite and more than 0" if field.name in POSITIVE else "finite"
+                raise SceneError(f"{field.name} {value:g} is not {wanted}")
         if not 0.1 <= self.demanded_range_m <= self.max_range_m:  # noqa: PLR2004 Oculus' nearest
             raise SceneError(
                 f"range {self.demanded_range_m:g} m is not 0.1 to {self.max_range_m:g} m, "
@@ -93,14 +114,24 @@ class SonarSettings:
             raise SceneError(f"max_rows {self.max_rows} are no image")
         if self.beams < 2 or (self.forced_rows is not None and self.forced_rows < 1):  # noqa: PLR2004 one beam has no pitch
             raise SceneError(f"{self.beams} beams, {self.forced_rows} rows are no image")
+        if self.rows < 1:
+            raise SceneError(
+                f"demanded_range_m {self.demanded_range_m:g} is less than base_row_m "
+                f"{self.base_row_m:g}: the image has no row; raise the range or make rows finer"
+            )
 
     @cached_property
     def range_resolution_m(self) -> float:
-        """Row spacing: the base spacing times the smallest power of two that fits `max_rows`."""
+        """Row spacing: the base spacing times the smallest power of two that fits `max_rows`.
+
+        It is no longer than the range, so that there is a row.
+        """
         if self.forced_rows is not None:
             return self.demanded_range_m / self.forced_rows
         spacing_m = self.base_row_m
-        while self.demanded_range_m / spacing_m > self.max_rows:
+        while self.demanded_range_m / spacing_m > max(
+            self.max_rows, 2.0 - 1e-9
+        ):  # below 2, half is no row
             spacing_m *= 2.0
         return spacing_m
 

@@ -87,18 +87,21 @@ def _urdf_geometry(
     visual: ET.Element, transform: Transform, names: tuple[str, str], path: Path, where: str
 ) -> Geometry:
     shape = _only_child(visual.find("geometry"), where)
+
+    def sizes(key: str, count: int = 1) -> list[float]:
+        return _sizes(_attribute(shape, key, where), f"{where}: {shape.tag}", count)
+
     match shape.tag:
         case "mesh":
             file = _resolved(_attribute(shape, "filename", where), path)
             scale = _numbers(shape.get("scale", "1 1 1"), where)
             return Geometry(*names, transform @ np.diag([*scale, 1.0]), None, file)
         case "box":
-            mesh = _box(_numbers(_attribute(shape, "size", where), where))
+            mesh = _box(sizes("size", 3))
         case "sphere":
-            mesh = _ellipsoid([_number(shape.get("radius"), where)] * 3)
+            mesh = _ellipsoid(sizes("radius") * 3)
         case "cylinder" | "capsule":
-            radius, length = (_number(shape.get(key), where) for key in ("radius", "length"))
-            mesh = _round(shape.tag, radius, length)
+            mesh = _round(shape.tag, *sizes("radius"), *sizes("length"))
         case other:
             raise SceneError(
                 f"{where}: no geometry {other!r}; there are box, cylinder, sphere, capsule, mesh"
@@ -139,16 +142,20 @@ class _Sdf:
         for frame in worlds or [self._root]:
             yield from self._models(frame, np.eye(4), "")
 
-    def one_model(self, transform: Transform, name: str) -> Iterator[Geometry]:
+    def one_model(
+        self, transform: Transform, name: str, placement: str | None
+    ) -> Iterator[Geometry]:
         """Read a model's file as another file includes it: its own pose is replaced.
 
-        Its own name stands where the given one is empty or ends in a slash.
+        Its own name stands where the given one is empty or ends in a slash, its own placement frame
+        where none is given.
         """
         model = self._root.find("model")
         if model is None:
             raise SceneError(f"{self._path}: there is no model in it")
         own = model.get("name", "") if not name or name.endswith("/") else ""
-        yield from self._model(model, transform, name + own)
+        placed = _placed_by(model, str(self._path), placement)
+        yield from self._model(model, transform @ placed, name + own)
 
     def _models(self, parent: ET.Element, transform: Transform, prefix: str) -> Iterator[Geometry]:
         """Read the models of a world, or those nested in a model."""
@@ -159,10 +166,13 @@ class _Sdf:
         for include in parent.findall("include"):
             inner = _Sdf(self._included(include), self._depth + 1)
             pose = include.find("pose")
+            placement = include.findtext("placement_frame")
+            if placement is not None and pose is None:
+                raise SceneError(f"{self._path}: an include has a placement_frame, but no pose")
             own = inner._root.find("model/pose")
             at = frames.resolved(pose) if pose is not None else frames.resolved(own)
             name = prefix + include.findtext("name", "")
-            yield from inner.one_model(transform @ at, name)
+            yield from inner.one_model(transform @ at, name, placement)
 
     def _model(self, model: ET.Element, transform: Transform, name: str) -> Iterator[Geometry]:
         frames = _PoseFrames(model, f"{self._path}: model {name!r}")
@@ -188,8 +198,8 @@ class _Sdf:
     ) -> Geometry | None:
         shape = _only_child(visual.find("geometry"), where)
 
-        def number(key: str) -> float:
-            return _number(shape.findtext(key), where)
+        def sizes(key: str, count: int = 1) -> list[float]:
+            return _sizes(shape.findtext(key), f"{where}: {shape.tag}", count)
 
         match shape.tag:
             case "empty":
@@ -201,15 +211,15 @@ class _Sdf:
                     raise SceneError(f"{where}: submesh is not supported: save it as its own file")
                 return Geometry(*names, transform @ np.diag([*scale, 1.0]), None, file)
             case "box":
-                mesh = _box(_numbers(shape.findtext("size", ""), where))
+                mesh = _box(sizes("size", 3))
             case "plane":
                 mesh = _plane(shape, where)
             case "sphere":
-                mesh = _ellipsoid([number("radius")] * 3)
+                mesh = _ellipsoid(sizes("radius") * 3)
             case "ellipsoid":
-                mesh = _ellipsoid(_numbers(shape.findtext("radii", ""), where))
+                mesh = _ellipsoid(sizes("radii", 3))
             case "cylinder" | "capsule" | "cone":
-                mesh = _round(shape.tag, number("radius"), number("length"))
+                mesh = _round(shape.tag, *sizes("radius"), *sizes("length"))
             case other:
                 raise SceneError(
                     f"{where}: geometry {other!r} is not supported; box, capsule, cone, cylinder, "
@@ -239,7 +249,9 @@ class _PoseFrames:
 
     def __init__(self, parent: ET.Element, where: str) -> None:
         self._where = where
-        self._own = {"", "__model__", "world", parent.get("name", "")}
+        self._own = {"", parent.get("name", ""), "__model__"}
+        if parent.tag != "model":
+            self._own.add("world")
         self._elements = {
             one.get("name", ""): one
             for tag in ("link", "frame", "model", "joint")
@@ -266,7 +278,23 @@ class _PoseFrames:
         if element.tag == "joint":
             default = element.findtext("child", "").strip()
         relative = (pose.get("relative_to") if pose is not None else None) or default
-        return self._pose(relative, above | {name}) @ _sdf_pose(pose, self._where)
+        placed = self._pose(relative, above | {name}) @ _sdf_pose(pose, self._where)
+        return placed @ _placed_by(element, self._where) if element.tag == "model" else placed
+
+
+def _placed_by(model: ET.Element, where: str, frame: str | None = None) -> Transform:
+    """Return a model's frame in its placement frame, the one whose pose the model's pose is.
+
+    Args:
+        model: may name a placement frame.
+        where: in messages.
+        frame: named instead by who includes it.
+    """
+    frame = model.get("placement_frame", "") if frame is None else frame.strip()
+    if not frame:
+        return np.eye(4)
+    frames = _PoseFrames(model, f"{where}: placement_frame of model {model.get('name', '')!r}")
+    return np.asarray(np.linalg.inv(frames.pose(frame)), dtype=np.float64)
 
 
 def _sdf_pose(element: ET.Element | None, where: str) -> Transform:
@@ -312,7 +340,7 @@ def _round(kind: str, radius_m: float, length_m: float) -> trimesh.Trimesh:
 
 
 def _plane(shape: ET.Element, where: str) -> trimesh.Trimesh:
-    width, length = _numbers(shape.findtext("size", "1 1"), where, 2)
+    width, length = _sizes(shape.findtext("size", "1 1"), f"{where}: plane", 2)
     normal = _numbers(shape.findtext("normal", "0 0 1"), where)
     if not np.linalg.norm(normal) > 0.0:
         raise SceneError(f"{where}: a plane's normal has no length")
@@ -377,5 +405,9 @@ def _numbers(text: str, where: str, count: int = 3) -> list[float]:
     return values
 
 
-def _number(text: str | None, where: str) -> float:
-    return _numbers(text or "", where, 1)[0]
+def _sizes(text: str | None, where: str, count: int) -> list[float]:
+    """Read sizes: what is turned inside out, or flat, is no shape."""
+    values = _numbers(text or "", where, count)
+    if min(values) <= 0.0:
+        raise SceneError(f"{where}: {text!r} is not more than 0")
+    return values

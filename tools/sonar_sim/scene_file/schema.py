@@ -537,9 +537,7 @@ class OdometrySection(Section, frozen=True):
     ] = (0.0, 0.0, 0.0)
     scale: Annotated[
         float,
-        field_info(
-            "ShapePart by which distances from the start are overrated.", "", ge=-0.5, le=0.5
-        ),
+        field_info("Part by which distances from the start are overrated.", "", ge=-0.5, le=0.5),
     ] = 0.0
     drift_mps: Annotated[Number3, field_info("Steady drift, in the map.", "m/s")] = (0.0, 0.0, 0.0)
     walk_m_per_sqrt_s: Annotated[
