@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
-from sonar_sim.errors import SceneError
-from sonar_sim.geometry.pose import FramePose, SonarMotion
+from sonar_sim.geometry.pose import FramePose, SonarMotion, require_finite
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.clouds import cloud_power
 from sonar_sim.propagation.ground_truth import Truth, truth_of
@@ -82,22 +81,6 @@ class EnginePing:
     def seen_m(self) -> NDArray[np.float64]:
         """Points of visible surfaces, map frame, (N, 3); see `raycast.visible_surface`."""
         return visible_points(self.rays, self.sonar)
-
-
-def check_finite(pose: FramePose, time_s: float, motion: SonarMotion | None) -> None:
-    """Refuse what no ray can be cast from.
-
-    Raises:
-        SceneError: the pose, the motion or the time is not finite.
-    """
-    moving = () if motion is None else (motion.linear_mps, motion.angular_rps)
-    for name, values in (
-        ("pose", (pose.position_m, pose.rotation)),
-        ("motion", moving),
-        ("time", (time_s,)),
-    ):
-        if not all(np.isfinite(value).all() for value in values):
-            raise SceneError(f"the sonar's {name} is not finite: {values}")
 
 
 class PingEngine:
@@ -173,9 +156,10 @@ class PingEngine:
             truth: whether to work out the truth of rays and pixels.
 
         Raises:
-            SceneError: the pose, the motion or the time is not finite.
+            SonarSimError: the pose, the motion or the time is not finite.
         """
-        check_finite(map_T_sonar, time_s, motion)
+        moving = () if motion is None else (motion.linear_mps, motion.angular_rps)
+        require_finite(map_T_sonar, time_s, *moving)
         clock = _StageTimer()
         here = self._situation(map_T_sonar, physics, time_s, motion)
         rays, ways = self._ways(here)

@@ -12,8 +12,8 @@ from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import AUTO, Choice, EffectSelection
 from sonar_sim.effects.planner import PlannedPing, Planner
 from sonar_sim.effects.previewer import Previewer
-from sonar_sim.engine import NODES_PER_BEAM, Image, PingEngine, check_finite
-from sonar_sim.geometry.pose import FramePose, SonarMotion
+from sonar_sim.engine import NODES_PER_BEAM, Image, PingEngine
+from sonar_sim.geometry.pose import FramePose, SonarMotion, require_finite
 from sonar_sim.propagation.ground_truth import Truth
 from sonar_sim.raycast.fan import ELEVATIONS
 from sonar_sim.scene.scene import Scene
@@ -113,9 +113,9 @@ class Simulator:
             EffectWarning: the ping calls for an effect that is switched off; once an effect.
 
         Raises:
-            SceneError: the pose, the motion or the time is not finite.
+            SonarSimError: the pose, the motion or the time is not finite.
         """
-        check_finite(map_T_sonar, time_s, motion)
+        require_finite(map_T_sonar, time_s)
         planned = self.plan(map_T_sonar, ping_id, time_s, motion)
         planned.plan.warn(self._warned)
         made = self._engine.ping(map_T_sonar, planned.physics, ping_id, time_s, motion, truth=truth)

@@ -296,8 +296,11 @@ def test_an_attitude_alone_is_not_followed() -> None:
     follower.take(turned.pack(link), lambda _: None)
     assert (follower.records, follower.state, live.updates) == (1, "waiting", 0)
     follower.take(placed.pack(link), lambda _: None)
-    # Put there, then moved on.
-    assert (follower.records, follower.state, live.updates) == (2, "following", 2)
+    assert (follower.records, follower.state, live.updates) == (
+        2,
+        "following",
+        2,
+    )  # put there, then moved on
 
 
 def test_a_vehicle_that_is_put_elsewhere_does_not_fly_there() -> None:
