@@ -116,10 +116,6 @@ VERTICAL_PATTERN = Effect(
 )
 
 
-UNSURE = 1.25
-"""By how much few coarse rays, straight up and down, may underrate what they meet."""
-
-
 def decide_all_elevations(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if what lies beyond the elevations of the usual fan shows."""
     steep = np.abs(view.echoes.up) > math.sin(MAX_ELEVATION_RAD)
@@ -128,7 +124,7 @@ def decide_all_elevations(view: PingPreview, tolerance: Tolerance) -> RuleResult
     if not steep.any():
         return RuleResult(on=False, reason=reason, predicted_db=0.0)
     power = np.where(steep, 0.0, view.echo_power)
-    predicted_db = UNSURE * view.change_of_echoes_db(power, tolerance)
+    predicted_db = view.change_of_echoes_db(power, tolerance)
     return by_level(predicted_db, tolerance, reason)
 
 
