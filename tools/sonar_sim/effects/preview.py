@@ -26,7 +26,7 @@ from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.physics import Cloud, Reverberation
 from sonar_sim.raycast.meshes import Meshes
 from sonar_sim.receiver.gain import FULL_SCALE_DB, GAIN_DB_PER_PERCENT, noise_level_db
-from sonar_sim.receiver.noise import tail_power
+from sonar_sim.receiver.noise import diffuse_limit_m2, tail_power
 from sonar_sim.scene.scene import Bubbles, CloudSpec, Scene, Sediment
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.scene.suspended_matter import (
@@ -292,10 +292,28 @@ class PingPreview:
     def tail_picture(self) -> NDArray[np.float64]:
         """Expected power of a pixel by the tail behind echoes, (rows, COLUMNS)."""
         echoes = self.echoes
-        # A mirror's flash leaves none; and points are few.
-        scattered = np.where(echoes.surface == NOTHING, 0.0, echoes.lambert_m2 * self.unscattered)
-        picture = self.grid.main_lobes(echoes, scattered)
-        return tail_power(picture, self.grid.sine, self.grid.row_m, self.reverberation)
+        surfaces = np.where(echoes.surface == NOTHING, 0.0, self.unscattered)  # points are few
+        picture = self.grid.main_lobes(echoes, echoes.lambert_m2 * surfaces)
+        if echoes.lobe_m2.any():
+            picture += self.grid.main_lobes(echoes, echoes.lobe_m2 * surfaces)
+        return self.tail_of(picture)
+
+    def tail_of(self, picture: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Expected power of a pixel by the tail of what is heard, (rows, COLUMNS)."""
+        heard = np.minimum(picture, self._diffuse_limit)
+        return tail_power(heard, self.grid.sine, self.grid.row_m, self.reverberation)
+
+    @property
+    def _diffuse_limit(self) -> NDArray[np.float64]:
+        """Power of a pixel above which an echo leaves no more tail: it is a flash, (rows, 1)."""
+        range_m = np.maximum(self.grid.range_m, MIN_RANGE_M)
+        loudest = float(self.meshes.strengths[:, 0].max(initial=0.0))
+        limit_m2 = diffuse_limit_m2(self.sonar, loudest)
+        limit_m2 = np.interp(range_m, self.sonar.row_centres_m, limit_m2)
+        loss_db = 2.0 * (self.water_db_per_m + self.sediment_db_per_m) * range_m
+        power = self.source_power * limit_m2 * transmitted_power(loss_db) / range_m**4
+        column: NDArray[np.float64] = power[:, None]
+        return column
 
     @cached_property
     def heard(self) -> NDArray[np.float64]:
