@@ -196,8 +196,9 @@ def decide_reverberation(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the tail rises out of noise, water and quantiser somewhere."""
     # Ghosts may fill what were dark without them, and leave a tail as well.
     ghosts = ghost_picture(view)
-    tail = view.tail_picture + view.tail_of(ghosts)
-    picture = view.heard + ghosts + view.tail_of(ghosts) + view.noise_power
+    of_ghosts = view.tail_of(ghosts)
+    picture = view.picture + ghosts + of_ghosts
+    tail = view.tail_picture + of_ghosts
     before, after = (view.gains.amplitude(power) for power in (picture, picture - tail))
     predicted_db = change_db(before, after, view.sonar, tolerance, displaced=False)
     loudest = view.gains.amplitude(tail).max(initial=0.0)
