@@ -45,8 +45,9 @@ BACKGROUND = 3.0
 PINGS_OF_POINT = 6
 """A point that fewer pings look at shows nothing."""
 
-BRIGHT_SHARE = 0.3
-"""Share of the echoes that are kept: the ones most pings agree about."""
+KEPT_SHARE = 0.7
+"""Share of the echoes that are kept: the ones most pings agree about. A small share would favour
+those that agree at the parameters of the start, and so hold the fit back."""
 
 APART = 4.0
 """A look that sees a point nearly where its own ping saw it shows nothing: neighbouring pings look
@@ -280,7 +281,7 @@ class Agreement:
             up = np.where(score > best, self._up, up)
             best = np.maximum(best, score)
         good = np.flatnonzero(np.isfinite(best))
-        kept = good[np.argsort(-best[good], kind="stable")[: max(int(BRIGHT_SHARE * echoes), 1)]]
+        kept = good[np.argsort(-best[good], kind="stable")[: max(int(KEPT_SHARE * echoes), 1)]]
         self.pings_of_echoes = self.pings_of_echoes[kept]
         self._range_m, self._sine, self._up = self._range_m[kept], self._sine[kept], up[kept]
         self._find_looks(values)

@@ -199,10 +199,10 @@ class Stage:
 
 STAGES = (Stage(0.02, 30.0, 2), Stage(0.008, 30.0, 4), Stage(0.004, 30.0, 5))
 
-LAST_WITH_FLOOR = Stage(0.004, 60.0, 6)
-"""Gives the result where the floor gives the scale."""
+LAST_WITH_FLOOR = (Stage(0.008, 60.0, 4), Stage(0.004, 60.0, 6))
+"""Give the result where the floor gives the scale: the wider blur lets the fit move."""
 
-LAST_WITHOUT_FLOOR = Stage(0.004, 18.0, 6)
+LAST_WITHOUT_FLOOR = (Stage(0.004, 18.0, 6),)
 """The same where structure gives the scale too: views from one side alone do not shift it."""
 
 AVERAGED = 3
@@ -337,7 +337,7 @@ def calibrate(
         for k, name in enumerate(PARAMETERS)
     )
     used = np.array([one.change if one.significant else 0.0 for one in parameters]) + start
-    last = LAST_WITH_FLOOR.blur
+    last = LAST_WITH_FLOOR[-1].blur
     blur = Blur(last * dive.range_m, last * SINE_PER_RANGE)
     compared = Agreement(
         dive, view, blur, used, side_deg=PICTURE_SIDE_DEG, echoes=ECHOES, seed=SEED
@@ -355,15 +355,17 @@ def _fit_structure(
     """Fit the free parameters; return all, and the deviations of the free ones.
 
     A surface that curves shows other points to other sides, and so biases the fit: by the square
-    of the angle between the views. The difference between the last two stages shows how much.
+    of the angle between the views. The difference between stages with other angles shows how much.
     """
     seed, first = SEED, values
     results: list[Floats] = []
     before = values
-    stages = (*STAGES, LAST_WITH_FLOOR if free is STRUCTURE else LAST_WITHOUT_FLOOR)
+    last_stages = LAST_WITH_FLOOR if free is STRUCTURE else LAST_WITHOUT_FLOOR
+    stages = (*STAGES, *last_stages)
     for number, stage in enumerate(stages):
         progress(f"structure, stage {number + 1} of {len(stages)}")
-        before = np.mean(results[-AVERAGED:], axis=0) if results else values
+        if number <= len(STAGES):
+            before = np.mean(results[-AVERAGED:], axis=0) if results else values
         results = []
         for _ in range(stage.rounds):
             blur = Blur(stage.blur * dive.range_m, stage.blur * SINE_PER_RANGE)
