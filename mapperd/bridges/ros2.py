@@ -10,6 +10,7 @@ from collections.abc import Awaitable, Callable, Collection, Mapping
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mapperd.bridges.dds import DdsNode, Profile
 from mapperd.bridges.ros2_messages import ERROR, OK, STALE, WARN, LiveMessages
@@ -50,6 +51,8 @@ from mapperd.wire.messages import (
 
 __all__ = ["WANTS", "Ros2Bridge", "Ros2Client", "domain_of", "serve"]
 
+Floats = NDArray[np.float64]
+
 WANTS: tuple[Want, ...] = ("pose", "status", "events", "settings", "robots", "fan")
 """Requested always: what is small, and what tells the frames."""
 
@@ -89,7 +92,7 @@ NS = 1_000_000_000
 PARTICLES_NS = NS // 2
 """Shortest time between two messages with particles."""
 
-SHARE = 33.0
+SHARE = 50.0
 """A cloud or grid is made after this many times the processor time that the last one took."""
 
 NO_GRID = GridLayer(np.full((1, 1), UNKNOWN, np.uint8), GridWindow(0, 0, 1, 1))
@@ -214,7 +217,7 @@ class Ros2Bridge:
             self._send("diagnostics", self._diagnostics(status))
 
     async def tick(self, now_s: float) -> None:
-        """Look who subscribes; publish the map if it is due. Call it some ten times a second.
+        """Look who subscribes; publish the map if it is due. Call it some five times a second.
 
         Args:
             now_s: monotonic time.
@@ -246,9 +249,14 @@ class Ros2Bridge:
                 "ROS_DOMAIN_ID)"
             )
 
-    def _send(self, key: str, message: Any) -> bool:  # noqa: ANN401 of rosbags
+    def _send(
+        self,
+        key: str,
+        message: Any,  # noqa: ANN401 of rosbags
+        rows: Floats | None = None,
+    ) -> bool:
         """Publish a message; return whether it was sent."""
-        return self._publishers[key].publish(message)
+        return self._publishers[key].publish(message, rows)
 
     def _frame(self, which: str) -> str:
         """Return the name of a frame: `map`, `odom`, `base` or `sonar`."""
@@ -337,10 +345,10 @@ class Ros2Bridge:
     def _localization(self, state: LocalizationMessage) -> None:
         estimate = planar_estimate(state.report)
         stamp_s = state.report.get("t_s")
-        if not isinstance(stamp_s, int | float):
-            return
-        stamp_ns, vehicle = round(stamp_s * NS), self._state.vehicle
-        height_m = vehicle.position_m[2] if vehicle else 0.0
+        vehicle = self._state.vehicle
+        if vehicle is None or not isinstance(stamp_s, int | float):
+            return  # the estimate has no height without a pose
+        stamp_ns, height_m = round(stamp_s * NS), vehicle.position_m[2]
         frame = str((state.report.get("pose") or {}).get("frame", self._frame("map")))
         if estimate is not None and "pose" in self.heard:
             self._send("pose", self.messages.estimate(stamp_ns, frame, *estimate, height_m))
@@ -348,8 +356,8 @@ class Ros2Bridge:
         if self.heard & {"pose_array", "particles"} and is_due:
             self._particles_ns = stamp_ns
             array, cloud = self.messages.particles(state, stamp_ns, frame, height_m)
-            self._send("pose_array", array)
-            self._send("particles", cloud)
+            self._send("pose_array", *array)
+            self._send("particles", *cloud)
 
     def _image(self, image: ImageMessage) -> None:
         if not self.heard & {"sonar", "ping", "fan"}:
@@ -501,7 +509,9 @@ class Ros2Bridge:
         return self.messages.diagnostics(status.stamp_ns, statuses)
 
 
-TICK_S = 0.1
+TICK_S = 0.2
+FORWARD_S = 0.1
+"""Time between two looks at the odometry of ROS."""
 
 
 def domain_of(config: Config, environ: Mapping[str, str]) -> int:
@@ -544,7 +554,7 @@ async def serve(client: Ros2Client, config: Config, report: Callable[[str], None
         _repeat(requests.look),
         _repeat(requests.look_at_commands),
         _repeat(requests.look_at_poses),
-        _repeat(forwarder.look) if forwarder is not None else asyncio.Event().wait(),
+        _repeat(forwarder.look, FORWARD_S) if forwarder is not None else asyncio.Event().wait(),
     )
     tasks: list[asyncio.Task[Any]] = [asyncio.create_task(work) for work in works]
     try:
@@ -565,7 +575,7 @@ async def _follow(client: Ros2Client, bridge: Ros2Bridge) -> None:
         bridge.take(change)
 
 
-async def _repeat(look: Callable[[float], Awaitable[None]]) -> None:
+async def _repeat(look: Callable[[float], Awaitable[None]], period_s: float = TICK_S) -> None:
     while True:
         await look(asyncio.get_running_loop().time())
-        await asyncio.sleep(TICK_S)
+        await asyncio.sleep(period_s)

@@ -48,6 +48,10 @@ NS = 1_000_000_000
 class LiveMessages(Messages):
     """Makes the messages of a bridge, of the classes of `RosTypes`."""
 
+    def __init__(self, types: dict[str, Any]) -> None:
+        super().__init__(types)
+        self._directions_of: tuple[bytes, list[Any]] = b"", []
+
     def ping(
         self,
         image: ImageMessage,
@@ -67,7 +71,6 @@ class LiveMessages(Messages):
         """
         bearings = bearings_of(image)
         aperture = [] if fan is None else [fan.vertical_aperture_rad] * len(bearings)
-        directions = np.stack([np.cos(bearings), -np.sin(bearings), np.zeros(len(bearings))], 1)
         ranges_m = (np.arange(image.rows) + 0.5) * image.range_resolution_m
         return self._of(
             "marine_acoustic_msgs/msg/ProjectedSonarImage",
@@ -79,7 +82,7 @@ class LiveMessages(Messages):
                 tx_beamwidths=np.array(aperture, np.float32),
                 rx_beamwidths=np.zeros(0, np.float32),
             ),
-            beam_directions=[self._vector(direction) for direction in directions],
+            beam_directions=self._directions(image.bearings_rad, bearings),
             ranges=ranges_m.astype(np.float32),
             image=self._of(
                 "marine_acoustic_msgs/msg/SonarImageData",
@@ -89,6 +92,14 @@ class LiveMessages(Messages):
                 data=np.ascontiguousarray(pixels).reshape(-1),
             ),
         )
+
+    def _directions(self, key: bytes, bearings_rad: Floats) -> list[Any]:
+        """Return a vector for each beam; the last ones are kept, as most pings have the same."""
+        if key != self._directions_of[0]:
+            zeros = np.zeros(len(bearings_rad))
+            vectors = np.stack([np.cos(bearings_rad), -np.sin(bearings_rad), zeros], axis=1)
+            self._directions_of = key, [self._vector(one) for one in vectors]
+        return self._directions_of[1]
 
     def returns(self, returns: ReturnsMessage, frame: str) -> Any:  # noqa: ANN401
         """sensor_msgs/PointCloud2 of the first returns of a ping, in the sonar's frame."""
@@ -125,27 +136,21 @@ class LiveMessages(Messages):
 
     def particles(
         self, state: LocalizationMessage, stamp_ns: int, frame: str, height_m: float
-    ) -> tuple[Any, Any]:
-        """geometry_msgs/PoseArray and nav2_msgs/ParticleCloud of the particles."""
-        rows = np.frombuffer(state.particles, "<f4").reshape(-1, 4).astype(np.float64)
-        half = rows[:, 2] / 2
-        turns = zip(np.sin(half).tolist(), np.cos(half).tolist(), strict=True)
-        point, quaternion, pose_of = (
-            self._types[f"geometry_msgs/msg/{name}"] for name in ("Point", "Quaternion", "Pose")
+    ) -> tuple[tuple[Any, Floats], tuple[Any, Floats]]:
+        """geometry_msgs/PoseArray and nav2_msgs/ParticleCloud of the particles.
+
+        Each comes without elements, and with those as the rows that `DdsPublisher.publish` takes.
+        """
+        x_m, y_m, yaw_rad, weight = (
+            np.frombuffer(state.particles, "<f4").reshape(-1, 4).astype(np.float64).T
         )
-        poses = [
-            pose_of(point(x, y, height_m), quaternion(0.0, 0.0, sine, cosine))
-            for (x, y, _, _), (sine, cosine) in zip(rows.tolist(), turns, strict=True)
-        ]
+        zero = np.zeros_like(x_m)
+        turns = (zero, zero, np.sin(yaw_rad / 2), np.cos(yaw_rad / 2))
+        rows = np.stack([x_m, y_m, zero + height_m, *turns, weight], axis=1)
         header = self._header(stamp_ns, frame)
-        cloud = [
-            self._of("nav2_msgs/msg/Particle", pose=pose, weight=weight)
-            for pose, weight in zip(poses, rows[:, 3].tolist(), strict=True)
-        ]
-        return (
-            self._of("geometry_msgs/msg/PoseArray", header=header, poses=poses),
-            self._of("nav2_msgs/msg/ParticleCloud", header=header, particles=cloud),
-        )
+        array = self._of("geometry_msgs/msg/PoseArray", header=header, poses=[])
+        cloud = self._of("nav2_msgs/msg/ParticleCloud", header=header, particles=[])
+        return (array, rows[:, :-1]), (cloud, rows)
 
     def diagnostics(self, stamp_ns: int, statuses: Sequence[Any]) -> Any:  # noqa: ANN401
         """diagnostic_msgs/DiagnosticArray of `diagnostic` statuses."""

@@ -258,7 +258,7 @@ class FanShape:
         if shape != self._shape:
             self._source = _source(bearings_rad, rows)
             self._shape = shape
-        return np.append(pixels.ravel(), np.uint8(0)).take(self._source)
+        return np.append(pixels.ravel(), np.uint8(0)).take(self._source, mode="clip")  # faster
 
 
 def _source(bearings: NDArray[np.float64], rows: int) -> NDArray[np.intp]:

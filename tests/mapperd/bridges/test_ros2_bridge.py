@@ -41,7 +41,13 @@ from mapperd.odometry.fusion import FusedPose
 from mapperd.odometry.native import decode_native
 from mapperd.odometry.records import Odometry
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
-from mapperd.wire.messages import EventMessage, Interest, RobotsMessage, SettingsMessage
+from mapperd.wire.messages import (
+    EventMessage,
+    Interest,
+    LocalizationMessage,
+    RobotsMessage,
+    SettingsMessage,
+)
 from tests.mapperd.bridges import ros_peer
 from tests.mapperd.bridges.bridge_fakes import (
     INFO,
@@ -300,6 +306,23 @@ def test_the_estimate_of_localization_is_that_of_amcl(heard: Heard) -> None:
     assert turn.as_euler("ZYX") == pytest.approx([0.0, 0.0, 0.0])
     covariance = np.reshape(message["pose"]["covariance"], (6, 6))
     assert np.diag(covariance) == pytest.approx([0.04, 0.09, 0, 0, 0, 0.003])
+
+
+@pytest.mark.parametrize("frame", ["", "m", "map", "odom", "odometry"])
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_rows_are_encoded_as_objects_are(frame: str, count: int) -> None:
+    types = RosTypes()
+    messages, make = LiveMessages(types.classes), types.classes
+    drawn = np.random.default_rng(2).normal(size=(count, 4)).astype("<f4")
+    state = LocalizationMessage(report={}, particles=drawn.tobytes())
+    (array, poses), (cloud, particles) = messages.particles(state, T0, frame, -2.0)
+    encoded = types.encoded(array, poses), types.encoded(cloud, particles)
+    for x, y, z, qx, qy, qz, qw, weight in particles.tolist():
+        point = make["geometry_msgs/msg/Point"](x, y, z)
+        turn = make["geometry_msgs/msg/Quaternion"](qx, qy, qz, qw)
+        array.poses.append(make["geometry_msgs/msg/Pose"](point, turn))
+        cloud.particles.append(make["nav2_msgs/msg/Particle"](array.poses[-1], weight))
+    assert encoded == (types.encoded(array), types.encoded(cloud))
 
 
 def test_particles_come_in_both_forms(heard: Heard) -> None:
@@ -1084,7 +1107,7 @@ class Recorded:
     def readers(self) -> int:
         return 1
 
-    def publish(self, message: Any) -> bool:
+    def publish(self, message: Any, _rows: object = None) -> bool:
         if self.name in self.refused:  # type: ignore[attr-defined]
             return False
         self.sent.setdefault(self.name, []).append(message)  # type: ignore[attr-defined]
