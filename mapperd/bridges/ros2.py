@@ -23,10 +23,10 @@ from mapperd.bridges.vehicle import (
     LinkReporter,
     MapFrames,
     VehiclePose,
+    has_odom_pose,
     inverse,
     map_odom_of,
     map_slice,
-    odom_pose_of,
     planar_estimate,
 )
 from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapReset
@@ -301,7 +301,7 @@ class Ros2Bridge:
     def _frames(self, vehicle: PoseMessage) -> MapFrames | None:
         """Return the frames at a pose; None until the state of localization is known."""
         localization = self._state.localization.message
-        if odom_pose_of(vehicle) is not None:
+        if has_odom_pose(vehicle):
             return MapFrames.of(vehicle, localization)
         is_corrected = vehicle.source == "localization"
         if localization is None and (self._state.localizes is not False or is_corrected):
@@ -316,7 +316,7 @@ class Ros2Bridge:
         self, vehicle: PoseMessage, localization: LocalizationMessage | None
     ) -> int:
         """Return the stamp of the odometry's frame in the map: ahead of its scan, as of AMCL."""
-        if odom_pose_of(vehicle) is not None:  # the transform is that of this pose
+        if has_odom_pose(vehicle):  # the transform is that of this pose
             fact = self._client.settings.get("amcl.transform_tolerance", {}).get("value")
             ahead_s = (
                 fact if isinstance(fact, int | float) else self._config.amcl.transform_tolerance

@@ -37,10 +37,10 @@ __all__ = [
     "MapFrames",
     "RateLimit",
     "VehiclePose",
+    "has_odom_pose",
     "inverse",
     "map_odom_of",
     "map_slice",
-    "odom_pose_of",
     "planar_estimate",
     "sure_pose",
 ]
@@ -369,7 +369,7 @@ class MapFrames:
 
         A pose that comes with that of the odometry needs no transform of localization.
         """
-        base, odom = VehiclePose.of(vehicle).pose, odom_pose_of(vehicle)
+        base, odom = VehiclePose.of(vehicle).pose, _odom_pose_of(vehicle)
         sonar = Pose(np.asarray(vehicle.sonar_position_m), _unit(vehicle.sonar_orientation_xyzw))
         report = {} if localization is None else localization.report
         correction = map_odom_of(report)
@@ -385,7 +385,12 @@ class MapFrames:
         return cls(correction, base, mounting, served_in_odom=True)
 
 
-def odom_pose_of(vehicle: PoseMessage) -> Pose | None:
+def has_odom_pose(vehicle: PoseMessage) -> bool:
+    """Whether the message has the base in the odometry's frame."""
+    return vehicle.odom_position_m is not None and vehicle.odom_orientation_xyzw is not None
+
+
+def _odom_pose_of(vehicle: PoseMessage) -> Pose | None:
     """Return the base in the odometry's frame; None if the message has none."""
     if vehicle.odom_position_m is None or vehicle.odom_orientation_xyzw is None:
         return None
@@ -403,13 +408,13 @@ def _relative(frame: Pose, pose: Pose) -> Pose:
     back = frame.map_q_base * (1, -1, -1, -1)
     turn = quaternion_product(back, pose.map_q_base)
     place = quaternion_to_matrix(back) @ (pose.position_m - frame.position_m)
-    return Pose(place, turn / np.linalg.norm(turn))
+    return Pose(place, turn / math.hypot(*turn.tolist()))
 
 
 def _unit(xyzw: tuple[float, ...]) -> Floats:
-    quaternion = np.roll(np.asarray(xyzw, np.float64), 1)
-    unit: Floats = quaternion / np.linalg.norm(quaternion)
-    return unit
+    x, y, z, w = xyzw
+    length = math.hypot(x, y, z, w)
+    return np.array([w / length, x / length, y / length, z / length])
 
 
 def map_slice(

@@ -202,7 +202,8 @@ class Pose:
         if position.shape != (3,) or quaternion.shape != (4,):
             raise ValueError("a pose is a position of 3 and a quaternion of 4 numbers")
         if not (
-            np.isfinite(position).all() and abs(float(quaternion @ quaternion) - 1) < UNIT_TOLERANCE
+            all(map(math.isfinite, position.tolist()))
+            and abs(float(quaternion @ quaternion) - 1) < UNIT_TOLERANCE
         ):
             raise ValueError("a pose is a finite position and a unit quaternion")
         object.__setattr__(self, "position_m", position)
