@@ -92,7 +92,7 @@ NS = 1_000_000_000
 PARTICLES_NS = NS // 2
 """Shortest time between two messages with particles."""
 
-SHARE = 50.0
+SHARE = 66.0
 """A cloud or grid is made after this many times the processor time that the last one took."""
 
 NO_GRID = GridLayer(np.full((1, 1), UNKNOWN, np.uint8), GridWindow(0, 0, 1, 1))
@@ -509,9 +509,8 @@ class Ros2Bridge:
         return self.messages.diagnostics(status.stamp_ns, statuses)
 
 
-TICK_S = 0.2
-FORWARD_S = 0.1
-"""Time between two looks at the odometry of ROS."""
+TICK_S, LOOK_S = 0.2, 0.1
+"""Time between two ticks of the bridge, and between two looks at what ROS sends."""
 
 
 def domain_of(config: Config, environ: Mapping[str, str]) -> int:
@@ -550,11 +549,11 @@ async def serve(client: Ros2Client, config: Config, report: Callable[[str], None
     forwarder = OdometryForwarder(node, config.topics.odometry, target) if target else None
     works = (
         _follow(client, bridge),
-        _repeat(bridge.tick),
+        _repeat(bridge.tick, TICK_S),
         _repeat(requests.look),
         _repeat(requests.look_at_commands),
         _repeat(requests.look_at_poses),
-        _repeat(forwarder.look, FORWARD_S) if forwarder is not None else asyncio.Event().wait(),
+        _repeat(forwarder.look) if forwarder is not None else asyncio.Event().wait(),
     )
     tasks: list[asyncio.Task[Any]] = [asyncio.create_task(work) for work in works]
     try:
@@ -575,7 +574,7 @@ async def _follow(client: Ros2Client, bridge: Ros2Bridge) -> None:
         bridge.take(change)
 
 
-async def _repeat(look: Callable[[float], Awaitable[None]], period_s: float = TICK_S) -> None:
+async def _repeat(look: Callable[[float], Awaitable[None]], period_s: float = LOOK_S) -> None:
     while True:
         await look(asyncio.get_running_loop().time())
         await asyncio.sleep(period_s)
