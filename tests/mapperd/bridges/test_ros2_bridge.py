@@ -325,6 +325,22 @@ def test_rows_are_encoded_as_objects_are(frame: str, count: int) -> None:
     assert encoded == (types.encoded(array), types.encoded(cloud))
 
 
+def test_an_estimate_waits_for_the_pose_that_gives_its_height() -> None:
+    topics = {"amcl_pose", "particlecloud", "particle_cloud"}
+    assert not topics & {*published(sure())}
+    sent = published(a_pose(0.0, (1.0, 2.0, -5.0)), sure())
+    assert topics <= {*sent}
+    assert sent["amcl_pose"][-1].pose.pose.position.z == -5.0
+
+
+def test_directions_of_the_beams_follow_the_bearings() -> None:
+    turned = np.frombuffer(IMAGE.bearings_rad, "<f4")[::-1].astype("<f4").tobytes()
+    pings = published(IMAGE, msgspec.structs.replace(IMAGE, bearings_rad=turned), IMAGE)
+    ahead = [[one.y for one in ping.beam_directions] for ping in pings["mapperd/ping"]]
+    assert ahead[1] == ahead[0][::-1] != ahead[0]
+    assert ahead[2] == ahead[0]
+
+
 def test_particles_come_in_both_forms(heard: Heard) -> None:
     cloud = heard["/rov/particle_cloud"][-1]
     assert [one["weight"] for one in cloud["particles"]] == pytest.approx([0.7, 0.3])
