@@ -30,15 +30,59 @@ def add_gaussian(
     """
 
 def add_gaussian_power(
-    field: NDArray[np.complex64], power: NDArray[np.float32], key: int, threads: int = 2
+    field: NDArray[np.complex64],
+    power: NDArray[np.float32],
+    key: int,
+    threads: int = 2,
+    first: float = 0.0,
+    step: float = 1.0,
 ) -> None:
     """Add to each cell a complex Gaussian number of a mean power of its own, in place.
 
     Args:
         field: (rows, columns), C-contiguous.
-        power: (rows, columns).
+        power: (rows, M), at the columns first + step * m; linear between them, constant beyond.
         key: 64 bits that choose the numbers.
         threads: that share the rows.
+        first: column of the first power.
+        step: columns between powers.
+    """
+
+def block_powers(
+    cells: NDArray[np.complex64] | NDArray[np.float32], width: int, threads: int = 2
+) -> NDArray[np.float32]:
+    """Mean power of blocks of columns, (rows, blocks).
+
+    Args:
+        cells: (rows, columns), a field or a power.
+        width: columns of a block; the last may be narrower.
+        threads: that share the rows.
+    """
+
+def add_cloud(
+    power: NDArray[np.float32],
+    enter_row: NDArray[np.float64],
+    leave_row: NDArray[np.float64],
+    column: NDArray[np.int32],
+    weight: NDArray[np.float64],
+    row_fade: NDArray[np.float64],
+    column_fade: NDArray[np.float64],
+    level: NDArray[np.float64],
+) -> None:
+    """Add what a cloud sends back, in place.
+
+    Each of N rays adds its weight to the rows between its entry and exit, in parts of a row, times
+    min(row_fade * column_fade, 1) * level.
+
+    Args:
+        power: (rows, columns), C-contiguous.
+        enter_row: where rays enter, rows and parts of them, at least 0, (N,).
+        leave_row: where they leave, not before, (N,).
+        column: of each ray, (N,).
+        weight: of each ray, (N,).
+        row_fade: (rows,).
+        column_fade: (columns,).
+        level: factor to power, (rows,).
     """
 
 @overload

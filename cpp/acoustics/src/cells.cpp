@@ -1,5 +1,6 @@
 #include "mapperd/acoustics/cells.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
@@ -19,10 +20,30 @@ MAPPERD_VECTORISED void add_scaled(float* field, const float* unit, const float*
   }
 }
 
-MAPPERD_VECTORISED void roots(const float* power, float* amplitude, std::size_t columns) {
+// Amplitudes of powers between the coarse columns `below` and the next ones.
+MAPPERD_VECTORISED void roots(const float* __restrict power, const std::int32_t* __restrict below,
+                              const float* __restrict part, std::size_t columns,
+                              float* __restrict amplitude) {
   for (std::size_t i = 0; i < columns; ++i) {
-    amplitude[i] = std::sqrt(power[i] > 0.0F ? power[i] : 0.0F);
+    const float low = power[below[i]];
+    const float between = low + part[i] * (power[below[i] + 1] - low);
+    amplitude[i] = std::sqrt(between > 0.0F ? between : 0.0F);
   }
+}
+
+MAPPERD_VECTORISED void squares(const float* cells, std::size_t columns, float* to) {
+  for (std::size_t i = 0; i < columns; ++i) {
+    to[i] = cells[2 * i] * cells[2 * i] + cells[2 * i + 1] * cells[2 * i + 1];
+  }
+}
+
+// Adds a ray's weight from a row on, less in the first one if it begins within that.
+void begin_at(double row, double weight, std::size_t rows, double* column, std::size_t stride) {
+  if (!(row < static_cast<double>(rows))) return;
+  const auto whole = static_cast<std::size_t>(row);
+  const double part = row - static_cast<double>(whole);
+  column[whole * stride] += weight * (1.0 - part);
+  column[(whole + 1) * stride] += weight * part;
 }
 
 }  // namespace
@@ -40,16 +61,73 @@ void add_gaussian(float* field, std::size_t rows, std::size_t columns, const flo
 }
 
 void add_gaussian_power(float* field, std::size_t rows, std::size_t columns, const float* power,
-                        std::uint64_t key, unsigned threads) {
-  in_row_bands(rows, threads, [=](std::size_t first, std::size_t last) {
+                        const CoarseColumns& coarse, std::uint64_t key, unsigned threads) {
+  std::vector<std::int32_t> below(columns);
+  std::vector<float> part(columns);
+  const double last = static_cast<double>(coarse.count) - 1.0;
+  for (std::size_t i = 0; i < columns; ++i) {
+    const double at = (static_cast<double>(i) - coarse.first) / coarse.step;
+    const double within = std::clamp(at, 0.0, last);
+    // The last one as the end of the interval before: each row is read with one column more.
+    below[i] = static_cast<std::int32_t>(within);
+    part[i] = static_cast<float>(within - static_cast<double>(below[i]));
+  }
+  in_row_bands(rows, threads, [&](std::size_t first, std::size_t end) {
     std::vector<float> unit(2 * columns);
     std::vector<float> rms(columns);
-    for (std::size_t row = first; row < last; ++row) {
+    std::vector<float> of_row(coarse.count + 1);
+    for (std::size_t row = first; row < end; ++row) {
+      const float* from = power + row * coarse.count;
+      std::copy_n(from, coarse.count, of_row.begin());
+      of_row.back() = of_row[coarse.count - 1];
       complex_gaussians(key, row * columns, columns, unit.data());
-      roots(power + row * columns, rms.data(), columns);
+      roots(of_row.data(), below.data(), part.data(), columns, rms.data());
       add_scaled(field + 2 * row * columns, unit.data(), rms.data(), 1.0F, columns);
     }
   });
+}
+
+void block_powers(const float* cells, std::size_t parts, std::size_t rows, std::size_t columns,
+                  std::size_t width, float* out, unsigned threads) {
+  const std::size_t blocks = (columns + width - 1) / width;
+  in_row_bands(rows, threads, [=](std::size_t first, std::size_t end) {
+    std::vector<float> power(columns);
+    for (std::size_t row = first; row < end; ++row) {
+      const float* from = cells + row * columns * parts;
+      if (parts == 2) {
+        squares(from, columns, power.data());
+        from = power.data();
+      }
+      for (std::size_t block = 0; block < blocks; ++block) {
+        const std::size_t begin = block * width;
+        const std::size_t size = std::min(width, columns - begin);
+        float sum = 0.0F;
+        for (std::size_t i = begin; i < begin + size; ++i) sum += from[i];
+        out[row * blocks + block] = sum / static_cast<float>(size);
+      }
+    }
+  });
+}
+
+void add_cloud(float* power, std::size_t rows, std::size_t columns, const CloudRays& rays,
+               const CloudFade& fade) {
+  // Growth of the sum from the row before.
+  std::vector<double> growth((rows + 1) * columns, 0.0);
+  for (std::size_t i = 0; i < rays.count; ++i) {
+    double* column = growth.data() + rays.column[i];
+    begin_at(rays.enter_row[i], rays.weight[i], rows, column, columns);
+    begin_at(rays.leave_row[i], -rays.weight[i], rows, column, columns);
+  }
+  std::vector<double> sum(columns, 0.0);
+  for (std::size_t row = 0; row < rows; ++row) {
+    const double faded = fade.row[row];
+    const double level = fade.level[row];
+    for (std::size_t i = 0; i < columns; ++i) {
+      sum[i] += growth[row * columns + i];
+      const double left = std::min(faded * fade.column[i], 1.0);
+      power[row * columns + i] += static_cast<float>(std::max(sum[i], 0.0) * left * level);
+    }
+  }
 }
 
 }  // namespace mapperd::acoustics

@@ -36,9 +36,9 @@ MAPPERD_INLINE float minus_log(float x) {
 }
 
 // Circular complex Gaussian numbers of the given rms, turned by a phase.
-MAPPERD_VECTORISED void drawn(const float* rms, const float* phase, const std::uint32_t* bits,
-                              std::size_t count, float* __restrict real,
-                              float* __restrict imaginary) {
+MAPPERD_VECTORISED void drawn(const float* __restrict rms, const float* __restrict phase,
+                              const std::uint32_t* __restrict bits, std::size_t count,
+                              float* __restrict real, float* __restrict imaginary) {
   for (std::size_t i = 0; i < count; ++i) {
     const auto low = static_cast<std::int32_t>(bits[i] & 0xFFFFU);
     const auto high = static_cast<std::int32_t>(bits[i] >> 16);
@@ -59,37 +59,64 @@ struct Frame {
 };
 
 // Where echoes begin in the field; what lies outside goes silently to its first cell.
-MAPPERD_VECTORISED void aimed(const Scatterers& nodes, const Frame& frame,
+MAPPERD_VECTORISED void aimed(const float* __restrict columns, const std::int32_t* __restrict rows,
+                              const float* __restrict heard, std::size_t count, const Frame& frame,
                               std::int32_t* __restrict cell, std::int32_t* __restrict fraction,
                               float* __restrict pressure) {
   const std::int32_t before = frame.taps / 2 - 1 + frame.first_column;
   const std::int32_t last = frame.columns - frame.taps;
+  const std::int32_t width = frame.columns;
+  const std::int32_t last_row = frame.rows - 1;
   const auto fractions = static_cast<float>(frame.fractions);
   const std::int32_t most = frame.fractions - 1;
-  for (std::size_t i = 0; i < nodes.count; ++i) {
-    const float at = nodes.column[i];
+  for (std::size_t i = 0; i < count; ++i) {
+    const float at = columns[i];
     const auto towards_zero = static_cast<std::int32_t>(at);
-    const std::int32_t whole =
-        towards_zero - static_cast<std::int32_t>(static_cast<float>(towards_zero) > at);
+    const float kept = static_cast<float>(towards_zero);
+    const std::int32_t whole = towards_zero - (kept > at ? 1 : 0);
     const auto part = static_cast<std::int32_t>((at - static_cast<float>(whole)) * fractions);
     const std::int32_t column = whole - before;
-    const std::int32_t row = nodes.row[i];
-    const bool inside = (row >= 0) & (row < frame.rows) & (column >= 0) & (column <= last);
-    cell[i] = inside ? row * frame.columns + column : 0;
+    const std::int32_t row = rows[i];
+    // Negative where one of the four is.
+    const std::int32_t inside = row | (last_row - row) | column | (last - column);
+    const std::int32_t mask = ~(inside >> 31);
+    cell[i] = (row * width + column) & mask;
     fraction[i] = part < most ? part : most;
-    pressure[i] = inside ? nodes.pressure[i] : 0.0F;
+    pressure[i] = inside < 0 ? 0.0F : heard[i];
   }
 }
 
-// Two complex numbers, as one value to the compiler.
+// Four complex numbers and two, as one value to the compiler.
+using Four = float __attribute__((vector_size(8 * sizeof(float))));
 using Pair = float __attribute__((vector_size(4 * sizeof(float))));
 
-inline void add_pair(std::complex<float>* cell, const float* taps, const Pair& number) {
-  Pair sum, part;
+template <typename Numbers>
+MAPPERD_INLINE void add_scaled(float* cell, const float* taps, const Numbers& number) {
+  Numbers sum, part;
   std::memcpy(&sum, cell, sizeof sum);
   std::memcpy(&part, taps, sizeof part);
   sum += part * number;
-  std::memcpy(static_cast<void*>(cell), &sum, sizeof sum);
+  std::memcpy(cell, &sum, sizeof sum);
+}
+
+// Adds each echo to `taps` cells, an even number; weights are there twice, for both parts.
+MAPPERD_VECTORISED void spread(const float* real, const float* imaginary, const std::int32_t* cell,
+                               const std::int32_t* fraction, std::size_t count, std::size_t taps,
+                               const float* weights, float* field) {
+  for (std::size_t i = 0; i < count; ++i) {
+    float* to = field + 2 * static_cast<std::size_t>(cell[i]);
+    const float* by = weights + 2 * taps * static_cast<std::size_t>(fraction[i]);
+    const float re = real[i], im = imaginary[i];
+    const Pair pair{re, im, re, im};
+    const Four four{re, im, re, im, re, im, re, im};
+    std::size_t k = 0;
+    for (; k + 4 <= taps; k += 4) {
+      add_scaled(to + 2 * k, by + 2 * k, four);
+    }
+    if (k < taps) {
+      add_scaled(to + 2 * k, by + 2 * k, pair);
+    }
+  }
 }
 
 }  // namespace
@@ -110,21 +137,11 @@ Deposit::Deposit(const Hearing& response, std::ptrdiff_t rows, std::ptrdiff_t fi
 void Deposit::add(const Scatterers& nodes) {
   const Frame frame{rows_, first_column_, columns_, static_cast<std::int32_t>(response_.tap_count),
                     static_cast<std::int32_t>(response_.fractions)};
-  aimed(nodes, frame, cell_.data(), fraction_.data(), pressure_.data());
+  aimed(nodes.column, nodes.row, nodes.pressure, nodes.count, frame, cell_.data(), fraction_.data(),
+        pressure_.data());
   drawn(pressure_.data(), nodes.turns, nodes.bits, nodes.count, real_.data(), imaginary_.data());
-  spread(nodes.count);
-}
-
-void Deposit::spread(std::size_t count) {
-  const std::size_t taps = response_.tap_count;
-  for (std::size_t i = 0; i < count; ++i) {
-    std::complex<float>* cell = field_ + cell_[i];
-    const float* weights = taps_.data() + 2 * taps * static_cast<std::size_t>(fraction_[i]);
-    const Pair number{real_[i], imaginary_[i], real_[i], imaginary_[i]};
-    for (std::size_t k = 0; k < taps; k += 2) {
-      add_pair(cell + k, weights + 2 * k, number);
-    }
-  }
+  spread(real_.data(), imaginary_.data(), cell_.data(), fraction_.data(), nodes.count,
+         response_.tap_count, taps_.data(), reinterpret_cast<float*>(field_));
 }
 
 }  // namespace mapperd::acoustics

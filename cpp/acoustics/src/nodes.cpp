@@ -9,130 +9,248 @@ namespace mapperd::acoustics {
 
 namespace {
 
-MAPPERD_VECTORISED void look(const Leg& leg, const Nodes& nodes, std::size_t count, Sights& to) {
-  const double o[3] = {leg.origin_m[0], leg.origin_m[1], leg.origin_m[2]};
-  const double m1 = leg.rotation[1], m4 = leg.rotation[4], m7 = leg.rotation[7];
-  const double m2 = leg.rotation[2], m5 = leg.rotation[5], m8 = leg.rotation[8];
-  for (std::size_t i = 0; i < count; ++i) {
-    const double x = nodes.point_m[0][i] - o[0];
-    const double y = nodes.point_m[1][i] - o[1];
-    const double z = nodes.point_m[2][i] - o[2];
-    const double range_m = std::sqrt(x * x + y * y + z * z + 1e-12);
-    const double part = 1.0 / range_m;
-    const double dx = x * part;
-    const double dy = y * part;
-    const double dz = z * part;
-    to.range_m[i] = range_m;
-    to.way[0][i] = dx;
-    to.way[1][i] = dy;
-    to.way[2][i] = dz;
-    to.s[i] = static_cast<float>(-(m1 * dx + m4 * dy + m7 * dz));
-    to.w[i] = static_cast<float>(m2 * dx + m5 * dy + m8 * dz);
+// Loops that run to a multiple of the vectors' length go over what is not read.
+
+// A vector that is linear over a patch: at its first node, and its growth per step of the lattice.
+struct Linear {
+  Vec3 first, along, across;
+};
+
+// Places on the patch's plane, relative to an origin.
+Linear places_of(const PatchModel& patch, const Vec3& origin_m) {
+  const Lattice& lattice = patch.lattice;
+  const Axes& axes = patch.axes;
+  const Vec3& n = patch.normal;
+  const double slope_u = n[axes.u] / n[axes.c];
+  const double slope_v = n[axes.v] / n[axes.c];
+  const double shift_i = patch.first_i + lattice.i0 - 0.5;
+  const double shift_j = patch.first_j + lattice.j0 - 0.5;
+  Linear place;
+  place.along[axes.u] = lattice.along_m * lattice.cosine;
+  place.along[axes.v] = lattice.along_m * lattice.sine;
+  place.across[axes.u] = -lattice.across_m * lattice.sine;
+  place.across[axes.v] = lattice.across_m * lattice.cosine;
+  for (Vec3* step : {&place.along, &place.across}) {
+    (*step)[axes.c] = -slope_u * (*step)[axes.u] - slope_v * (*step)[axes.v];
+  }
+  place.first = shift_i * place.along + shift_j * place.across;
+  place.first[axes.c] += patch.offset / n[axes.c];
+  place.first = place.first - origin_m;
+  return place;
+}
+
+// Normals of a round surface over such places, of any length.
+Linear normals_of(const double* curved_normal, const Linear& place, const Vec3& origin_m) {
+  Linear normal;
+  for (std::size_t row = 0; row < 3; ++row) {
+    const double* g = curved_normal + 4 * row;
+    const Vec3 slope{g[0], g[1], g[2]};
+    normal.first[row] = dot(slope, place.first + origin_m) + g[3];
+    normal.along[row] = dot(slope, place.along);
+    normal.across[row] = dot(slope, place.across);
+  }
+  return normal;
+}
+
+// Random places within the lattice's cells, from the patch's first node.
+MAPPERD_VECTORISED void jitter(const PatchModel& patch, std::size_t first, std::size_t count,
+                               Nodes& nodes, float* __restrict along, float* __restrict across) {
+  const std::uint64_t key = patch.lattice.key;
+  const auto low = static_cast<std::uint32_t>(key);
+  const auto high = static_cast<std::uint32_t>(key >> 32);
+  const auto first_i = static_cast<std::uint32_t>(static_cast<std::int64_t>(patch.first_i));
+  const auto first_j = static_cast<std::uint32_t>(static_cast<std::int64_t>(patch.first_j));
+  const std::int32_t* __restrict from_i = nodes.i + first;
+  const std::int32_t* __restrict from_j = nodes.j + first;
+  std::uint32_t* __restrict bits = nodes.bits + first;
+  constexpr float kUnit = 0x1p-16F;
+  for (std::size_t start = 0; start < count; start += kLanes) {
+    for (std::size_t at = start; at < start + kLanes; ++at) {
+      const NodeBits random = node_bits(low, high, first_i + static_cast<std::uint32_t>(from_i[at]),
+                                        first_j + static_cast<std::uint32_t>(from_j[at]));
+      const auto jitter_i = static_cast<std::int32_t>(random.place & 0xFFFFU);
+      const auto jitter_j = static_cast<std::int32_t>(random.place >> 16);
+      along[at] = static_cast<float>(from_i[at]) + static_cast<float>(jitter_i) * kUnit;
+      across[at] = static_cast<float>(from_j[at]) + static_cast<float>(jitter_j) * kUnit;
+      bits[at] = random.echo;
+    }
+  }
+}
+
+MAPPERD_VECTORISED void spread_over(double from, double by_along, double by_across,
+                                    const float* __restrict along, const float* __restrict across,
+                                    std::size_t count, float* __restrict to) {
+  const auto start_value = static_cast<float>(from);
+  const auto a = static_cast<float>(by_along);
+  const auto b = static_cast<float>(by_across);
+  for (std::size_t start = 0; start < count; start += kLanes) {
+    for (std::size_t at = start; at < start + kLanes; ++at) {
+      to[at] = start_value + (a * along[at] + b * across[at]);
+    }
+  }
+}
+
+void spread_over(const Linear& from, const float* along, const float* across, std::size_t first,
+                 std::size_t count, Each<float>* to) {
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    spread_over(from.first[axis], from.along[axis], from.across[axis], along, across, count,
+                to[axis] + first);
+  }
+}
+
+MAPPERD_INLINE void repeat(float value, std::size_t count, float* to) {
+  for (std::size_t start = 0; start < count; start += kLanes) {
+    std::fill_n(to + start, kLanes, value);
+  }
+}
+
+// Points relative to a leg that lie at `shift_m` from the nodes' own.
+MAPPERD_VECTORISED void look(const Leg& leg, const Nodes& nodes, const Vec3& shift_m, Sights& to) {
+  const float o[3] = {static_cast<float>(shift_m.x), static_cast<float>(shift_m.y),
+                      static_cast<float>(shift_m.z)};
+  float m[9];
+  for (std::size_t k = 0; k < 9; ++k) {
+    m[k] = static_cast<float>(leg.rotation[k]);
+  }
+  const float* __restrict px = nodes.point_m[0];
+  const float* __restrict py = nodes.point_m[1];
+  const float* __restrict pz = nodes.point_m[2];
+  float* __restrict to_range = to.range_m;
+  float* __restrict to_x = to.way[0];
+  float* __restrict to_y = to.way[1];
+  float* __restrict to_z = to.way[2];
+  float* __restrict to_s = to.s;
+  float* __restrict to_w = to.w;
+  for (std::size_t i = 0; i < nodes.count; ++i) {
+    const float x = px[i] + o[0];
+    const float y = py[i] + o[1];
+    const float z = pz[i] + o[2];
+    const float range_m = std::sqrt(x * x + y * y + z * z + 1e-12F);
+    const float part = 1.0F / range_m;
+    const float dx = x * part;
+    const float dy = y * part;
+    const float dz = z * part;
+    to_range[i] = range_m;
+    to_x[i] = dx;
+    to_y[i] = dy;
+    to_z[i] = dz;
+    to_s[i] = -(m[1] * dx + m[4] * dy + m[7] * dz);
+    to_w[i] = m[2] * dx + m[5] * dy + m[8] * dz;
   }
 }
 
 // Cosines of incidence on a plane.
-MAPPERD_VECTORISED void flat_cosines(const float* height_m, const Sights& from, std::size_t count,
-                                     float* cosine) {
+MAPPERD_VECTORISED void flat_cosines(const float* __restrict height_m,
+                                     const float* __restrict range_m, std::size_t count,
+                                     float* __restrict cosine) {
   for (std::size_t i = 0; i < count; ++i) {
-    cosine[i] = height_m[i] / static_cast<float>(from.range_m[i]);
+    cosine[i] = height_m[i] / range_m[i];
   }
 }
 
 // Cosines on the round surface that the plane stands for, and the area seen over the plane's.
 MAPPERD_VECTORISED void round_cosines(const Nodes& nodes, const Sights& out, const Sights& back,
-                                      Each<float>* cosine, float* area) {
+                                      float* __restrict to_out, float* __restrict to_back,
+                                      float* __restrict area) {
   constexpr auto kLeast = static_cast<float>(kMinCosine);
   for (std::size_t i = 0; i < nodes.count; ++i) {
-    const auto nx = static_cast<float>(nodes.normal[0][i]);
-    const auto ny = static_cast<float>(nodes.normal[1][i]);
-    const auto nz = static_cast<float>(nodes.normal[2][i]);
-    const auto ox = static_cast<float>(out.way[0][i]);
-    const auto oy = static_cast<float>(out.way[1][i]);
-    const auto oz = static_cast<float>(out.way[2][i]);
-    const auto bx = static_cast<float>(back.way[0][i]);
-    const auto by = static_cast<float>(back.way[1][i]);
-    const auto bz = static_cast<float>(back.way[2][i]);
+    const float nx = nodes.normal[0][i];
+    const float ny = nodes.normal[1][i];
+    const float nz = nodes.normal[2][i];
     const float part = 1.0F / std::sqrt(nx * nx + ny * ny + nz * nz + 1e-30F);
-    const float transmit = std::fabs(nx * ox + ny * oy + nz * oz) * part;
-    cosine[0][i] = transmit;
-    cosine[1][i] = std::fabs(nx * bx + ny * by + nz * bz) * part;
+    const float transmit =
+        std::fabs(nx * out.way[0][i] + ny * out.way[1][i] + nz * out.way[2][i]) * part;
+    to_out[i] = transmit;
+    to_back[i] = std::fabs(nx * back.way[0][i] + ny * back.way[1][i] + nz * back.way[2][i]) * part;
     const float least = transmit > kLeast ? transmit : kLeast;
-    area[i] = nodes.height_m[0][i] / (static_cast<float>(out.range_m[i]) * least);
+    area[i] = nodes.height_m[0][i] / (out.range_m[i] * least);
   }
 }
 
 // Cosine of the half-way direction with the surface's normal.
 MAPPERD_VECTORISED void half_cosines(const Nodes& nodes, const Sights& out, const Sights& back,
-                                     float* cosine) {
+                                     float* __restrict cosine) {
   for (std::size_t i = 0; i < nodes.count; ++i) {
-    const double nx = nodes.normal[0][i];
-    const double ny = nodes.normal[1][i];
-    const double nz = nodes.normal[2][i];
-    const double hx = out.way[0][i] + back.way[0][i];
-    const double hy = out.way[1][i] + back.way[1][i];
-    const double hz = out.way[2][i] + back.way[2][i];
-    const double squares = (hx * hx + hy * hy + hz * hz) * (nx * nx + ny * ny + nz * nz);
-    cosine[i] =
-        static_cast<float>(std::fabs(nx * hx + ny * hy + nz * hz) / std::sqrt(squares + 1e-30));
+    const float nx = nodes.normal[0][i];
+    const float ny = nodes.normal[1][i];
+    const float nz = nodes.normal[2][i];
+    const float hx = out.way[0][i] + back.way[0][i];
+    const float hy = out.way[1][i] + back.way[1][i];
+    const float hz = out.way[2][i] + back.way[2][i];
+    const float squares = (hx * hx + hy * hy + hz * hz) * (nx * nx + ny * ny + nz * nz);
+    cosine[i] = std::fabs(nx * hx + ny * hy + nz * hz) / std::sqrt(squares + 1e-30F);
   }
 }
 
 // Diffuse part of the cross-section.
-MAPPERD_VECTORISED void diffuse(const Nodes& nodes, bool lambert, const float* transmit,
-                                const float* receive, float* section) {
-  for (std::size_t i = 0; i < nodes.count; ++i) {
-    section[i] = lambert ? nodes.mu[i] * transmit[i] * receive[i] : nodes.mu[i];
+MAPPERD_VECTORISED void diffuse(const float* __restrict mu, bool lambert,
+                                const float* __restrict transmit, const float* __restrict receive,
+                                std::size_t count, float* __restrict section) {
+  for (std::size_t i = 0; i < count; ++i) {
+    section[i] = lambert ? mu[i] * transmit[i] * receive[i] : mu[i];
   }
 }
 
 // The lobe about the mirror's direction, see `Strength`.
-MAPPERD_VECTORISED void add_lobe(const Nodes& nodes, const float* half, float* section) {
+MAPPERD_VECTORISED void add_lobe(const Nodes& nodes, const float* __restrict half,
+                                 float* __restrict section) {
   constexpr float kPerOctave = 1.44269504F;
   for (std::size_t i = 0; i < nodes.count; ++i) {
     const float square = half[i] * half[i];
     const float cos2 = square < 1.0F ? (square > 1e-6F ? square : 1e-6F) : 1.0F;
     const float fall = nodes.smoothness[i] * cos2 + nodes.steepness[i] * (1.0F / cos2 - 1.0F);
     const float flash = nodes.lobe_height[i] * fast_exp2(-kPerOctave * fall) / (cos2 * cos2);
-    section[i] += fall < static_cast<float>(kFaintest) ? flash : 0.0F;
+    // With bit operations, because a conditional would become a branch.
+    const std::int32_t some = -static_cast<std::int32_t>(fall < static_cast<float>(kFaintest));
+    section[i] += float_of(bits_of(flash) & some);
   }
 }
 
-MAPPERD_VECTORISED void times(const float* by, std::size_t count, float* section) {
+MAPPERD_VECTORISED void times(const float* __restrict by, std::size_t count,
+                              float* __restrict section) {
   for (std::size_t i = 0; i < count; ++i) {
     section[i] *= by[i];
   }
 }
 
-// Phase, row, column, and the pressure that is left by spreading.
-MAPPERD_VECTORISED void hear(const ScatterInput& e, const Leg& receive, const Sights& out,
-                             const Sights& back, const Nodes& nodes, const float* section,
-                             HeardNodes& to) {
-  const std::size_t count = nodes.count;
+// Phase and row. `way` is that of the direction to the echo.
+MAPPERD_VECTORISED void arrive(const ScatterInput& e, const Vec3& drift_m,
+                               const float* __restrict out_m, const float* __restrict back_m,
+                               const float* __restrict x, const float* __restrict y,
+                               const float* __restrict z, std::size_t count,
+                               float* __restrict to_turns, std::int32_t* __restrict to_row) {
   const EchoGrid& grid = e.grid;
-  const double scale = 0.5 * grid.range_scale / grid.row_m;
-  const double rows_per_m = 1.0 / grid.row_m;
-  const double d0 = receive.drift_m[0] * rows_per_m;
-  const double d1 = receive.drift_m[1] * rows_per_m;
-  const double d2 = receive.drift_m[2] * rows_per_m;
-  const auto last_row = static_cast<double>(grid.rows - 1);
-  const double turns_per_m = e.model.turns_per_m;
-  const auto first_sine = static_cast<float>(grid.first_sine);
-  const auto columns_per_sine = static_cast<float>(1.0 / grid.sine_pitch);
-  const bool spreading = e.model.spreading;
+  const auto rows_per_m = static_cast<float>(0.5 * grid.range_scale / grid.row_m);
+  const auto d0 = static_cast<float>(drift_m[0] / grid.row_m);
+  const auto d1 = static_cast<float>(drift_m[1] / grid.row_m);
+  const auto d2 = static_cast<float>(drift_m[2] / grid.row_m);
+  const auto end = static_cast<float>(grid.rows);
+  const auto turns_per_m = static_cast<float>(e.model.turns_per_m);
   for (std::size_t i = 0; i < count; ++i) {
-    const double both_m = out.range_m[i] + back.range_m[i];
-    const double drift = d0 * out.way[0][i] + d1 * out.way[1][i] + d2 * out.way[2][i];
-    const double at = scale * both_m + drift;
+    const float both_m = out_m[i] + back_m[i];
+    const float drift = d0 * x[i] + d1 * y[i] + d2 * z[i];
+    const float at = rows_per_m * both_m + drift;
     // Beyond the grid on either side: one row that does not exist.
-    const double within = at < 0.0 ? -1.0 : (at > last_row + 1.0 ? last_row + 1.0 : at);
-    to.row[i] = static_cast<std::int32_t>(within + 1.0) - 1;
-    const double turns = both_m * turns_per_m;
-    to.turns[i] = static_cast<float>(turns - static_cast<double>(static_cast<std::int32_t>(turns)));
-    to.column[i] = (back.s[i] - first_sine) * columns_per_sine;
-    const auto spread = static_cast<float>(out.range_m[i] * back.range_m[i]);
-    const float part = spreading ? 1.0F / spread : 1.0F;
-    to.pressure[i] = part * (nodes.gain[i] * std::sqrt(section[i]));
+    const float within = at < 0.0F ? -1.0F : (at > end ? end : at);
+    to_row[i] = static_cast<std::int32_t>(within + 1.0F) - 1;
+    const float turns = both_m * turns_per_m;
+    to_turns[i] = turns - static_cast<float>(static_cast<std::int32_t>(turns));
+  }
+}
+
+// Column, and the pressure that is left by spreading.
+MAPPERD_VECTORISED void spread(const ScatterInput& e, const float* __restrict out_m,
+                               const float* __restrict back_m, const float* __restrict s,
+                               const float* __restrict gain, const float* __restrict section,
+                               std::size_t count, float* __restrict to_column,
+                               float* __restrict to_pressure) {
+  const auto first_sine = static_cast<float>(e.grid.first_sine);
+  const auto columns_per_sine = static_cast<float>(1.0 / e.grid.sine_pitch);
+  const float lost = e.model.spreading ? 1.0F : 0.0F;
+  const float kept = 1.0F - lost;
+  for (std::size_t i = 0; i < count; ++i) {
+    to_column[i] = (s[i] - first_sine) * columns_per_sine;
+    to_pressure[i] = gain[i] * std::sqrt(section[i]) / (lost * (out_m[i] * back_m[i]) + kept);
   }
 }
 
@@ -153,29 +271,59 @@ MAPPERD_VECTORISED void pattern(const Hearing& response, const float* __restrict
 
 MAPPERD_VECTORISED void weigh(const float* __restrict there, const float* __restrict here,
                               const float* __restrict loss, const std::int32_t* __restrict row,
-                              std::int32_t rows, std::size_t count, float* __restrict pressure) {
+                              std::int32_t last_row, std::size_t count,
+                              float* __restrict pressure) {
   for (std::size_t i = 0; i < count; ++i) {
     const std::int32_t from = row[i] > 0 ? row[i] : 0;
-    pressure[i] *= there[i] * here[i] * loss[from < rows ? from : rows - 1];
+    const std::int32_t at = from < last_row ? from : last_row;
+    pressure[i] *= there[i] * here[i] * loss[at];
   }
 }
 
 }  // namespace
 
+void place(const PatchModel& patch, const SharedTraits& traits, std::size_t first, Nodes& nodes) {
+  const std::size_t count = nodes.count - first;
+  const Vec3& origin_m = traits.transmit->origin_m;
+  Each<float> along, across;
+  jitter(patch, first, count, nodes, along, across);
+  const Linear points = places_of(patch, origin_m);
+  spread_over(points, along, across, first, count, nodes.point_m);
+  repeat(static_cast<float>(patch.transmit_height_m), count, nodes.height_m[0] + first);
+  repeat(patch.gain, count, nodes.gain + first);
+  repeat(patch.strength.mu(), count, nodes.mu + first);
+  if (!traits.same_leg()) {
+    repeat(static_cast<float>(patch.receive_height_m), count, nodes.height_m[1] + first);
+  }
+  if (traits.round) {
+    spread_over(normals_of(patch.curved_normal, points, origin_m), along, across, first, count,
+                nodes.normal);
+  }
+  if (!traits.lobe) {
+    return;
+  }
+  repeat(patch.strength.lobe_height(), count, nodes.lobe_height + first);
+  repeat(patch.strength.steepness(), count, nodes.steepness + first);
+  repeat(patch.strength.smoothness(), count, nodes.smoothness + first);
+  for (std::size_t axis = 0; axis < 3 && !traits.round; ++axis) {
+    repeat(static_cast<float>(patch.normal[axis]), count, nodes.normal[axis] + first);
+  }
+}
+
 void ScattererKernel::strengths(const SharedTraits& traits, const Nodes& nodes,
                                 const Sights& back) {
   const float* receive = cosine_[1];
   if (traits.round) {
-    round_cosines(nodes, out_, back, cosine_, area_);
+    round_cosines(nodes, out_, back, cosine_[0], cosine_[1], area_);
   } else {
-    flat_cosines(nodes.height_m[0], out_, nodes.count, cosine_[0]);
+    flat_cosines(nodes.height_m[0], out_.range_m, nodes.count, cosine_[0]);
     if (traits.same_leg()) {
       receive = cosine_[0];
     } else {
-      flat_cosines(nodes.height_m[1], back, nodes.count, cosine_[1]);
+      flat_cosines(nodes.height_m[1], back.range_m, nodes.count, cosine_[1]);
     }
   }
-  diffuse(nodes, e_.model.lambert, cosine_[0], receive, section_);
+  diffuse(nodes.mu, e_.model.lambert, cosine_[0], receive, nodes.count, section_);
   if (traits.lobe) {
     const float* half = cosine_[0];
     if (!traits.same_leg()) {
@@ -190,20 +338,23 @@ void ScattererKernel::strengths(const SharedTraits& traits, const Nodes& nodes,
 }
 
 const HeardNodes& ScattererKernel::heard(const SharedTraits& traits, const Nodes& nodes) {
-  look(*traits.transmit, nodes, nodes.count, out_);
+  look(*traits.transmit, nodes, {0.0, 0.0, 0.0}, out_);
   const bool same = traits.same_leg();
   if (!same) {
-    look(*traits.receive, nodes, nodes.count, back_);
+    look(*traits.receive, nodes, traits.transmit->origin_m - traits.receive->origin_m, back_);
   }
   const Sights& back = same ? out_ : back_;
   strengths(traits, nodes, back);
-  hear(e_, *traits.receive, out_, back, nodes, section_, heard_);
+  arrive(e_, traits.receive->drift_m, out_.range_m, back.range_m, out_.way[0], out_.way[1],
+         out_.way[2], nodes.count, heard_.turns, heard_.row);
+  spread(e_, out_.range_m, back.range_m, back.s, nodes.gain, section_, nodes.count, heard_.column,
+         heard_.pressure);
   pattern(e_.response, out_.w, nodes.count, there_);
   if (!same) {
     pattern(e_.response, back_.w, nodes.count, here_);
   }
   weigh(there_, same ? there_ : here_, e_.response.loss, heard_.row,
-        static_cast<std::int32_t>(e_.grid.rows), nodes.count, heard_.pressure);
+        static_cast<std::int32_t>(e_.grid.rows) - 1, nodes.count, heard_.pressure);
   return heard_;
 }
 

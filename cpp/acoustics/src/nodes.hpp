@@ -47,14 +47,15 @@ struct PatchModel {
 template <typename Number>
 using Each = Number[kNodes + kLanes];
 
-// Nodes of some patches.
+// Nodes of some patches. Points are relative to the transmitter: single precision then places them
+// to 1e-7 of the range.
 struct Nodes {
   std::size_t count = 0;
   Each<std::int32_t> i, j;   // in their lattice, from the patch's first
   Each<std::uint32_t> bits;  // random, for level and angle
-  Each<double> point_m[3];
-  Each<double> normal[3];   // of the plane; of a round surface, and then of any length
-  Each<float> height_m[2];  // of the plane over the transmitter and the receiver
+  Each<float> point_m[3];    // object's axes
+  Each<float> normal[3];     // of the plane; of a round surface, and then of any length
+  Each<float> height_m[2];   // of the plane over the transmitter and the receiver
   Each<float> gain;
   Each<float> mu, lobe_height, steepness, smoothness;
 };
@@ -87,8 +88,8 @@ void place(const PatchModel& patch, const SharedTraits& traits, std::size_t firs
 
 // Nodes relative to a leg.
 struct Sights {
-  Each<double> range_m;
-  Each<double> way[3];  // unit vectors in the object's frame
+  Each<float> range_m;
+  Each<float> way[3];  // unit vectors in the object's frame
   Each<float> s, w;
 };
 

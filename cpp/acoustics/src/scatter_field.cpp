@@ -49,12 +49,15 @@ class Speckler {
     const double cells =
         std::max((footprint_.far_m - footprint_.near_m) / row_m, 1.0) * std::max(wide, 1.0);
     double nodes = e_.model.nodes_per_cell * cells;
-    // Few patches may be all that there is of a small object.
-    if (wide < kWholeCell || is_small_object(hit, shadow)) {
+    const std::int32_t smooth = e_.faces.smooth[e_.hits.face[hit]];
+    const double* curved_normal = smooth < 0 ? nullptr : e_.faces.curved_normal + 12 * smooth;
+    const double turn = curved_normal == nullptr ? 0.0 : turn_per_m(curved_normal);
+    // Few patches may be all that there is of a small object: its surface turns within one.
+    if (wide < kWholeCell || turn * std::sqrt(shadow) > kSmallTurn) {
       nodes = std::max(nodes, kMinSmallNodes);
     }
     const Lattice lattice = lattice_at(hit, axes, shadow / nodes, row_m);
-    begin(hit, axes, lattice);
+    begin(hit, axes, lattice, curved_normal, turn);
     fill();
     placed();
   }
@@ -84,20 +87,10 @@ class Speckler {
                       {axes, along, level_of(node_m2 / step_of(along)), turn_of(u, v)});
   }
 
-  // Whether the surface turns much within the patch.
-  [[nodiscard]] bool is_small_object(std::size_t hit, double patch_m2) const {
-    const std::int32_t smooth = e_.faces.smooth[e_.hits.face[hit]];
-    return smooth >= 0 &&
-           turn_per_m(e_.faces.curved_normal + 12 * smooth) * std::sqrt(patch_m2) > kSmallTurn;
-  }
-
-  void begin(std::size_t hit, const Axes& axes, const Lattice& lattice) {
+  void begin(std::size_t hit, const Axes& axes, const Lattice& lattice, const double* curved_normal,
+             double turn) {
     const RayHits& hits = e_.hits;
     const int face = hits.face[hit];
-    const std::int32_t smooth = e_.faces.smooth[face];
-    const double* curved_normal = smooth < 0 ? nullptr : e_.faces.curved_normal + 12 * smooth;
-    const double turn =
-        e_.model.specular && curved_normal != nullptr ? turn_per_m(curved_normal) : 0.0;
     const double step_m = std::max(lattice.along_m, lattice.across_m);
     const Strength strength(e_.model, e_.faces.table[e_.faces.materials[face]],
                             step_m * (turn + 1.0 / std::max(footprint_.near_m, 1e-3)));

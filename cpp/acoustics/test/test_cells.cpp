@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
@@ -63,11 +64,66 @@ TEST_CASE("each cell's power may be its own, and less than nothing is nothing") 
   std::vector<float> power(kRows * kColumns, 4.0F);
   power[3] = -1.0F;
   power[4] = 0.0F;
-  acoustics::add_gaussian_power(field.data(), kRows, kColumns, power.data(), 3, 2);
+  acoustics::add_gaussian_power(field.data(), kRows, kColumns, power.data(), {kColumns, 0.0, 1.0},
+                                3, 2);
   std::vector<float> unit(2 * kRows * kColumns);
   acoustics::complex_gaussians(3, 0, kRows * kColumns, unit.data());
   CHECK((field[6] == 0.0F && field[8] == 0.0F));
   for (std::size_t i = 10; i < field.size(); ++i) CHECK(field[i] == 2.0F * unit[i]);
+}
+
+TEST_CASE("powers on coarse columns are linear between them and constant beyond") {
+  const acoustics::CoarseColumns coarse{5, 40.5, 50.0};
+  std::vector<float> power;
+  std::vector<float> between;
+  for (std::size_t row = 0; row < kRows; ++row) {
+    for (std::size_t k = 0; k < coarse.count; ++k) {
+      power.push_back(static_cast<float>(row + 1) * (k % 2 == 0 ? 4.0F : 9.0F));
+    }
+    for (std::size_t i = 0; i < kColumns; ++i) {
+      const double at = std::min(std::max((static_cast<double>(i) - 40.5) / 50.0, 0.0), 4.0);
+      const double away = std::fabs(at - 2.0 * std::round(at / 2.0));
+      between.push_back(static_cast<float>(row + 1) * static_cast<float>(4.0 + 5.0 * away));
+    }
+  }
+  std::vector<float> field(2 * kRows * kColumns, 0.0F);
+  std::vector<float> expected = field;
+  acoustics::add_gaussian_power(field.data(), kRows, kColumns, power.data(), coarse, 3, 2);
+  acoustics::add_gaussian_power(expected.data(), kRows, kColumns, between.data(),
+                                {kColumns, 0.0, 1.0}, 3, 2);
+  double worst = 0.0;
+  for (std::size_t i = 0; i < field.size(); ++i) {
+    worst = std::max(worst, std::fabs(static_cast<double>(field[i] - expected[i])));
+  }
+  CHECK(worst < 1e-4);
+}
+
+TEST_CASE("blocks have the mean power of their columns, the last of fewer") {
+  std::vector<float> cells;
+  for (int i = 0; i < 2 * 10; ++i) {
+    cells.insert(cells.end(), {static_cast<float>(i % 10), 1.0F});
+  }
+  std::vector<float> blocks(2 * 3);
+  acoustics::block_powers(cells.data(), 2, 2, 10, 4, blocks.data(), 2);
+  const std::vector<float> expected{14.0F / 4 + 1, 126.0F / 4 + 1, 145.0F / 2 + 1};
+  for (std::size_t i = 0; i < 6; ++i) CHECK(blocks[i] == expected[i % 3]);
+  acoustics::block_powers(cells.data(), 1, 2, 20, 20, blocks.data(), 1);
+  CHECK(blocks[0] == (45.0F + 10.0F) / 20);
+}
+
+TEST_CASE("a cloud fills the rows between entry and exit in parts of a row, and fades") {
+  const std::vector<double> enter{1.25, 0.0, 9.0}, leave{3.5, 100.0, 12.0};
+  const std::vector<double> weight{2.0, 1.0, 5.0};
+  const std::vector<std::int32_t> column{0, 1, 1};
+  const std::vector<double> fade_row{4.0, 0.5, 0.25, 0.125, 0.125}, fade_column{1.0, 2.0};
+  const std::vector<double> level{1.0, 1.0, 1.0, 1.0, 3.0};
+  std::vector<float> power(5 * 2, 10.0F);
+  acoustics::add_cloud(power.data(), 5, 2,
+                       {3, enter.data(), leave.data(), column.data(), weight.data()},
+                       {fade_row.data(), fade_column.data(), level.data()});
+  const std::vector<float> expected{10.0F, 11.0F,   10.75F, 11.0F, 10.5F,
+                                    10.5F, 10.125F, 10.25F, 10.0F, 10.75F};
+  CHECK(power == expected);
 }
 
 }  // namespace

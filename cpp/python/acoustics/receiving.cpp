@@ -3,6 +3,7 @@
 
 #include <pybind11/numpy.h>
 
+#include <cmath>
 #include <complex>
 #include <cstdint>
 #include <stdexcept>
@@ -21,6 +22,8 @@ namespace {
 
 using Complex = std::complex<float>;
 using Floats = py::array_t<float, py::array::c_style | py::array::forcecast>;
+using Doubles = py::array_t<double, py::array::c_style | py::array::forcecast>;
+using Columns = py::array_t<std::int32_t, py::array::c_style | py::array::forcecast>;
 using Firsts = py::array_t<std::int64_t, py::array::c_style | py::array::forcecast>;
 
 std::size_t size_of(const py::array& array, int axis) {
@@ -60,15 +63,17 @@ void add_gaussian(py::array_t<Complex>& field, const Floats& row_rms, const Floa
 }
 
 void add_gaussian_power(py::array_t<Complex>& field, const Floats& power, std::uint64_t key,
-                        unsigned threads) {
+                        unsigned threads, double first, double step) {
   float* cells = writable(field);
   const std::size_t rows = size_of(field, 0);
   const std::size_t columns = size_of(field, 1);
-  demand(power.ndim() == 2 && size_of(power, 0) == rows && size_of(power, 1) == columns,
-         "power has the field's shape");
+  demand(power.ndim() == 2 && size_of(power, 0) == rows && size_of(power, 1) > 0,
+         "power is (rows, at least one)");
+  demand(step > 0.0 && std::isfinite(first) && std::isfinite(step), "a step is positive");
+  const acoustics::CoarseColumns coarse{size_of(power, 1), first, step};
   const float* of_cell = power.data();
   const py::gil_scoped_release unlocked;
-  acoustics::add_gaussian_power(cells, rows, columns, of_cell, key, threads);
+  acoustics::add_gaussian_power(cells, rows, columns, of_cell, coarse, key, threads);
 }
 
 // The array as floats, and how many of them a cell has.
@@ -92,6 +97,47 @@ struct CellArray {
   py::array held;
   acoustics::CellGrid grid;
 };
+
+py::array_t<float> block_powers(const py::array& cells, std::size_t width, unsigned threads) {
+  const CellArray from(cells);
+  demand(width > 0, "a width is positive");
+  const std::size_t rows = from.grid.rows;
+  const std::size_t columns = from.grid.columns;
+  py::array_t<float> power(std::vector<std::size_t>{rows, (columns + width - 1) / width});
+  float* out = power.mutable_data();
+  const py::gil_scoped_release unlocked;
+  acoustics::block_powers(from.grid.cells, from.grid.parts, rows, columns, width, out, threads);
+  return power;
+}
+
+void add_cloud(py::array_t<float>& power, const Doubles& enter_row, const Doubles& leave_row,
+               const Columns& column, const Doubles& weight, const Doubles& row_fade,
+               const Doubles& column_fade, const Doubles& level) {
+  demand(power.ndim() == 2 && (power.flags() & py::array::c_style) != 0,
+         "power is a C-contiguous array (rows, columns)");
+  const std::size_t rows = size_of(power, 0);
+  const std::size_t columns = size_of(power, 1);
+  const auto count = static_cast<std::size_t>(enter_row.size());
+  for (const py::ssize_t size : {leave_row.size(), column.size(), weight.size()}) {
+    demand(static_cast<std::size_t>(size) == count, "one number a ray");
+  }
+  demand(static_cast<std::size_t>(row_fade.size()) == rows &&
+             static_cast<std::size_t>(level.size()) == rows,
+         "one row_fade and level a row");
+  demand(static_cast<std::size_t>(column_fade.size()) == columns, "one column_fade a column");
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::int32_t at = column.data()[i];
+    demand(at >= 0 && static_cast<std::size_t>(at) < columns, "columns lie within the power");
+    demand(enter_row.data()[i] >= 0.0 && leave_row.data()[i] >= enter_row.data()[i],
+           "a ray leaves no earlier than it enters, at 0 or later");
+  }
+  const acoustics::CloudRays rays{count, enter_row.data(), leave_row.data(), column.data(),
+                                  weight.data()};
+  const acoustics::CloudFade fade{row_fade.data(), column_fade.data(), level.data()};
+  float* out = power.mutable_data();
+  const py::gil_scoped_release unlocked;
+  acoustics::add_cloud(out, rows, columns, rays, fade);
+}
 
 void demand_odd(const Floats& taps, const char* what) {
   demand(taps.ndim() == 1 && size_of(taps, 0) % 2 == 1, what);
@@ -181,7 +227,10 @@ void bind_receiving(py::module_& module) {
   module.def("add_gaussian", &add_gaussian, arg("field").noconvert(), arg("row_rms"),
              arg("column_rms"), arg("key"), arg("threads") = 2);
   module.def("add_gaussian_power", &add_gaussian_power, arg("field").noconvert(), arg("power"),
-             arg("key"), arg("threads") = 2);
+             arg("key"), arg("threads") = 2, arg("first") = 0.0, arg("step") = 1.0);
+  module.def("block_powers", &block_powers, arg("cells"), arg("width"), arg("threads") = 2);
+  module.def("add_cloud", &add_cloud, arg("power").noconvert(), arg("enter_row"), arg("leave_row"),
+             arg("column"), arg("weight"), arg("row_fade"), arg("column_fade"), arg("level"));
   module.def("form_beams", &form_beams, arg("cells"), arg("taps"), arg("first"), arg("beams"),
              arg("range_taps"), arg("threads") = 2);
   module.def("form_beams_at", &form_beams_at, arg("cells"), arg("taps"), arg("firsts"),

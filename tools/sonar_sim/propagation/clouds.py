@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from sonar_sim import _core
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.physics import Cloud, Physics
 from sonar_sim.raycast.fan import solid_angle_sr
@@ -30,12 +31,17 @@ def box_crossing(
         direction: map frame, (N, 3).
         reach_m: where the rays end, (N,).
     """
-    tiny = np.where(np.abs(direction) < 1e-12, 1e-12, direction).astype(np.float64)  # noqa: PLR2004
-    to_low = (cloud.low_m - origin_m) / tiny
-    to_high = (cloud.high_m - origin_m) / tiny
-    enter = np.maximum(np.minimum(to_low, to_high).max(axis=1), 0.0)
-    leave = np.minimum(np.maximum(to_low, to_high).min(axis=1), reach_m)
-    return np.minimum(enter, np.maximum(leave, 0.0)), np.maximum(leave, 0.0)
+    enter = np.zeros(len(direction))
+    leave = reach_m.astype(np.float64)
+    for axis in range(3):
+        along = direction[:, axis].astype(np.float64)
+        along[np.abs(along) < 1e-12] = 1e-12  # noqa: PLR2004
+        to_low = (cloud.low_m[axis] - origin_m[axis]) / along
+        to_high = (cloud.high_m[axis] - origin_m[axis]) / along
+        np.maximum(enter, np.minimum(to_low, to_high), out=enter)
+        np.minimum(leave, np.maximum(to_low, to_high), out=leave)
+    np.maximum(leave, 0.0, out=leave)
+    return np.minimum(enter, leave), leave
 
 
 def cloud_gain(
@@ -70,48 +76,32 @@ def cloud_power(
     first = trace.met[0]
     end = np.where(first.face >= 0, first.range_m, np.inf).astype(np.float64)
     row_m = sonar.range_resolution_m / physics.range_scale
-    power = np.zeros((sonar.rows, trace.fan.columns))
-    middle_m = sonar.row_centres_m[:, None] / physics.range_scale
+    columns = trace.fan.columns
+    power = np.zeros((sonar.rows, columns), dtype=np.float32)
+    middle_m = sonar.row_centres_m / physics.range_scale
+    level = np.square(loss.astype(np.float64) * (1.0 if physics.spreading else middle_m**2))
+    level /= np.square(middle_m)
     for cloud in physics.clouds:
         enter, leave = box_crossing(cloud, trace.origin_m, trace.direction, end)
         inside = np.flatnonzero(leave > enter)
-        column = trace.fan.column[inside]
+        enter, leave, column = enter[inside], leave[inside], trace.fan.column[inside]
         share = solid_angle_sr(*trace.fan.cell[inside].T.astype(np.float64))
         if physics.vertical_width_rad is not None:
             up = trace.fan.directions[inside, 2].astype(np.float64)
             share *= vertical_two_way_power(up, physics.vertical_width_rad)
-        filled = _filled(enter[inside] / row_m, leave[inside] / row_m, column, share, power.shape)
-        total = np.maximum(np.bincount(column, share, trace.fan.columns), 1e-30)
-        mean_enter = np.bincount(column, share * enter[inside], trace.fan.columns) / total
+        total = np.maximum(np.bincount(column, share, columns), 1e-30)
+        mean_enter = np.bincount(column, share * enter, columns) / total
         # exp(-k (R - entry)) beyond the entry, as a product of a row's and a column's part.
         per_m = 0.2 * math.log(10.0) * cloud.attenuation_db_per_m
         begin_m = float(mean_enter.min(initial=0.0))
-        behind = np.exp(np.minimum(per_m * (mean_enter - begin_m), MAX_EXPONENT))
-        faded = np.exp(-np.minimum(per_m * (middle_m - begin_m), MAX_EXPONENT))
-        filled *= np.minimum(faded * behind, 1.0)
-        filled *= 10.0 ** (cloud.volume_strength_db / 10.0) * row_m
-        power += filled
-    if not physics.spreading:
-        power *= np.square(np.square(middle_m))
-    power *= np.square(loss[:, None].astype(np.float64) / middle_m)
-    return power.astype(np.float32)
-
-
-def _filled(
-    enter_row: NDArray[np.float64],
-    leave_row: NDArray[np.float64],
-    column: NDArray[np.int32],
-    weight: NDArray[np.float64],
-    shape: tuple[int, int],
-) -> NDArray[np.float64]:
-    """Weights of rays summed over the rows between entry and exit, in parts of a row, (R, C)."""
-    rows, columns = shape
-    cells, weights = [], []
-    for start_row, sign in ((enter_row, 1.0), (leave_row, -1.0)):
-        whole = np.minimum(start_row, rows).astype(np.int64)
-        part = np.where(whole < rows, start_row - whole, 0.0)
-        cells += [whole * columns + column, (whole + 1) * columns + column]
-        weights += [sign * weight * (1.0 - part), sign * weight * part]
-    steps = np.bincount(np.concatenate(cells), np.concatenate(weights), (rows + 2) * columns)
-    summed = np.cumsum(steps.reshape(rows + 2, columns)[:rows], axis=0, dtype=np.float64)
-    return np.maximum(summed, 0.0, out=summed)
+        _core.add_cloud(
+            power,
+            enter / row_m,
+            leave / row_m,
+            column,
+            share,
+            np.exp(-np.minimum(per_m * (middle_m - begin_m), MAX_EXPONENT)),
+            np.exp(np.minimum(per_m * (mean_enter - begin_m), MAX_EXPONENT)),
+            level * 10.0 ** (cloud.volume_strength_db / 10.0) * row_m,
+        )
+    return power

@@ -23,6 +23,8 @@ CENTRE_SINE = 0.3
 MARGIN_BEAMS = 12
 """Columns traced beyond each outermost beam: their main lobes reach out there."""
 STRIPS = 4
+FLAT = 0.05
+"""Cells no wider and higher than this part of x² are flat, to 0.03 % of their solid angle."""
 MIN_CELL_SINE = 1e-5
 """A cell whose part of directions is narrower than this is left out."""
 
@@ -80,16 +82,33 @@ def solid_angle_sr(
     """Solid angle of cells, that part of them where s² + w² < 1, (N,).
 
     ds dw / x integrates to an arc sine over s, which stays right where x becomes 0; over w it is
-    taken at the middles of `STRIPS`.
+    taken at the middles of `STRIPS`. Small cells far from there are `FLAT`.
     """
-    angle = np.zeros(np.shape(s_from))
+    wide, high = s_to - s_from, w_to - w_from
+    s, w = (s_from + s_to) / 2.0, (w_from + w_to) / 2.0
+    square = 1.0 - np.square(s) - np.square(w)
+    angle = wide / np.sqrt(np.maximum(square, 1e-12))
+    curved = np.maximum(wide, high) > FLAT * square
+    if curved.any():
+        angle[curved] = _swept_rad(s_from[curved], s_to[curved], w_from[curved], w_to[curved])
+    whole: NDArray[np.float64] = angle * high
+    return whole
+
+
+def _swept_rad(
+    s_from: NDArray[np.float64],
+    s_to: NDArray[np.float64],
+    w_from: NDArray[np.float64],
+    w_to: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Angle about the axis of w that cells sweep, the mean over their w, (N,)."""
+    angle = np.zeros(len(s_from))
     for part in (np.arange(STRIPS) + 0.5) / STRIPS:
         w = w_from + part * (w_to - w_from)
         most = np.sqrt(np.maximum(1.0 - w**2, 1e-12))
         sweep = np.arcsin(np.clip(s_to / most, -1.0, 1.0))
         angle += sweep - np.arcsin(np.clip(s_from / most, -1.0, 1.0))
-    whole: NDArray[np.float64] = angle * (w_to - w_from) / STRIPS
-    return whole
+    return angle / STRIPS
 
 
 def ray_fan(

@@ -6,13 +6,14 @@ the beams' mean pitch in the sine of the bearing. Levels are dB re 1 µPa of a c
 
 import math
 from hashlib import blake2b
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sonar_sim import _core
-from sonar_sim.geometry.matmul import chunked_matmul
+from sonar_sim.geometry.matmul import Real, chunked_matmul
 from sonar_sim.geometry.pose import FramePose
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.physics import InterferencePulse, Physics, Reverberation
@@ -113,12 +114,12 @@ def _solid_angle_sr(sonar: SonarSettings, physics: Physics, columns: int) -> NDA
 
 
 def tail_power(
-    power: NDArray[np.floating],
+    power: NDArray[Real],
     sines: NDArray[np.float64],
     row_m: float,
     tail: Reverberation,
     heard: NDArray[np.float64] | None = None,
-) -> NDArray[np.float64]:
+) -> NDArray[Real]:
     """Mean power of the reverberant tail behind echoes, (rows, M).
 
     The last scatterers of sound on its detours lie around the first: the tail spreads over
@@ -135,7 +136,8 @@ def tail_power(
     filled = lfilter([0.0, kept * tail.energy_per_m * row_m], [1.0, -kept], power, axis=0)
     away = (sines[:, None] - (sines if heard is None else heard)) / TAIL_SPREAD_SINE
     spread = np.exp(-0.5 * np.square(away))
-    return chunked_matmul(np.asarray(filled, dtype=np.float64), spread / spread.sum(axis=0))
+    spread /= spread.sum(axis=0)
+    return chunked_matmul(filled.astype(power.dtype), spread.astype(power.dtype))
 
 
 def diffuse_limit_m2(sonar: SonarSettings, mu: float) -> NDArray[np.float64]:
@@ -170,20 +172,21 @@ def add_tail(
         threads: that share the work.
     """
     columns = cells.shape[1]
-    starts = np.arange(0, columns, max(1, int(TAIL_STEP_SINE / sonar.sine_pitch)))
-    if np.iscomplexobj(cells):
-        squares = np.square(cells.real) + np.square(cells.imag)
-    else:
-        squares = np.asarray(cells)
-    sizes = np.diff(np.append(starts, columns))
-    blocks = np.minimum(np.add.reduceat(squares, starts, axis=1) / sizes, limit[:, None])
+    width = max(1, int(TAIL_STEP_SINE / sonar.sine_pitch))
+    blocks = _core.block_powers(cells, width, threads)
+    np.minimum(blocks, limit[:, None].astype(np.float32), out=blocks)
+    ends = np.minimum(np.arange(blocks.shape[1] + 1) * width, columns)
     sines = column_sines(columns, sonar)
-    middles = np.add.reduceat(sines, starts) / sizes
-    power = tail_power(blocks, middles, sonar.range_resolution_m, tail, sines)
+    middles = np.array([sines[a:b].mean() for a, b in pairwise(ends)])
+    # The tail is smooth: half a block is fine enough to be linear between.
+    step = max(1.0, width / 2.0)
+    heard = sines if step == 1.0 else sines[0] + np.arange(0.0, columns, step) * sonar.sine_pitch
+    power = tail_power(blocks, middles, sonar.range_resolution_m, tail, heard)
     if np.iscomplexobj(cells):
-        _core.add_gaussian_power(cells, power.astype(np.float32), key, threads)  # type: ignore[arg-type]
+        _core.add_gaussian_power(cells, power, key, threads, step=step)  # type: ignore[arg-type]
     else:
-        cells += power.astype(np.float32)
+        for row, on_row in zip(cells, power, strict=True):
+            row += np.interp(sines, heard, on_row)
 
 
 def pose_key(seed: int, pose: FramePose, wavelength_m: float) -> int:

@@ -16,8 +16,42 @@ namespace mapperd::acoustics {
 void add_gaussian(float* field, std::size_t rows, std::size_t columns, const float* row_rms,
                   const float* column_rms, std::uint64_t key, unsigned threads);
 
-/// The same, with mean power power[row][column].
+/// Evenly spaced columns of a coarse grid, on the columns of the field.
+struct CoarseColumns {
+  std::size_t count;
+  double first;  ///< column of the first
+  double step;   ///< columns between them
+};
+
+/// The same, with mean powers on coarse columns, (rows, coarse.count): linear between them, and
+/// constant beyond the ends.
 void add_gaussian_power(float* field, std::size_t rows, std::size_t columns, const float* power,
-                        std::uint64_t key, unsigned threads);
+                        const CoarseColumns& coarse, std::uint64_t key, unsigned threads);
+
+/// Mean power of blocks of `width` columns, (rows, blocks); the last may be narrower. Cells are
+/// complex (parts 2) or powers (parts 1).
+void block_powers(const float* cells, std::size_t parts, std::size_t rows, std::size_t columns,
+                  std::size_t width, float* out, unsigned threads);
+
+/// Rays through a cloud, one array per quantity.
+struct CloudRays {
+  std::size_t count;
+  const double* enter_row;  ///< where the ray enters, at least 0; rows and parts of them
+  const double* leave_row;  ///< not before
+  const std::int32_t* column;
+  const double* weight;  ///< of the ray
+};
+
+/// How a cloud's echo falls.
+struct CloudFade {
+  const double* row;     ///< (rows,)
+  const double* column;  ///< (columns,); the product counts as at most 1
+  const double* level;   ///< factor to power, (rows,)
+};
+
+/// Adds to the powers (rows, columns) the rays' weights in the rows between entry and exit, in
+/// parts of a row, faded.
+void add_cloud(float* power, std::size_t rows, std::size_t columns, const CloudRays& rays,
+               const CloudFade& fade);
 
 }  // namespace mapperd::acoustics

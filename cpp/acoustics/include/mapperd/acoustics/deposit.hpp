@@ -39,8 +39,6 @@ class Deposit {
   void add(const Scatterers& nodes);
 
  private:
-  void spread(std::size_t count);
-
   const Hearing& response_;
   std::int32_t rows_, first_column_, columns_;
   std::complex<float>* field_;
