@@ -356,6 +356,47 @@ class MeshView:
                 the sonar in the mesh's frame, (15,).
         """
 
+def turned_rays(
+    layers: NDArray[np.float64],
+    points: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    step_m: float,
+    turn_m: float,
+    threads: int = 2,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Speeds in the middle of the rays' next straight pieces, (N,), and their directions, (N, 3).
+
+    A ray's elevation changes by -(dc/dz) cos / c along the way (Snell). From the middle of one
+    piece to that of the next, it is a step of second order.
+
+    Args:
+        layers: depths, increasing, and speeds of sound: linear in between, constant beyond, (L, 2).
+        points: where the rays are, z up, 0 at the sea's surface, (N, 3).
+        directions: unit vectors, (N, 3).
+        step_m: length of the next piece.
+        turn_m: way over which it turns.
+        threads: that share the rays.
+    """
+
+def followed_rays(
+    layers: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    step_m: float,
+    steps: int,
+    speed_mps: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners of bent rays, (steps + 1, N, 3), and ranges by time to them, (steps + 1, N).
+
+    Args:
+        layers: as of `turned_rays`.
+        origin_m: where the rays leave, (3,).
+        directions: in which they leave, unit vectors, (N, 3).
+        step_m: length of a straight piece.
+        steps: pieces.
+        speed_mps: that turns time into range.
+    """
+
 def refined_rays(
     direction: NDArray[np.float32],
     cell: NDArray[np.float32],

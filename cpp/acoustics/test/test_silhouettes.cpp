@@ -44,7 +44,7 @@ struct Fan {
     return acoustics::refined_rays(
         {kSide, kSide, row_edges[0], kStep, row_edges.data(), rays.data()},
         {range_m.size(), range_m.data(), direction.data(), cell.data()}, {seen}, {}, 20.0,
-        {{}, {}, {0, 0, 1}, 0.0});
+        {{}, {0, 0, 1}, 0.0});
   }
 };
 

@@ -10,6 +10,7 @@
 #include "checked_array.hpp"
 #include "mapperd/acoustics/neighbours.hpp"
 #include "mapperd/acoustics/silhouettes.hpp"
+#include "mapperd/acoustics/sound_layers.hpp"
 
 namespace acoustics = mapperd::acoustics;
 
@@ -88,6 +89,62 @@ py::array rows_of(const std::vector<T>& values, py::ssize_t wide) {
   return Array<T>({count, wide}, values.data());
 }
 
+acoustics::SoundLayers sound_layers(const Array<double>& table) {
+  require(table.ndim() == 2 && table.shape(1) == 2, "layers must be (L, 2)");
+  acoustics::SoundLayers layers;
+  for (py::ssize_t i = 0; i < table.shape(0); ++i) {
+    layers.depth_m.push_back(table.data()[2 * i]);
+    layers.speed_mps.push_back(table.data()[2 * i + 1]);
+  }
+  return layers;
+}
+
+acoustics::SoundLayers bending_layers(const Array<double>& table) {
+  acoustics::SoundLayers layers = sound_layers(table);
+  require(!layers.depth_m.empty(), "layers must have a depth");
+  return layers;
+}
+
+py::tuple turned_rays(const Array<double>& layers, const Array<double>& points,
+                      const Array<double>& directions, double step_m, double turn_m,
+                      unsigned threads) {
+  const py::ssize_t count = directions.shape(0);
+  require(directions.ndim() == 2 && directions.shape(1) == 3 && points.size() == 3 * count,
+          "points and directions must be (N, 3)");
+  const acoustics::SoundLayers bending = bending_layers(layers);
+  Array<double> turned({count, py::ssize_t{3}}, directions.data());
+  Array<double> speeds(count);
+  double* to = turned.mutable_data();
+  double* speed = speeds.mutable_data();
+  {
+    const py::gil_scoped_release unlocked;
+    acoustics::turn_rays(bending, static_cast<std::size_t>(count), points.data(), to, step_m,
+                         turn_m, speed, threads);
+  }
+  return py::make_tuple(speeds, turned);
+}
+
+py::tuple followed_rays(const Array<double>& layers, const Array<double>& origin_m,
+                        const Array<double>& directions, double step_m, std::size_t steps,
+                        double speed_mps) {
+  const py::ssize_t count = directions.shape(0);
+  require(directions.ndim() == 2 && directions.shape(1) == 3 && origin_m.size() == 3,
+          "origin_m must be (3,), directions (N, 3)");
+  const acoustics::SoundLayers bending = bending_layers(layers);
+  const auto rows = static_cast<py::ssize_t>(steps) + 1;
+  std::vector<double> leaving(directions.data(), directions.data() + directions.size());
+  Array<double> corners({rows, count, py::ssize_t{3}});
+  Array<double> ranges({rows, count});
+  double* to = corners.mutable_data();
+  double* range_m = ranges.mutable_data();
+  {
+    const py::gil_scoped_release unlocked;
+    acoustics::follow_rays(bending, static_cast<std::size_t>(count), origin_m.data(),
+                           leaving.data(), step_m, steps, speed_mps, to, range_m);
+  }
+  return py::make_tuple(corners, ranges);
+}
+
 py::tuple refined_rays(const Array<float>& direction, const Array<float>& cell,
                        const Array<float>& range_m, const Array<double>& row_edges,
                        const Array<std::int32_t>& rays, double first_s, double s_pitch,
@@ -107,13 +164,9 @@ py::tuple refined_rays(const Array<float>& direction, const Array<float>& cell,
                       [count](std::int64_t ray) { return ray >= 0 && ray + 1 < count; }),
           "pair beyond the fan");
   const std::vector<std::int64_t> lower(at, at + pairs.size());
-  require(layers.ndim() == 2 && layers.shape(1) == 2 && up.size() == 4,
-          "layers must be (L, 2), up (4,)");
-  acoustics::SoundLayers sound{{}, {}, {up.data()[0], up.data()[1], up.data()[2]}, up.data()[3]};
-  for (py::ssize_t i = 0; i < layers.shape(0); ++i) {
-    sound.depth_m.push_back(layers.data()[2 * i]);
-    sound.speed_mps.push_back(layers.data()[2 * i + 1]);
-  }
+  require(up.size() == 4, "up must be (4,)");
+  const acoustics::BentView bent{
+      sound_layers(layers), {up.data()[0], up.data()[1], up.data()[2]}, up.data()[3]};
   acoustics::RefinedRays found;
   {
     const py::gil_scoped_release unlocked;
@@ -121,7 +174,7 @@ py::tuple refined_rays(const Array<float>& direction, const Array<float>& cell,
         {static_cast<std::size_t>(rays.shape(0)), static_cast<std::size_t>(rays.shape(1)), first_s,
          s_pitch, row_edges.data(), rays.data()},
         {static_cast<std::size_t>(count), range_m.data(), direction.data(), cell.data()}, meshes,
-        lower, reach_m, sound);
+        lower, reach_m, bent);
   }
   return py::make_tuple(rows_of(found.direction, 3), rows_of(found.cell, 4),
                         rows_of(found.column, 1), rows_of(found.from, 1));
@@ -141,6 +194,10 @@ void bind_tracing(py::module_& module) {
       .def("__len__", [](const acoustics::MeshEdges& table) { return table.edges.size(); });
   py::class_<acoustics::SeenMesh>(module, "MeshView")
       .def(py::init(&mesh_view), arg("table"), arg("pose"), py::keep_alive<1, 2>());
+  module.def("turned_rays", &turned_rays, arg("layers"), arg("points"), arg("directions"),
+             arg("step_m"), arg("turn_m"), arg("threads") = 2);
+  module.def("followed_rays", &followed_rays, arg("layers"), arg("origin_m"), arg("directions"),
+             arg("step_m"), arg("steps"), arg("speed_mps"));
   module.def("refined_rays", &refined_rays, arg("direction"), arg("cell"), arg("range_m"),
              arg("row_edges"), arg("rays"), arg("first_s"), arg("s_pitch"), arg("meshes"),
              arg("pairs"), arg("reach_m"), arg("layers"), arg("up"));

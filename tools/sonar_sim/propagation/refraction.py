@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
+from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.propagation.clouds import cloud_gain
 from sonar_sim.propagation.physics import SoundSpeedProfile
 from sonar_sim.propagation.propagation_path import LEG_SIZE, PingGeometry
@@ -54,7 +55,6 @@ def refracted_paths(
     start, found = _followed(here, layers, fan.directions, reach_m, speed_mps)
     met = found[0].met
     edges = edges_of(here.meshes, fan, start.astype(np.float32), met)
-    bending = np.stack([layers.depth_m, layers.speed_mps], axis=1).astype(np.float64)
     fan, source = refined_fan(
         here.meshes,
         fan,
@@ -63,7 +63,7 @@ def refracted_paths(
         eyes=(here.pose,),
         time_s=here.time_s,
         reach_m=reach_m,
-        layers=bending,
+        layers=_table(layers),
     )
     new = source < 0
     if new.any():
@@ -95,7 +95,9 @@ def _followed(
     for segment in range(segments):
         # Half a turn first: then each piece has the mean direction of its part of the arc.
         turn_m = step_m if segment else 0.5 * step_m
-        speed, direction = _turned(layers, point, direction, step_m, turn_m)
+        speed, direction = _core.turned_rays(
+            _table(layers), point, direction, step_m, turn_m, here.threads
+        )
         # From the sonar, and not from points of its own, rays leave the face that it may lie in.
         start_m = point if segment else here.pose.position_m
         met = here.meshes.cast(
@@ -211,17 +213,11 @@ def _launched(
         (`TARGET_SEGMENTS` + 1, N, 3), which end where the rays pass the point.
     """
     direction = np.outer(np.cos(angle_rad), plane[0]) + np.outer(np.sin(angle_rad), plane[1])
-    point = np.broadcast_to(from_m, direction.shape).copy()
-    corners, ranges = [point.copy()], [np.zeros(len(point))]
     # Each ray gets as far along the chord as a straight one would with a little to spare.
     step_m = 1.1 * chord_m / TARGET_SEGMENTS / float(np.cos(angle_rad).min())
-    for segment in range(TARGET_SEGMENTS):
-        turn_m = step_m if segment else 0.5 * step_m
-        speed, direction = _turned(layers, point, direction, step_m, turn_m)
-        point = point + step_m * direction
-        corners.append(point.copy())
-        ranges.append(ranges[-1] + step_m * speed_mps / speed)
-    corner_m, range_m = np.stack(corners), np.stack(ranges)
+    corner_m, range_m = _core.followed_rays(
+        _table(layers), from_m, direction, step_m, TARGET_SEGMENTS, speed_mps
+    )
     along_m = (corner_m - from_m) @ plane[0]
     passed = along_m >= chord_m
     last = np.maximum(passed.argmax(axis=0), 1)
@@ -318,37 +314,18 @@ def _stretched(
     lower = lower[~np.isin(lower, parted)]
     cell, w = fan.cell.copy(), fan.directions[:, 2].astype(np.float64)
     for ray, other, edge in ((lower, lower + 1, 3), (lower + 1, lower, 2)):
-        turn = _rotations(start[ray], found.arrival[ray]) @ here.pose.rotation
+        up = _rotations(start[ray], found.arrival[ray]) @ here.pose.rotation[:, 2]
         origin_m = found.place_m[ray] - found.range_m[ray, None] * found.arrival[ray]
         way = found.place_m[other] - origin_m
-        seen = np.einsum("nj,nj->n", way, turn[:, :, 2]) / np.linalg.norm(way, axis=1)
+        seen = np.einsum("nj,nj->n", way, up) / np.linalg.norm(way, axis=1)
         times = np.clip((seen - w[ray]) / (w[other] - w[ray]), *STRETCH)
         cell[ray, edge] = w[ray] + times * (fan.cell[ray, edge] - w[ray])
     return cell
 
 
-def _turned(
-    layers: SoundSpeedProfile,
-    point_m: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    step_m: float,
-    turn_m: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Speed in the middle of the next segment and the segment's direction.
-
-    A ray's angle of elevation changes by -(dc/dz) cos / c along the way (Snell). From the middle of
-    one segment to that of the next, `turn_m`, it is a step of second order.
-    """
-    depth = -(point_m[:, 2] + 0.5 * step_m * direction[:, 2])
-    speed = np.interp(depth, layers.depth_m, layers.speed_mps)
-    before = np.interp(depth - STEEP, layers.depth_m, layers.speed_mps)
-    after = np.interp(depth + STEEP, layers.depth_m, layers.speed_mps)
-    upward_gradient = -(after - before) / (2.0 * STEEP)
-    level = np.maximum(np.hypot(direction[:, 0], direction[:, 1]), 1e-9)
-    angle = np.arctan2(direction[:, 2], level) - upward_gradient * level / speed * turn_m
-    scale = np.cos(angle) / level
-    turned = np.stack([direction[:, 0] * scale, direction[:, 1] * scale, np.sin(angle)], axis=1)
-    return speed, turned
+def _table(layers: SoundSpeedProfile) -> NDArray[np.float64]:
+    """Depths and speeds as the kernels take them, (L, 2)."""
+    return np.stack([layers.depth_m, layers.speed_mps], axis=1).astype(np.float64)
 
 
 def _virtual_legs(
@@ -361,24 +338,33 @@ def _virtual_legs(
     range_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """One leg a hit, in the frame of what was met, (H, 16)."""
-    turn = _rotations(start, arrival) @ here.pose.rotation
+    turn = _rotations(start, arrival)
     origin = place_m - range_m[:, None] * arrival
-    frames = here.meshes.poses(here.time_s)
-    back = np.stack([frame.rotation.T for frame in frames])[group]
-    from_m = np.stack([frame.position_m for frame in frames])[group]
     legs = np.zeros((len(group), LEG_SIZE))
-    legs[:, :3] = np.einsum("nij,nj->ni", back, origin - from_m)
-    legs[:, 3:12] = (back @ turn).reshape(-1, 9)
     legs[:, 15] = 1.0
+    for number, frame in enumerate(here.meshes.poses(here.time_s)):
+        own = np.flatnonzero(group == number)
+        back = frame.rotation.T
+        legs[own, :3] = (origin[own] - frame.position_m) @ frame.rotation
+        legs[own, 3:12] = _matmul(back, turn[own], here.pose.rotation)
     return legs
+
+
+def _matmul(
+    left: NDArray[np.float64], middle: NDArray[np.float64], right: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """left @ middle[n] @ right, row by row, (N, 9), of a stack (N, 3, 3)."""
+    # As one product of vectors of nine: a stack of small matrices is multiplied one by one.
+    return chunked_matmul(middle.reshape(-1, 9), np.kron(left, right.T).T)
 
 
 def _rotations(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
     """The smallest rotations that turn unit vectors into others, (N, 3, 3) (Rodrigues)."""
-    x, y, z = np.cross(start, end).T
-    nothing = np.zeros_like(x)
-    rows = [nothing, -z, y, z, nothing, -x, -y, x, nothing]
-    skew = np.stack(rows, axis=1).reshape(-1, 3, 3)
-    cosine = np.einsum("ij,ij->i", start, end)[:, None, None]
-    rotation: NDArray[np.float64] = np.eye(3) + skew + skew @ skew / (1.0 + cosine)
+    axis = np.cross(start, end)
+    cosine = np.einsum("ij,ij->i", start, end)
+    rotation = (axis / (1.0 + cosine)[:, None])[:, :, None] * axis[:, None, :]
+    for k in range(3):
+        rotation[:, k, k] += cosine
+        rotation[:, (k + 2) % 3, (k + 1) % 3] += axis[:, k]
+        rotation[:, (k + 1) % 3, (k + 2) % 3] -= axis[:, k]
     return rotation

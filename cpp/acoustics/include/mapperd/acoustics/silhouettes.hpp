@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "mapperd/acoustics/mesh_edges.hpp"
+#include "mapperd/acoustics/sound_layers.hpp"
 #include "mapperd/common/vec.hpp"
 
 namespace mapperd::acoustics {
@@ -27,9 +28,9 @@ struct SeenMesh {
   Vec3 sonar_m;                    ///< in the mesh's frame
 };
 
-/// Speeds of sound by depth, linear in between: they bend the rays. None: rays are straight.
-struct SoundLayers {
-  std::vector<double> depth_m, speed_mps;
+/// How a sonar looks into layers that bend its rays.
+struct BentView {
+  SoundLayers layers;
   Vec3 up;          ///< in the sonar's frame
   double height_m;  ///< of the sonar over the sea's surface
 };
@@ -64,11 +65,12 @@ struct FanHits {
 ///     between the two, as between a pile and the floor that it stands in, rays are laid between
 ///     them. Of many pairs, those farthest apart in range are taken.
 /// \param reach_m what lies farther is not met
-/// \param layers that bend the rays: edges are seen where their rays leave (to the first order of
+/// \param bent layers that bend the rays: edges are seen where their rays leave (to the first order
+/// of
 ///     the bending)
 RefinedRays refined_rays(const FanGrid& grid, const FanHits& hits,
                          const std::vector<SeenMesh>& meshes,
                          const std::vector<std::int64_t>& pairs, double reach_m,
-                         const SoundLayers& layers);
+                         const BentView& bent);
 
 }  // namespace mapperd::acoustics
