@@ -51,6 +51,7 @@ class FrameGroup:
         pose: map_T_object at a time.
         first_face: in the table of faces.
         edges: of their triangles, moved by -centre_m.
+        radius_m: of a ball about the centre that holds them.
     """
 
     embree: EmbreeScene
@@ -59,6 +60,19 @@ class FrameGroup:
     pose: Callable[[float], FramePose]
     first_face: int
     edges: _core.EdgeTable
+    radius_m: float
+
+    def in_reach(
+        self,
+        map_T_object: FramePose,  # noqa: N803
+        low_m: NDArray[np.float64],
+        high_m: NDArray[np.float64],
+        reach_m: float,
+    ) -> bool:
+        """Whether rays that start in a box, map frame, may meet a triangle."""
+        centre_m = map_T_object.position_m + map_T_object.rotation @ self.centre_m
+        away_m = centre_m - np.clip(centre_m, low_m, high_m)
+        return float(np.linalg.norm(away_m)) < self.radius_m + reach_m
 
     def seen_from(self, map_T_sonar: FramePose, time_s: float) -> _core.MeshView:  # noqa: N803
         """The edges from a sonar's pose, at a time."""
@@ -177,8 +191,15 @@ class Meshes:
         nearest = np.full(count, np.inf, dtype=np.float32)
         face = np.full(count, NOTHING, dtype=np.int32)
         owner = np.zeros(count, dtype=np.int32)
+        longest_m = float(np.max(reach_m, initial=0.0))
+        # One axis after the other: along the first of two axes numpy takes ten times as long.
+        starts = np.atleast_2d(origin_m).T if count else np.zeros((3, 1))
+        low_m, high_m = (np.array([end(axis) for axis in starts]) for end in (np.min, np.max))
         for number, group in enumerate(self.groups):
-            range_m, found = _run(group, group.pose(time_s), origin_m, direction)
+            pose = group.pose(time_s)
+            if not group.in_reach(pose, low_m, high_m, longest_m):
+                continue
+            range_m, found = _run(group, pose, origin_m, direction)
             nearer = (found >= 0) & (range_m < nearest)
             nearest[nearer] = range_m[nearer]
             face[nearer] = found[nearer] + group.first_face
@@ -268,7 +289,8 @@ class _MeshPart:
         edges = _core.EdgeTable(
             corners, self.planes[:, :3].astype(np.float32), self.surface.astype(np.int32)
         )
-        return FrameGroup(embree, mesh, centre, self._pose, first_face, edges)
+        radius = float(np.linalg.norm(corners, axis=1).max(initial=0.0))
+        return FrameGroup(embree, mesh, centre, self._pose, first_face, edges, radius)
 
 
 def _pose_of(surface: Surface) -> Callable[[float], FramePose]:
