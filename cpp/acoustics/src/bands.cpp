@@ -109,6 +109,28 @@ std::vector<Band> bands_of(const ScatterInput& echoes, int threads) {
   return bands;
 }
 
+void in_bands(const std::vector<Band>& bands, int threads,
+              const std::function<void(const Band&)>& task) {
+  // Each band joins the first wave of bands beside it.
+  std::vector<std::vector<const Band*>> waves;
+  for (const Band& band : bands) {
+    const auto beside = [&band](const Band* other) {
+      return other->column + other->columns <= band.column ||
+             band.column + band.columns <= other->column;
+    };
+    auto wave = std::find_if(waves.begin(), waves.end(), [&beside](const auto& others) {
+      return std::all_of(others.begin(), others.end(), beside);
+    });
+    if (wave == waves.end()) {
+      wave = waves.insert(waves.end(), std::vector<const Band*>{});
+    }
+    wave->push_back(&band);
+  }
+  for (const auto& wave : waves) {
+    share(wave.size(), threads, [&](std::size_t i) { task(*wave[i]); });
+  }
+}
+
 double column_of(const EchoGrid& grid, double s) { return (s - grid.first_sine) / grid.sine_pitch; }
 
 }  // namespace mapperd::acoustics

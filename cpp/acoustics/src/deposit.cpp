@@ -55,17 +55,18 @@ MAPPERD_VECTORISED void drawn(const float* __restrict rms, const float* __restri
 }
 
 struct Frame {
-  std::int32_t rows, first_column, columns, taps, fractions;
+  std::int32_t rows, stride, first_column, columns, taps, fractions;
 };
 
-// Where echoes begin in the field; what lies outside goes silently to its first cell.
+// Where echoes begin in the field; what lies outside goes silently to the first of its columns.
 MAPPERD_VECTORISED void aimed(const float* __restrict columns, const std::int32_t* __restrict rows,
                               const float* __restrict heard, std::size_t count, const Frame& frame,
                               std::int32_t* __restrict cell, std::int32_t* __restrict fraction,
                               float* __restrict pressure) {
   const std::int32_t before = frame.taps / 2 - 1 + frame.first_column;
   const std::int32_t last = frame.columns - frame.taps;
-  const std::int32_t width = frame.columns;
+  const std::int32_t stride = frame.stride;
+  const std::int32_t first = frame.first_column;
   const std::int32_t last_row = frame.rows - 1;
   const auto fractions = static_cast<float>(frame.fractions);
   const std::int32_t most = frame.fractions - 1;
@@ -80,7 +81,7 @@ MAPPERD_VECTORISED void aimed(const float* __restrict columns, const std::int32_
     // Negative where one of the four is.
     const std::int32_t inside = row | (last_row - row) | column | (last - column);
     const std::int32_t mask = ~(inside >> 31);
-    cell[i] = (row * width + column) & mask;
+    cell[i] = first + ((row * stride + column) & mask);
     fraction[i] = part < most ? part : most;
     pressure[i] = inside < 0 ? 0.0F : heard[i];
   }
@@ -121,10 +122,11 @@ MAPPERD_VECTORISED void spread(const float* real, const float* imaginary, const 
 
 }  // namespace
 
-Deposit::Deposit(const Hearing& response, std::ptrdiff_t rows, std::ptrdiff_t first_column,
+Deposit::Deposit(const Hearing& response, const EchoGrid& grid, std::ptrdiff_t first_column,
                  std::ptrdiff_t columns, std::complex<float>* field)
     : response_(response),
-      rows_(static_cast<std::int32_t>(rows)),
+      rows_(static_cast<std::int32_t>(grid.rows)),
+      stride_(static_cast<std::int32_t>(grid.columns)),
       first_column_(static_cast<std::int32_t>(first_column)),
       columns_(static_cast<std::int32_t>(columns)),
       field_(field) {
@@ -135,7 +137,11 @@ Deposit::Deposit(const Hearing& response, std::ptrdiff_t rows, std::ptrdiff_t fi
 }
 
 void Deposit::add(const Scatterers& nodes) {
-  const Frame frame{rows_, first_column_, columns_, static_cast<std::int32_t>(response_.tap_count),
+  const Frame frame{rows_,
+                    stride_,
+                    first_column_,
+                    columns_,
+                    static_cast<std::int32_t>(response_.tap_count),
                     static_cast<std::int32_t>(response_.fractions)};
   aimed(nodes.column, nodes.row, nodes.pressure, nodes.count, frame, cell_.data(), fraction_.data(),
         pressure_.data());

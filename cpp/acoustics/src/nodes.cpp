@@ -52,17 +52,27 @@ Linear normals_of(const double* curved_normal, const Linear& place, const Vec3& 
   return normal;
 }
 
-// Random places within the lattice's cells, from the patch's first node.
-MAPPERD_VECTORISED void jitter(const PatchModel& patch, std::size_t first, std::size_t count,
-                               Nodes& nodes, float* __restrict along, float* __restrict across) {
+// Random places within the lattice's cells: in steps from the patch's first node, and as points.
+MAPPERD_VECTORISED void jitter(const PatchModel& patch, const Linear& from, std::size_t first,
+                               std::size_t count, Nodes& nodes, float* __restrict along,
+                               float* __restrict across) {
   const std::uint64_t key = patch.lattice.key;
   const auto low = static_cast<std::uint32_t>(key);
   const auto high = static_cast<std::uint32_t>(key >> 32);
   const auto first_i = static_cast<std::uint32_t>(static_cast<std::int64_t>(patch.first_i));
   const auto first_j = static_cast<std::uint32_t>(static_cast<std::int64_t>(patch.first_j));
+  const float x0 = static_cast<float>(from.first.x), y0 = static_cast<float>(from.first.y),
+              z0 = static_cast<float>(from.first.z);
+  const float xa = static_cast<float>(from.along.x), ya = static_cast<float>(from.along.y),
+              za = static_cast<float>(from.along.z);
+  const float xb = static_cast<float>(from.across.x), yb = static_cast<float>(from.across.y),
+              zb = static_cast<float>(from.across.z);
   const std::int32_t* __restrict from_i = nodes.i + first;
   const std::int32_t* __restrict from_j = nodes.j + first;
   std::uint32_t* __restrict bits = nodes.bits + first;
+  float* __restrict x = nodes.point_m[0] + first;
+  float* __restrict y = nodes.point_m[1] + first;
+  float* __restrict z = nodes.point_m[2] + first;
   constexpr float kUnit = 0x1p-16F;
   for (std::size_t start = 0; start < count; start += kLanes) {
     for (std::size_t at = start; at < start + kLanes; ++at) {
@@ -70,31 +80,35 @@ MAPPERD_VECTORISED void jitter(const PatchModel& patch, std::size_t first, std::
                                         first_j + static_cast<std::uint32_t>(from_j[at]));
       const auto jitter_i = static_cast<std::int32_t>(random.place & 0xFFFFU);
       const auto jitter_j = static_cast<std::int32_t>(random.place >> 16);
-      along[at] = static_cast<float>(from_i[at]) + static_cast<float>(jitter_i) * kUnit;
-      across[at] = static_cast<float>(from_j[at]) + static_cast<float>(jitter_j) * kUnit;
+      const float a = static_cast<float>(from_i[at]) + static_cast<float>(jitter_i) * kUnit;
+      const float b = static_cast<float>(from_j[at]) + static_cast<float>(jitter_j) * kUnit;
+      along[at] = a;
+      across[at] = b;
+      x[at] = x0 + (xa * a + xb * b);
+      y[at] = y0 + (ya * a + yb * b);
+      z[at] = z0 + (za * a + zb * b);
       bits[at] = random.echo;
     }
   }
 }
 
-MAPPERD_VECTORISED void spread_over(double from, double by_along, double by_across,
-                                    const float* __restrict along, const float* __restrict across,
-                                    std::size_t count, float* __restrict to) {
-  const auto start_value = static_cast<float>(from);
-  const auto a = static_cast<float>(by_along);
-  const auto b = static_cast<float>(by_across);
-  for (std::size_t start = 0; start < count; start += kLanes) {
-    for (std::size_t at = start; at < start + kLanes; ++at) {
-      to[at] = start_value + (a * along[at] + b * across[at]);
-    }
-  }
-}
-
-void spread_over(const Linear& from, const float* along, const float* across, std::size_t first,
-                 std::size_t count, Each<float>* to) {
-  for (std::size_t axis = 0; axis < 3; ++axis) {
-    spread_over(from.first[axis], from.along[axis], from.across[axis], along, across, count,
-                to[axis] + first);
+// Normals at such places.
+MAPPERD_VECTORISED void incline(const Linear& from, const float* __restrict along,
+                                const float* __restrict across, std::size_t first,
+                                std::size_t count, Nodes& nodes) {
+  const float x0 = static_cast<float>(from.first.x), y0 = static_cast<float>(from.first.y),
+              z0 = static_cast<float>(from.first.z);
+  const float xa = static_cast<float>(from.along.x), ya = static_cast<float>(from.along.y),
+              za = static_cast<float>(from.along.z);
+  const float xb = static_cast<float>(from.across.x), yb = static_cast<float>(from.across.y),
+              zb = static_cast<float>(from.across.z);
+  float* __restrict x = nodes.normal[0] + first;
+  float* __restrict y = nodes.normal[1] + first;
+  float* __restrict z = nodes.normal[2] + first;
+  for (std::size_t at = 0; at < count; ++at) {
+    x[at] = x0 + (xa * along[at] + xb * across[at]);
+    y[at] = y0 + (ya * along[at] + yb * across[at]);
+    z[at] = z0 + (za * along[at] + zb * across[at]);
   }
 }
 
@@ -286,9 +300,8 @@ void place(const PatchModel& patch, const SharedTraits& traits, std::size_t firs
   const std::size_t count = nodes.count - first;
   const Vec3& origin_m = traits.transmit->origin_m;
   Each<float> along, across;
-  jitter(patch, first, count, nodes, along, across);
   const Linear points = places_of(patch, origin_m);
-  spread_over(points, along, across, first, count, nodes.point_m);
+  jitter(patch, points, first, count, nodes, along, across);
   repeat(static_cast<float>(patch.transmit_height_m), count, nodes.height_m[0] + first);
   repeat(patch.gain, count, nodes.gain + first);
   repeat(patch.strength.mu(), count, nodes.mu + first);
@@ -296,8 +309,9 @@ void place(const PatchModel& patch, const SharedTraits& traits, std::size_t firs
     repeat(static_cast<float>(patch.receive_height_m), count, nodes.height_m[1] + first);
   }
   if (traits.round) {
-    spread_over(normals_of(patch.curved_normal, points, origin_m), along, across, first, count,
-                nodes.normal);
+    // A whole number of vectors, as above.
+    const std::size_t whole = (count + kLanes - 1) / kLanes * kLanes;
+    incline(normals_of(patch.curved_normal, points, origin_m), along, across, first, whole, nodes);
   }
   if (!traits.lobe) {
     return;

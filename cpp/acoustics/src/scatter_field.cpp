@@ -23,12 +23,12 @@ constexpr double kRowsApart = 0.5;      // rows between nodes along the range, a
 using Indices = std::int32_t __attribute__((vector_size(kLanes * sizeof(std::int32_t))));
 constexpr Indices kEach = {0, 1, 2, 3, 4, 5, 6, 7};
 
-// The scatterers of one hit after another, into a band's part of the field.
+// The scatterers of one hit after another, into a band of the field.
 class Speckler {
  public:
   Speckler(const ScatterInput& echoes, const Band& band, std::complex<float>* field)
       : e_(echoes),
-        deposit_(echoes.response, echoes.grid.rows, band.column, band.columns, field),
+        deposit_(echoes.response, echoes.grid, band.column, band.columns, field),
         kernel_(echoes) {}
 
   void add(std::size_t hit) {
@@ -198,43 +198,19 @@ void fetch(const ScatterInput& echoes, std::size_t hit) {
 #endif
 }
 
-using Part = std::unique_ptr<std::complex<float>[]>;
-
-void add_part(const Band& band, const std::complex<float>* part, std::ptrdiff_t row,
-              std::complex<float>* field_row) {
-  const std::complex<float>* from = part + row * band.columns;
-  for (std::ptrdiff_t column = 0; column < band.columns; ++column) {
-    field_row[band.column + column] += from[column];
-  }
-}
-
 }  // namespace
 
 void scatter_field(const ScatterInput& echoes, std::complex<float>* field, int threads) {
-  const std::vector<Band> bands = bands_of(echoes, threads);
-  std::vector<Part> parts(bands.size());
-  share(bands.size(), threads, [&](std::size_t i) {
-    const Band& band = bands[i];
+  in_bands(bands_of(echoes, threads), threads, [&](const Band& band) {
     if (band.columns < static_cast<std::ptrdiff_t>(echoes.response.tap_count)) {
       return;
     }
-    parts[i] = std::make_unique<std::complex<float>[]>(static_cast<std::size_t>(echoes.grid.rows) *
-                                                       static_cast<std::size_t>(band.columns));
-    const auto speckler = std::make_unique<Speckler>(echoes, band, parts[i].get());
+    const auto speckler = std::make_unique<Speckler>(echoes, band, field);
     for (std::size_t hit = band.first; hit < band.last; ++hit) {
       fetch(echoes, std::min(hit + kAhead, band.last - 1));
       speckler->add(hit);
     }
     speckler->finish();
-  });
-  share(static_cast<std::size_t>(echoes.grid.rows), threads, [&](std::size_t row) {
-    const auto at = static_cast<std::ptrdiff_t>(row);
-    for (std::size_t i = 0; i < bands.size(); ++i) {
-      if (parts[i] == nullptr) {
-        continue;
-      }
-      add_part(bands[i], parts[i].get(), at, field + at * echoes.grid.columns);
-    }
   });
 }
 

@@ -1,7 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <memory>
-#include <vector>
 
 #include "mapperd/acoustics/bands.hpp"
 #include "mapperd/acoustics/hearing.hpp"
@@ -17,7 +15,7 @@ constexpr double kMinAhead = 1e-6;
 // Widths in s that are less than this part of x² are angles of width / x, to 0.03 %.
 constexpr double kEven = 0.05;
 
-// Mean powers of one hit after another, into a band's part of the picture.
+// Mean powers of one hit after another, into a band of the picture.
 class Averager {
  public:
   Averager(const ScatterInput& echoes, const Band& band, float* power)
@@ -173,7 +171,7 @@ class Averager {
       const auto at = static_cast<std::ptrdiff_t>(row);
       const double loss = e_.response.loss[at];
       const auto share = static_cast<float>(power * part * loss * loss);
-      float* cell = power_ + at * band_.columns + column;
+      float* cell = power_ + at * e_.grid.columns + band_.column + column;
       for (std::size_t k = 0; k < e_.response.tap_count; ++k) {
         cell[k] += taps[k] * share;
       }
@@ -196,27 +194,12 @@ class Averager {
 }  // namespace
 
 void scatter_power(const ScatterInput& echoes, float* power, int threads) {
-  const std::vector<Band> bands = bands_of(echoes, threads);
-  std::vector<std::unique_ptr<float[]>> parts(bands.size());
-  share(bands.size(), threads, [&](std::size_t i) {
-    const Band& band = bands[i];
-    parts[i] = std::make_unique<float[]>(static_cast<std::size_t>(echoes.grid.rows) *
-                                         static_cast<std::size_t>(band.columns));
-    Averager averager(echoes, band, parts[i].get());
+  in_bands(bands_of(echoes, threads), threads, [&](const Band& band) {
+    Averager averager(echoes, band, power);
     for (std::size_t hit = band.first; hit < band.last; ++hit) {
       averager.add(hit);
     }
   });
-  for (std::size_t i = 0; i < bands.size(); ++i) {
-    const Band& band = bands[i];
-    for (std::ptrdiff_t row = 0; row < echoes.grid.rows; ++row) {
-      const float* from = parts[i].get() + row * band.columns;
-      float* to = power + row * echoes.grid.columns + band.column;
-      for (std::ptrdiff_t column = 0; column < band.columns; ++column) {
-        to[column] += from[column];
-      }
-    }
-  }
 }
 
 }  // namespace mapperd::acoustics

@@ -24,6 +24,11 @@ struct Band {
 
 std::vector<Band> bands_of(const ScatterInput& echoes, int threads);
 
+/// Runs task(band) for each band on at most `threads` threads; bands that share columns run one
+/// after another, in an order that does not depend on the number of threads.
+void in_bands(const std::vector<Band>& bands, int threads,
+              const std::function<void(const Band&)>& task);
+
 /// Column of a direction cosine s, relative to the grid's first column.
 double column_of(const EchoGrid& grid, double s);
 

@@ -30,17 +30,17 @@ struct Scatterers {
 /// Adds the echoes of scatterers to the cells of a complex field.
 class Deposit {
  public:
-  /// Writes to a field with the grid's rows and `columns` columns from `first_column` on, at least
-  /// as many as an echo spreads over.
-  Deposit(const Hearing& response, std::ptrdiff_t rows, std::ptrdiff_t first_column,
+  /// Writes to `columns` columns of the grid's field from `first_column` on, at least as many as an
+  /// echo spreads over, and to no others.
+  Deposit(const Hearing& response, const EchoGrid& grid, std::ptrdiff_t first_column,
           std::ptrdiff_t columns, std::complex<float>* field);
 
-  /// Adds their echoes, except those outside of the field.
+  /// Adds their echoes, except those outside of these columns.
   void add(const Scatterers& nodes);
 
  private:
   const Hearing& response_;
-  std::int32_t rows_, first_column_, columns_;
+  std::int32_t rows_, stride_, first_column_, columns_;
   std::complex<float>* field_;
   std::vector<float> taps_;  ///< each twice, for the real and the imaginary part
   std::array<float, kBatch> pressure_{}, real_{}, imaginary_{};
