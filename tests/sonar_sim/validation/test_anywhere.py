@@ -14,11 +14,39 @@ from sonar_sim.engine import PingEngine
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.beam_pattern import azimuth_amplitude, vertical_two_way_power
 from sonar_sim.propagation.physics import Mirror, Physics
+from sonar_sim.receiver.beamformer import beam_sines
 from sonar_sim.scene.scene import PointTarget, Scene, Surface
 from sonar_sim.scene.sonar import SonarSettings, sonar_preset
-from sonar_sim.validation.setups import CHALK, DULL, MEAN, cell_power, floor, rectangle, sphere
+from sonar_sim.validation.setups import (
+    CHALK,
+    DULL,
+    MEAN,
+    Homogeneous,
+    cell_power,
+    floor,
+    rectangle,
+    sphere,
+)
+from sonar_sim.validation.statistics import correlation, speckle
+from sonar_sim.validation.tank import (
+    PLATE_M,
+    ROD_LENGTH_M,
+    ROD_RADIUS_M,
+    TANK_DEPTH_M,
+    TANK_RADIUS_M,
+    TARGET_X_M,
+    tank_scene,
+)
 
-MODELS = (("M750d", 1), ("M750d", 2), ("M1200d", 2))
+MODELS = (
+    ("M370s", 1),
+    ("M750d", 1),
+    ("M750d", 2),
+    ("M1200d", 1),
+    ("M1200d", 2),
+    ("M3000d", 1),
+    ("M3000d", 2),
+)
 ALL_AROUND = dataclasses.replace(MEAN, all_elevations=True)
 
 
@@ -238,3 +266,124 @@ def test_closing_targets_are_early_by_their_way(seed: int) -> None:
     early_m = speed * range_m / scene.water.speed_of_sound_mps
     seen_m = (row + 0.5) * sonar.range_resolution_m
     assert seen_m == pytest.approx(range_m - early_m, abs=0.75 * sonar.range_resolution_m)
+
+
+def surfaces_alone(sonar: SonarSettings, **changes: object) -> Physics:
+    """Speckle of surfaces as the beams hear it, without noise or gain."""
+    physics = dataclasses.replace(
+        MEAN,
+        specular=False,
+        speckle=True,
+        vertical_width_rad=sonar.vertical_width_rad,
+        beam_width_rad=sonar.beam_width_rad,
+        side_lobe_db=sonar.side_lobe_db,
+        range_spread=True,
+    )
+    return dataclasses.replace(physics, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_floor_s_speckle_is_rayleigh_s_and_rows_share_theirs_as_recorded(seed: int) -> None:
+    """V7, V9: seen by any sonar, from any height and heading."""
+    rng = np.random.default_rng(800 + seed)
+    sonar = sonar_of(rng, rng.uniform(4.0, 5.0), 400)
+    engine = PingEngine(Scene((floor(),)), sonar, seed=seed)
+    height_m, heading = rng.uniform(0.1, 0.2) * sonar.range_m, rng.uniform(-180.0, 180.0)
+    turn = Rotation.from_euler("ZY", [heading, rng.uniform(0.0, 10.0)], degrees=True).as_matrix()
+    places = rng.uniform(-90.0, 90.0, (4, 2))
+    poses = [FramePose(np.array([*place, height_m]), turn) for place in places]
+    power = engine.ping(poses[0], surfaces_alone(sonar, speckle=False)).amplitude
+    edge, near = sonar.beams // 8, int(0.6 * 400)
+    pings = [engine.ping(pose, surfaces_alone(sonar)).amplitude for pose in poses]
+    heard = np.stack(pings)[:, near:, edge:-edge] / power[near:, edge:-edge].astype(np.float64)
+    # Cells that share next to no speckle.
+    apart = math.ceil(2.2 * sonar.beam_width_rad / sonar.sine_pitch)
+    found = speckle(heard[:, ::3, ::apart])
+    cells = heard[:, ::3, ::apart].size
+    assert found.cv == pytest.approx(0.5227, abs=0.005 + 1.5 / math.sqrt(cells))
+    assert found.rayleigh_distance < 0.01 + 0.8 / math.sqrt(cells)
+    assert np.mean(np.square(heard)) == pytest.approx(1.0, abs=0.02 + 3.0 / math.sqrt(cells))
+    lags = [correlation(heard[:, lag:], heard[:, :-lag]) for lag in (1, 2)]
+    assert lags[0] == pytest.approx(0.19, abs=0.02 + 2.0 / math.sqrt(cells))
+    assert abs(lags[1]) < 0.05 + 2.0 / math.sqrt(cells)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_pings_from_one_place_are_alike_by_the_noise_between_them(seed: int) -> None:
+    """V8: (S / (S + N))², for any sonar and any ratio of signal to noise."""
+    rng = np.random.default_rng(900 + seed)
+    sonar = sonar_of(rng, 4.0, 400)
+    ratio_db = rng.uniform(-8.0, 18.0)
+    sheet = Homogeneous(sonar, 102400 // sonar.beams, seed=seed)
+    one, other = (np.square(np.abs(sheet.beams(ping, 0.0, -ratio_db))) for ping in (1, 2))
+    ratio = 10.0 ** (ratio_db / 10.0)
+    assert correlation(one, other) == pytest.approx((ratio / (1.0 + ratio)) ** 2, abs=0.04)
+
+
+@pytest.mark.parametrize("beams", [256, 512])
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: f"{model[0]}-{model[1]}")
+def test_a_target_on_a_beam_s_bearing_is_heard_by_that_beam(
+    model: tuple[str, int], beams: int
+) -> None:
+    """V13: beam b lies at asin(sin(half aperture) (2 b / (N - 1) - 1)), on every model."""
+    sonar = dataclasses.replace(
+        sonar_preset(*model), beams=beams, demanded_range_m=4.0, forced_rows=100
+    )
+    sines = beam_sines(sonar, Physics(sine_bearings=True))
+    half_deg = math.degrees(sonar.half_aperture_rad)
+    steps = np.linspace(-1.0, 1.0, beams) * math.sin(sonar.half_aperture_rad)
+    tabled_deg = np.degrees(np.arcsin(sines))
+    assert tabled_deg == pytest.approx(np.degrees(np.arcsin(steps)), abs=0.01)
+    assert tabled_deg[[0, -1]] == pytest.approx([-half_deg, half_deg], abs=0.01)
+    rng = np.random.default_rng(beams)
+    pose = pose_of(rng)
+    for beam in (0, beams - 1, *rng.integers(1, beams - 1, 4)):
+        point = at(pose, float(np.arcsin(steps[beam])), 0.0, 3.0)
+        heard = point_picture(point, pose, sonar, surfaces_alone(sonar))
+        assert heard.max(axis=0).argmax() == beam
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_tank_s_wall_and_targets_lie_and_end_where_they_do(seed: int) -> None:
+    """V20: from any place in the tank that has the target before it, in any heading."""
+    rng = np.random.default_rng(1000 + seed)
+    bands = [("M750d", 2), ("M1200d", 1), ("M1200d", 2)]
+    model = bands[rng.integers(len(bands))]
+    sonar = sonar_preset(*model, demanded_range_m=4.4, beams=int(rng.choice([256, 512])))
+    target = np.array([TARGET_X_M, 0.0])
+    place = np.array([rng.uniform(-1.4, -0.6), rng.uniform(-0.5, 0.5)])
+    away_m, toward = float(np.linalg.norm(target - place)), math.atan2(*(target - place)[::-1])
+    heading = toward + rng.uniform(-0.3, 0.3) * sonar.half_aperture_rad
+    turn = Rotation.from_euler("Z", heading).as_matrix()
+    pose = FramePose(np.array([*place, -TANK_DEPTH_M / 2.0]), turn)
+    physics = surfaces_alone(sonar, speckle=False, range_spread=False, side_lobe_db=None)
+    quiet = PingEngine(tank_scene("background"), sonar).ping(pose, physics).amplitude
+    row_m, rows_m = sonar.range_resolution_m, sonar.row_centres_m
+    bearings = np.arcsin(beam_sines(sonar, physics))
+    beside = np.flatnonzero(np.abs(bearings - (heading - toward)) > 4.0 * sonar.beam_width_rad)
+    for beam in rng.choice(beside, 3):
+        ray = np.array([math.cos(heading - bearings[beam]), math.sin(heading - bearings[beam])])
+        along = float(place @ ray)
+        wall_m = -along + math.sqrt(along**2 + TANK_RADIUS_M**2 - float(place @ place))
+        near = np.abs(rows_m - wall_m) < 0.15
+        loudest_m = rows_m[near][quiet[near, beam].argmax()]
+        # Across a beam's width the wall comes nearer.
+        assert loudest_m == pytest.approx(wall_m, abs=2.0 * row_m + 0.04)
+    across = np.array([[-1.0, 1.0], [1.0, -1.0]]) * ((target - place) / away_m)[::-1]
+    corners = {
+        "vertical rod": target + ROD_RADIUS_M * across,
+        "horizontal rod": target + 0.5 * ROD_LENGTH_M * np.array([[0.0, 1.0], [0.0, -1.0]]),
+        "plate": target + 0.5 * PLATE_M[1] * np.array([[0.0, 1.0], [0.0, -1.0]]),
+    }
+    for name, ends in corners.items():
+        heard = PingEngine(tank_scene(name), sonar).ping(pose, physics).amplitude
+        echo = np.sqrt(np.maximum(np.square(heard) - np.square(quiet), 0.0))
+        level = echo[np.abs(rows_m - away_m) < 0.45].max(axis=0)
+        loud = bearings[level > 10.0 ** (-10.0 / 20.0) * level.max()]
+        seen = heading - np.arctan2(*(ends - place)[:, ::-1].T)
+        within = 1.5 * sonar.beam_width_rad / math.cos(float(np.abs(seen).max()))
+        assert loud.min() == pytest.approx(seen.min(), abs=within), name
+        assert loud.max() == pytest.approx(seen.max(), abs=within), name
+        if name == "vertical rod":
+            first_m = rows_m[echo[:, int(level.argmax())].argmax()]
+            assert first_m == pytest.approx(away_m - ROD_RADIUS_M, abs=2.0 * row_m)

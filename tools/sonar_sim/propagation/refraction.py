@@ -353,7 +353,7 @@ def _virtual_legs(
 def _matmul(
     left: NDArray[np.float64], middle: NDArray[np.float64], right: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """left @ middle[n] @ right, row by row, (N, 9), of a stack (N, 3, 3)."""
+    """Products `left @ middle[n] @ right`, row by row, (N, 9), of a stack (N, 3, 3)."""
     # As one product of vectors of nine: a stack of small matrices is multiplied one by one.
     return chunked_matmul(middle.reshape(-1, 9), np.kron(left, right.T).T)
 

@@ -185,8 +185,8 @@ def add_tail(
     if np.iscomplexobj(cells):
         _core.add_gaussian_power(cells, power, key, threads, step=step)  # type: ignore[arg-type]
     else:
-        for row, on_row in zip(cells, power, strict=True):
-            row += np.interp(sines, heard, on_row)
+        between = [np.interp(sines, heard, row) for row in power]
+        cells += np.asarray(between, dtype=np.float32)
 
 
 def pose_key(seed: int, pose: FramePose, wavelength_m: float) -> int:
