@@ -192,7 +192,9 @@ def test_a_gradient_that_goes_to_nothing_bends_as_little() -> None:
         direction = np.array([[math.cos(0.1), 0.0, math.sin(0.1)]])
         angle = mpf("0.1")
         for step in range(16):
-            speed, direction = _core.turned_rays(_table(layers), point, direction, 2.0, 2.0 if step else 1.0)
+            speed, direction = _core.turned_rays(
+                _table(layers), point, direction, 2.0, 2.0 if step else 1.0
+            )
             point = point + 2.0 * direction
         # Snell: cos(angle) / c is the same all along.
         end = mpmath.acos(mpmath.cos(angle) * mpf(float(speed[0])) / mpf(1500 + 20 * gradient))

@@ -355,14 +355,16 @@ def _matmul(
 ) -> NDArray[np.float64]:
     """Products `left @ middle[n] @ right`, row by row, (N, 9), of a stack (N, 3, 3)."""
     # As one product of vectors of nine: a stack of small matrices is multiplied one by one.
-    return chunked_matmul(middle.reshape(-1, 9), np.kron(left, right.T).T)
+    both: NDArray[np.float64] = np.kron(left, right.T)
+    return chunked_matmul(middle.reshape(-1, 9), np.ascontiguousarray(both.T))
 
 
 def _rotations(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
     """The smallest rotations that turn unit vectors into others, (N, 3, 3) (Rodrigues)."""
     axis = np.cross(start, end)
     cosine = np.einsum("ij,ij->i", start, end)
-    rotation = (axis / (1.0 + cosine)[:, None])[:, :, None] * axis[:, None, :]
+    rotation: NDArray[np.float64] = axis[:, :, None] * axis[:, None, :]
+    rotation /= (1.0 + cosine)[:, None, None]
     for k in range(3):
         rotation[:, k, k] += cosine
         rotation[:, (k + 2) % 3, (k + 1) % 3] += axis[:, k]
