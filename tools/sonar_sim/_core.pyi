@@ -220,6 +220,7 @@ class Rays:
         span_m: NDArray[np.float32],
         gain: NDArray[np.float32],
         legs: NDArray[np.float64],
+        both_ways: bool = False,
     ) -> None:
         """Keep the arrays.
 
@@ -234,6 +235,8 @@ class Rays:
             gain: of pressure, (H,).
             legs: origin in m, rotation object from sonar row by row, drift of the apparent range
                 per unit of direction in m, gain of pressure; in the object's frame, (L, 16).
+            both_ways: whether the sound goes there by `receive` and back by `transmit` too; no leg
+                has a drift then.
         """
 
 class ScatterSetting:

@@ -21,12 +21,10 @@ double sine_of(const Leg& leg, const Vec3& point_m) {
   return -(m[1] * d.x + m[4] * d.y + m[7] * d.z) / std::sqrt(std::max(dot(d, d), 1e-12));
 }
 
-void widen(const ScatterInput& echoes, std::size_t hit, double& low, double& high) {
+void widen(const ScatterInput& echoes, std::size_t hit, std::int32_t ear, double& low,
+           double& high) {
   const RayHits& hits = echoes.hits;
-  if (hits.face[hit] < 0) {
-    return;
-  }
-  if (hits.seen[hit] == hits.receive[hit]) {
+  if (hits.seen[hit] == ear) {
     low = std::min<double>(low, hits.cell[4 * hit]);
     high = std::max<double>(high, hits.cell[4 * hit + 1]);
     return;
@@ -35,7 +33,7 @@ void widen(const ScatterInput& echoes, std::size_t hit, double& low, double& hig
   if (footprint_of(echoes, hit, patch)) {
     for (std::size_t k = 0; k < 4; ++k) {
       const Vec3 corner{patch.corner_m[0][k], patch.corner_m[1][k], patch.corner_m[2][k]};
-      const double s = sine_of(hits.legs[hits.receive[hit]], corner);
+      const double s = sine_of(hits.legs[ear], corner);
       low = std::min(low, s);
       high = std::max(high, s);
     }
@@ -68,7 +66,13 @@ Band band_of(const ScatterInput& echoes, std::size_t first, std::size_t last) {
   double low = 1.0;
   double high = -1.0;
   for (std::size_t hit = first; hit < last; ++hit) {
-    widen(echoes, hit, low, high);
+    if (echoes.hits.face[hit] < 0) {
+      continue;
+    }
+    widen(echoes, hit, echoes.hits.receive[hit], low, high);
+    if (echoes.hits.both_ways) {
+      widen(echoes, hit, echoes.hits.transmit[hit], low, high);
+    }
   }
   if (low > high) {
     return {first, first, 0, 0};

@@ -252,19 +252,24 @@ MAPPERD_VECTORISED void arrive(const ScatterInput& e, const Vec3& drift_m,
   }
 }
 
-// Column, and the pressure that is left by spreading.
-MAPPERD_VECTORISED void spread(const ScatterInput& e, const float* __restrict out_m,
-                               const float* __restrict back_m, const float* __restrict s,
-                               const float* __restrict gain, const float* __restrict section,
-                               std::size_t count, float* __restrict to_column,
-                               float* __restrict to_pressure) {
-  const auto first_sine = static_cast<float>(e.grid.first_sine);
-  const auto columns_per_sine = static_cast<float>(1.0 / e.grid.sine_pitch);
-  const float lost = e.model.spreading ? 1.0F : 0.0F;
+MAPPERD_VECTORISED void columns_of(const EchoGrid& grid, const float* __restrict s,
+                                   std::size_t count, float* __restrict column) {
+  const auto first_sine = static_cast<float>(grid.first_sine);
+  const auto columns_per_sine = static_cast<float>(1.0 / grid.sine_pitch);
+  for (std::size_t i = 0; i < count; ++i) {
+    column[i] = (s[i] - first_sine) * columns_per_sine;
+  }
+}
+
+// The pressure that is left by spreading.
+MAPPERD_VECTORISED void spread(bool spreading, const float* __restrict out_m,
+                               const float* __restrict back_m, const float* __restrict gain,
+                               const float* __restrict section, std::size_t count,
+                               float* __restrict pressure) {
+  const float lost = spreading ? 1.0F : 0.0F;
   const float kept = 1.0F - lost;
   for (std::size_t i = 0; i < count; ++i) {
-    to_column[i] = (s[i] - first_sine) * columns_per_sine;
-    to_pressure[i] = gain[i] * std::sqrt(section[i]) / (lost * (out_m[i] * back_m[i]) + kept);
+    pressure[i] = gain[i] * std::sqrt(section[i]) / (lost * (out_m[i] * back_m[i]) + kept);
   }
 }
 
@@ -361,7 +366,11 @@ const HeardNodes& ScattererKernel::heard(const SharedTraits& traits, const Nodes
   strengths(traits, nodes, back);
   arrive(e_, traits.receive->drift_m, out_.range_m, back.range_m, out_.way[0], out_.way[1],
          out_.way[2], nodes.count, heard_.turns, heard_.row);
-  spread(e_, out_.range_m, back.range_m, back.s, nodes.gain, section_, nodes.count, heard_.column,
+  columns_of(e_.grid, back.s, nodes.count, heard_.column);
+  if (e_.hits.both_ways) {
+    columns_of(e_.grid, out_.s, nodes.count, heard_.other_column);
+  }
+  spread(e_.model.spreading, out_.range_m, back.range_m, nodes.gain, section_, nodes.count,
          heard_.pressure);
   pattern(e_.response, out_.w, nodes.count, there_);
   if (!same) {

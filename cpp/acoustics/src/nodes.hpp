@@ -98,7 +98,8 @@ struct HeardNodes {
   Each<float> pressure;
   Each<float> turns;  // of phase, within one
   Each<std::int32_t> row;
-  Each<float> column;  // from the grid's first
+  Each<float> column;        // from the grid's first
+  Each<float> other_column;  // by the way back, where sound goes both ways
 };
 
 // Computes the echoes of nodes.

@@ -166,8 +166,13 @@ class Speckler {
   void work() {
     if (nodes_.count > 0) {
       const HeardNodes& heard = kernel_.heard(traits_, nodes_);
-      deposit_.add(
-          {nodes_.count, heard.pressure, heard.turns, nodes_.bits, heard.row, heard.column});
+      Scatterers scatterers{nodes_.count, heard.pressure, heard.turns,
+                            nodes_.bits,  heard.row,      heard.column};
+      deposit_.add(scatterers);
+      if (e_.hits.both_ways) {
+        scatterers.column = heard.other_column;
+        deposit_.add(scatterers);
+      }
     }
     nodes_.count = 0;
     placed_ = 0;

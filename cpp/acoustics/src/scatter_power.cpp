@@ -131,8 +131,13 @@ class Averager {
     const Sight out = transmit_ == seen_ ? seen : sight_of(*transmit_, point_m);
     const Sight back = receive_ == seen_ ? seen : sight_of(*receive_, point_m);
     const Extent extent = extent_of(s, w, bearing.angle_rad * bearing.ahead, w_width);
-    heard(out, back, area_m2 * cross_section(out, back, normal),
-          std::min(extent.across_m + extent.along_m, patch_.far_m - patch_.near_m));
+    const double section_m2 = area_m2 * cross_section(out, back, normal);
+    const double extent_m =
+        std::min(extent.across_m + extent.along_m, patch_.far_m - patch_.near_m);
+    heard(out, back, section_m2, extent_m);
+    if (e_.hits.both_ways) {
+      heard(back, out, section_m2, extent_m);
+    }
   }
 
   [[nodiscard]] double cross_section(const Sight& out, const Sight& back, const Vec3& n) const {

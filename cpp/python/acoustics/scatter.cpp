@@ -72,6 +72,7 @@ struct RayArrays {
   Array<std::int32_t> face, seen, transmit, receive;
   Array<float> cell, span_m, gain;
   Array<double> legs;
+  bool both_ways = false;
 };
 
 void check(const FaceTable& faces, const RayArrays& rays) {
@@ -100,7 +101,7 @@ acoustics::ScatterInput echoes_of(const FaceTable& faces, const RayArrays& rays,
       faces.view(),
       {static_cast<std::size_t>(rays.face.size()), rays.face.data(), rays.seen.data(),
        rays.transmit.data(), rays.receive.data(), rays.cell.data(), rays.span_m.data(),
-       rays.gain.data(), reinterpret_cast<const acoustics::Leg*>(rays.legs.data())},
+       rays.gain.data(), reinterpret_cast<const acoustics::Leg*>(rays.legs.data()), rays.both_ways},
       s.grid,
       {s.loss.data(), s.vertical.data(), static_cast<std::size_t>(s.vertical.size()), s.taps.data(),
        static_cast<std::size_t>(s.taps.shape(0)), static_cast<std::size_t>(s.taps.shape(1))},
@@ -132,8 +133,8 @@ void scatter_power(Array<float> power, const FaceTable& faces, const RayArrays& 
 
 RayArrays rays_of(Array<std::int32_t> face, Array<std::int32_t> seen, Array<std::int32_t> transmit,
                   Array<std::int32_t> receive, Array<float> cell, Array<float> span_m,
-                  Array<float> gain, Array<double> legs) {
-  return {face, seen, transmit, receive, cell, span_m, gain, legs};
+                  Array<float> gain, Array<double> legs, bool both_ways) {
+  return {face, seen, transmit, receive, cell, span_m, gain, legs, both_ways};
 }
 
 }  // namespace
@@ -145,7 +146,7 @@ void bind_scatter(py::module_& module) {
            arg("curved_normal"), arg("table"));
   py::class_<RayArrays>(module, "Rays")
       .def(py::init(&rays_of), arg("face"), arg("seen"), arg("transmit"), arg("receive"),
-           arg("cell"), arg("span_m"), arg("gain"), arg("legs"));
+           arg("cell"), arg("span_m"), arg("gain"), arg("legs"), arg("both_ways") = false);
   py::class_<ScatterSetting>(module, "ScatterSetting")
       .def(py::init(&setting), arg("loss"), arg("vertical"), arg("taps"), arg("columns"),
            arg("row_m"), arg("first_sine"), arg("sine_pitch"), arg("range_scale"), arg("lambert"),

@@ -193,6 +193,8 @@ def mirror_paths(
         there: NDArray[np.int32],
         back: NDArray[np.int32],
         gain: float = 1.0,
+        *,
+        both_ways: bool = False,
     ) -> _core.Rays:
         return _core.Rays(
             face=met.face[hit[which]],
@@ -203,15 +205,12 @@ def mirror_paths(
             span_m=span[hit[which]],
             gain=np.full(np.count_nonzero(which), gain, dtype=np.float32),
             legs=legs,
+            both_ways=both_ways,
         )
 
     both = range_m < here.range_m
     pair = pair_gain(here, mirror)
-    return [
-        way(once, group, twice, pair),
-        way(once, twice, group, pair),
-        way(both, twice, twice),
-    ]
+    return [way(once, group, twice, pair, both_ways=True), way(both, twice, twice)]
 
 
 def pair_gain(here: PingGeometry, mirror: Mirror) -> float:

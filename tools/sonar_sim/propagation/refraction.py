@@ -355,8 +355,8 @@ def _matmul(
 ) -> NDArray[np.float64]:
     """Products `left @ middle[n] @ right`, row by row, (N, 9), of a stack (N, 3, 3)."""
     # As one product of vectors of nine: a stack of small matrices is multiplied one by one.
-    both: NDArray[np.float64] = np.kron(left, right.T)
-    return chunked_matmul(middle.reshape(-1, 9), np.ascontiguousarray(both.T))
+    both = np.kron(left, right.T).T.astype(np.float64)
+    return chunked_matmul(middle.reshape(-1, 9), both)
 
 
 def _rotations(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:

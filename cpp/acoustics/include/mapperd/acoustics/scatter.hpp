@@ -53,6 +53,7 @@ struct RayHits {
   const float* span_m;           ///< (count, 2): ranges between which the face's plane is followed
   const float* gain;             ///< of pressure
   const Leg* legs;
+  bool both_ways;  ///< the sound goes there by `receive` and back by `transmit` too; no leg drifts
 };
 
 /// Rows of range, columns of bearing.
