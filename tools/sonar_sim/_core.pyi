@@ -369,15 +369,15 @@ def turned_rays(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Speeds in the middle of the rays' next straight pieces, (N,), and their directions, (N, 3).
 
-    A ray's elevation changes by -(dc/dz) cos / c along the way (Snell). From the middle of one
-    piece to that of the next, it is a step of second order.
+    Elevation changes by -(dc/dz) cos / c along the way (Snell). Turned from the middle of one piece
+    to that of the next, a path is off by the square of the step.
 
     Args:
         layers: depths, increasing, and speeds of sound: linear in between, constant beyond, (L, 2).
         points: where the rays are, z up, 0 at the sea's surface, (N, 3).
         directions: unit vectors, (N, 3).
         step_m: length of the next piece.
-        turn_m: way over which it turns.
+        turn_m: way over which it turns: `step_m`, and half of it for the first piece.
         threads: that share the rays.
     """
 

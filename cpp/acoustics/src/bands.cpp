@@ -21,10 +21,10 @@ double sine_of(const Leg& leg, const Vec3& point_m) {
   return -(m[1] * d.x + m[4] * d.y + m[7] * d.z) / std::sqrt(std::max(dot(d, d), 1e-12));
 }
 
-void widen(const ScatterInput& echoes, std::size_t hit, std::int32_t ear, double& low,
+void widen(const ScatterInput& echoes, std::size_t hit, std::int32_t leg, double& low,
            double& high) {
   const RayHits& hits = echoes.hits;
-  if (hits.seen[hit] == ear) {
+  if (hits.seen[hit] == leg) {
     low = std::min<double>(low, hits.cell[4 * hit]);
     high = std::max<double>(high, hits.cell[4 * hit + 1]);
     return;
@@ -33,7 +33,7 @@ void widen(const ScatterInput& echoes, std::size_t hit, std::int32_t ear, double
   if (footprint_of(echoes, hit, patch)) {
     for (std::size_t k = 0; k < 4; ++k) {
       const Vec3 corner{patch.corner_m[0][k], patch.corner_m[1][k], patch.corner_m[2][k]};
-      const double s = sine_of(hits.legs[ear], corner);
+      const double s = sine_of(hits.legs[leg], corner);
       low = std::min(low, s);
       high = std::max(high, s);
     }
@@ -105,7 +105,7 @@ void share(std::size_t count, int threads, const std::function<void(std::size_t)
 }
 
 std::vector<Band> bands_of(const ScatterInput& echoes, int threads) {
-  // Cut by bearing, not by number: what is out of earshot then changes no sum's order.
+  // Cut by bearing, not by number: what is out of earshot then shifts no hit to another band.
   std::vector<Band> bands(kBands);
   share(kBands, threads, [&](std::size_t i) {
     bands[i] = band_of(echoes, first_from(echoes, i), first_from(echoes, i + 1));
@@ -115,23 +115,24 @@ std::vector<Band> bands_of(const ScatterInput& echoes, int threads) {
 
 void in_bands(const std::vector<Band>& bands, int threads,
               const std::function<void(const Band&)>& task) {
-  // Each band joins the first wave of bands beside it.
-  std::vector<std::vector<const Band*>> waves;
+  // Each band joins the first round whose bands all lie beside it.
+  std::vector<std::vector<const Band*>> rounds;
   for (const Band& band : bands) {
     const auto beside = [&band](const Band* other) {
       return other->column + other->columns <= band.column ||
              band.column + band.columns <= other->column;
     };
-    auto wave = std::find_if(waves.begin(), waves.end(), [&beside](const auto& others) {
+    auto round = std::find_if(rounds.begin(), rounds.end(), [&beside](const auto& others) {
       return std::all_of(others.begin(), others.end(), beside);
     });
-    if (wave == waves.end()) {
-      wave = waves.insert(waves.end(), std::vector<const Band*>{});
+    if (round == rounds.end()) {
+      round = rounds.insert(rounds.end(), std::vector<const Band*>{});
     }
-    wave->push_back(&band);
+    round->push_back(&band);
   }
-  for (const auto& wave : waves) {
-    share(wave.size(), threads, [&](std::size_t i) { task(*wave[i]); });
+  for (const auto& round : rounds) {
+    const int helpers = std::min(threads, static_cast<int>(round.size()));
+    share(round.size(), helpers, [&](std::size_t i) { task(*round[i]); });
   }
 }
 

@@ -68,7 +68,7 @@ void add_gaussian_power(float* field, std::size_t rows, std::size_t columns, con
   for (std::size_t i = 0; i < columns; ++i) {
     const double at = (static_cast<double>(i) - coarse.first) / coarse.step;
     const double within = std::clamp(at, 0.0, last);
-    // The last one as the end of the interval before: each row is read with one column more.
+    // Beyond the last column stands a copy of it.
     below[i] = static_cast<std::int32_t>(within);
     part[i] = static_cast<float>(within - static_cast<double>(below[i]));
   }

@@ -73,8 +73,8 @@ MAPPERD_VECTORISED void aimed(const float* __restrict columns, const std::int32_
   for (std::size_t i = 0; i < count; ++i) {
     const float at = columns[i];
     const auto towards_zero = static_cast<std::int32_t>(at);
-    const float kept = static_cast<float>(towards_zero);
-    const std::int32_t whole = towards_zero - (kept > at ? 1 : 0);
+    const float truncated = static_cast<float>(towards_zero);
+    const std::int32_t whole = towards_zero - (truncated > at ? 1 : 0);
     const auto part = static_cast<std::int32_t>((at - static_cast<float>(whole)) * fractions);
     const std::int32_t column = whole - before;
     const std::int32_t row = rows[i];

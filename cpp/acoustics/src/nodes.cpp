@@ -227,7 +227,7 @@ MAPPERD_VECTORISED void times(const float* __restrict by, std::size_t count,
   }
 }
 
-// Phase and row. `way` is that of the direction to the echo.
+// Phase and row; x, y and z are the direction to the echo.
 MAPPERD_VECTORISED void arrive(const ScatterInput& e, const Vec3& drift_m,
                                const float* __restrict out_m, const float* __restrict back_m,
                                const float* __restrict x, const float* __restrict y,
@@ -262,10 +262,10 @@ MAPPERD_VECTORISED void columns_of(const EchoGrid& grid, const float* __restrict
 }
 
 // The pressure that is left by spreading.
-MAPPERD_VECTORISED void spread(bool spreading, const float* __restrict out_m,
-                               const float* __restrict back_m, const float* __restrict gain,
-                               const float* __restrict section, std::size_t count,
-                               float* __restrict pressure) {
+MAPPERD_VECTORISED void spreading_loss(bool spreading, const float* __restrict out_m,
+                                       const float* __restrict back_m, const float* __restrict gain,
+                                       const float* __restrict section, std::size_t count,
+                                       float* __restrict pressure) {
   const float lost = spreading ? 1.0F : 0.0F;
   const float kept = 1.0F - lost;
   for (std::size_t i = 0; i < count; ++i) {
@@ -370,8 +370,8 @@ const HeardNodes& ScattererKernel::heard(const SharedTraits& traits, const Nodes
   if (e_.hits.both_ways) {
     columns_of(e_.grid, out_.s, nodes.count, heard_.other_column);
   }
-  spread(e_.model.spreading, out_.range_m, back.range_m, nodes.gain, section_, nodes.count,
-         heard_.pressure);
+  spreading_loss(e_.model.spreading, out_.range_m, back.range_m, nodes.gain, section_, nodes.count,
+                 heard_.pressure);
   pattern(e_.response, out_.w, nodes.count, there_);
   if (!same) {
     pattern(e_.response, back_.w, nodes.count, here_);

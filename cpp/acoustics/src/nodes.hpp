@@ -99,7 +99,7 @@ struct HeardNodes {
   Each<float> turns;  // of phase, within one
   Each<std::int32_t> row;
   Each<float> column;        // from the grid's first
-  Each<float> other_column;  // by the way back, where sound goes both ways
+  Each<float> other_column;  // of the reversed path, if the sound goes both ways
 };
 
 // Computes the echoes of nodes.

@@ -47,32 +47,32 @@ SinePoint sine_point(const Vec3& p) {
 
 // Where a point seems to be by the direction in which the ray to it leaves. A ray's elevation
 // changes by -(dc/dz) cos / c along the way (Snell); the chord's is the mean over the way.
-Vec3 by_departure(const BentView& bent, const Vec3& p) {
+Vec3 by_departure(const RefractionView& view, const Vec3& p) {
   constexpr int kSteps = 8;
   const double range_m = norm(p);
-  if (bent.layers.depth_m.empty() || range_m < 1e-9) return p;
-  const double rise = dot(p, bent.up) / range_m;
+  if (view.layers.depth_m.empty() || range_m < 1e-9) return p;
+  const double rise = dot(p, view.up) / range_m;
   const double level = std::sqrt(std::max(1.0 - rise * rise, 1e-12));
   double turn = 0.0;
   for (int k = 0; k < kSteps; ++k) {
     const double part = (k + 0.5) / kSteps;
     double speed_mps = 0.0;
     const double gradient =
-        speed_gradient(bent.layers, -(bent.height_m + part * range_m * rise), speed_mps);
+        speed_gradient(view.layers, -(view.height_m + part * range_m * rise), speed_mps);
     turn -= (1.0 - part) * gradient * level / speed_mps * range_m / kSteps;
   }
-  const Vec3 upright = (1.0 / level) * (bent.up - (rise / range_m) * p);
+  const Vec3 upright = (1.0 / level) * (view.up - (rise / range_m) * p);
   return std::cos(turn) * p - (range_m * std::sin(turn)) * upright;
 }
 
 // Lays edges into the cells of a grid.
 class Rasteriser {
  public:
-  Rasteriser(const FanGrid& grid, const FanHits& hits, double reach_m, const BentView& bent)
+  Rasteriser(const FanGrid& grid, const FanHits& hits, double reach_m, const RefractionView& view)
       : grid_(grid),
         hits_(hits),
         reach_m_(reach_m),
-        bent_(bent),
+        view_(view),
         far_m_(grid.columns * grid.rows, -1.0F) {
     const double low = grid.row_edges[0];
     const double wide = (grid.row_edges[grid.rows] - low) / static_cast<double>(kGuesses);
@@ -147,10 +147,10 @@ class Rasteriser {
     proto_.turn = outline ? turn_of(a, b, seen(mesh, edge.inner_m)) : 0.0F;
     const double angle = std::sqrt(length2) / near_m;
     const auto pieces = static_cast<std::size_t>(std::clamp(angle / kPiece, 0.0, 4000.0)) + 1;
-    SinePoint from = sine_point(by_departure(bent_, a));
+    SinePoint from = sine_point(by_departure(view_, a));
     for (std::size_t k = 1; k <= pieces; ++k) {
       const double part = static_cast<double>(k) / static_cast<double>(pieces);
-      const SinePoint to = sine_point(by_departure(bent_, k == pieces ? b : a + part * way));
+      const SinePoint to = sine_point(by_departure(view_, k == pieces ? b : a + part * way));
       add_piece(from, to);
       from = to;
     }
@@ -248,7 +248,7 @@ class Rasteriser {
   const FanGrid& grid_;
   const FanHits& hits_;
   double reach_m_;
-  const BentView& bent_;
+  const RefractionView& view_;
   std::vector<float> far_m_;  // farthest hit in and about each cell; negative: not known yet
   std::array<std::size_t, kGuesses> guess_{};
   double per_guess_ = 0.0;
@@ -485,8 +485,8 @@ std::vector<char> lower_rays(const FanHits& hits, const std::vector<std::int64_t
 RefinedRays refined_rays(const FanGrid& grid, const FanHits& hits,
                          const std::vector<SeenMesh>& meshes,
                          const std::vector<std::int64_t>& pairs, double reach_m,
-                         const BentView& bent) {
-  Rasteriser rasteriser(grid, hits, reach_m, bent);
+                         const RefractionView& view) {
+  Rasteriser rasteriser(grid, hits, reach_m, view);
   for (const SeenMesh& mesh : meshes) rasteriser.add(mesh);
   const std::size_t cells = grid.columns * grid.rows;
   const Sorted outlines = sorted(rasteriser.take(), cells);

@@ -70,6 +70,8 @@ void add_gaussian_power(py::array_t<Complex>& field, const Floats& power, std::u
   demand(power.ndim() == 2 && size_of(power, 0) == rows && size_of(power, 1) > 0,
          "power is (rows, at least one)");
   demand(step > 0.0 && std::isfinite(first) && std::isfinite(step), "a step is positive");
+  demand(step != 1.0 || first != 0.0 || size_of(power, 1) == columns,
+         "power at each column has the field's shape");
   const acoustics::CoarseColumns coarse{size_of(power, 1), first, step};
   const float* of_cell = power.data();
   const py::gil_scoped_release unlocked;
@@ -82,7 +84,8 @@ struct CellArray {
       : is_complex(array.dtype().kind() == 'c'),
         held(is_complex ? py::array(py::array_t<Complex, py::array::c_style>::ensure(array))
                         : py::array(Floats::ensure(array))) {
-    demand(held.ndim() == 2, "cells and beams are two-dimensional");
+    demand(static_cast<bool>(held) && held.ndim() == 2,
+           "cells and beams are complex64 or float32 and two-dimensional");
     grid = {static_cast<const float*>(held.data()), size_of(held, 0), size_of(held, 1),
             is_complex ? std::size_t{2} : std::size_t{1}};
   }

@@ -92,6 +92,11 @@ void check(const FaceTable& faces, const RayArrays& rays) {
                 rays.receive.data()[i] >= 0 && rays.receive.data()[i] < legs,
             "leg out of the table");
   }
+  for (std::int32_t i = 0; rays.both_ways && i < legs; ++i) {
+    const double* drift = rays.legs.data() + 16 * i + 12;
+    require(drift[0] == 0.0 && drift[1] == 0.0 && drift[2] == 0.0,
+            "legs of both ways must have no drift");
+  }
 }
 
 acoustics::ScatterInput echoes_of(const FaceTable& faces, const RayArrays& rays,

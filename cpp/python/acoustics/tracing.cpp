@@ -99,7 +99,11 @@ acoustics::SoundLayers sound_layers(const Array<double>& table) {
   return layers;
 }
 
-acoustics::SoundLayers bending_layers(const Array<double>& table) {
+bool is_rows_of_three(const Array<double>& array) {
+  return array.ndim() == 2 && array.shape(1) == 3;
+}
+
+acoustics::SoundLayers refracting_layers(const Array<double>& table) {
   acoustics::SoundLayers layers = sound_layers(table);
   require(!layers.depth_m.empty(), "layers must have a depth");
   return layers;
@@ -108,17 +112,18 @@ acoustics::SoundLayers bending_layers(const Array<double>& table) {
 py::tuple turned_rays(const Array<double>& layers, const Array<double>& points,
                       const Array<double>& directions, double step_m, double turn_m,
                       unsigned threads) {
-  const py::ssize_t count = directions.shape(0);
-  require(directions.ndim() == 2 && directions.shape(1) == 3 && points.size() == 3 * count,
+  require(is_rows_of_three(directions) && is_rows_of_three(points) &&
+              points.shape(0) == directions.shape(0),
           "points and directions must be (N, 3)");
-  const acoustics::SoundLayers bending = bending_layers(layers);
+  const py::ssize_t count = directions.shape(0);
+  const acoustics::SoundLayers refracting = refracting_layers(layers);
   Array<double> turned({count, py::ssize_t{3}}, directions.data());
   Array<double> speeds(count);
   double* to = turned.mutable_data();
   double* speed = speeds.mutable_data();
   {
     const py::gil_scoped_release unlocked;
-    acoustics::turn_rays(bending, static_cast<std::size_t>(count), points.data(), to, step_m,
+    acoustics::turn_rays(refracting, static_cast<std::size_t>(count), points.data(), to, step_m,
                          turn_m, speed, threads);
   }
   return py::make_tuple(speeds, turned);
@@ -127,10 +132,10 @@ py::tuple turned_rays(const Array<double>& layers, const Array<double>& points,
 py::tuple followed_rays(const Array<double>& layers, const Array<double>& origin_m,
                         const Array<double>& directions, double step_m, std::size_t steps,
                         double speed_mps) {
-  const py::ssize_t count = directions.shape(0);
-  require(directions.ndim() == 2 && directions.shape(1) == 3 && origin_m.size() == 3,
+  require(is_rows_of_three(directions) && origin_m.size() == 3,
           "origin_m must be (3,), directions (N, 3)");
-  const acoustics::SoundLayers bending = bending_layers(layers);
+  const py::ssize_t count = directions.shape(0);
+  const acoustics::SoundLayers refracting = refracting_layers(layers);
   const auto rows = static_cast<py::ssize_t>(steps) + 1;
   std::vector<double> leaving(directions.data(), directions.data() + directions.size());
   Array<double> corners({rows, count, py::ssize_t{3}});
@@ -139,7 +144,7 @@ py::tuple followed_rays(const Array<double>& layers, const Array<double>& origin
   double* range_m = ranges.mutable_data();
   {
     const py::gil_scoped_release unlocked;
-    acoustics::follow_rays(bending, static_cast<std::size_t>(count), origin_m.data(),
+    acoustics::follow_rays(refracting, static_cast<std::size_t>(count), origin_m.data(),
                            leaving.data(), step_m, steps, speed_mps, to, range_m);
   }
   return py::make_tuple(corners, ranges);
@@ -165,7 +170,7 @@ py::tuple refined_rays(const Array<float>& direction, const Array<float>& cell,
           "pair beyond the fan");
   const std::vector<std::int64_t> lower(at, at + pairs.size());
   require(up.size() == 4, "up must be (4,)");
-  const acoustics::BentView bent{
+  const acoustics::RefractionView view{
       sound_layers(layers), {up.data()[0], up.data()[1], up.data()[2]}, up.data()[3]};
   acoustics::RefinedRays found;
   {
@@ -174,7 +179,7 @@ py::tuple refined_rays(const Array<float>& direction, const Array<float>& cell,
         {static_cast<std::size_t>(rays.shape(0)), static_cast<std::size_t>(rays.shape(1)), first_s,
          s_pitch, row_edges.data(), rays.data()},
         {static_cast<std::size_t>(count), range_m.data(), direction.data(), cell.data()}, meshes,
-        lower, reach_m, bent);
+        lower, reach_m, view);
   }
   return py::make_tuple(rows_of(found.direction, 3), rows_of(found.cell, 4),
                         rows_of(found.column, 1), rows_of(found.from, 1));

@@ -127,8 +127,8 @@ class RuleChecker:
         self._scenario = scenario
         self._tolerance = tolerance or Tolerance()
         self._engines = [PingEngine(scenario.scene, scenario.sonar, seed) for seed in seeds]
-        self._look = Previewer(scenario.scene, scenario.sonar, self._engines[0].meshes)
-        self._planner = Planner(self._look, EffectSelection.read("auto"), self._tolerance)
+        self._previewer = Previewer(scenario.scene, scenario.sonar, self._engines[0].meshes)
+        self._planner = Planner(self._previewer, EffectSelection.read("auto"), self._tolerance)
 
     def check(self, time_s: float) -> RuleCheck:
         """Check them at a time of the trajectory."""
@@ -140,11 +140,11 @@ class RuleChecker:
         everything = self._pictures(all_on.physics(view), view)
         left_out = self._change(chosen, everything, self._tolerance.share, in_the_dark=True)
         without = {name: self._change_without(name, chosen, plan, view) for name in plan.names}
-        own = self._look.at(pose, 0, time_s, motion)
+        own = self._previewer.at(pose, 0, time_s, motion)
         return RuleCheck(plan, left_out, without, self._tolerance, self._excused(plan, own))
 
     def _excused(self, plan: EffectPlan, view: PingPreview) -> frozenset[str]:
-        """Those that the ping's own view, not that of its cell's middle, does not call for."""
+        """Effects that this ping's own preview does not call for, or would not 1.5 dB dimmer."""
         levels = (self._tolerance, replace(self._tolerance, brighter_db=-MARGIN_DB))
         doubtful = (
             d.effect.name

@@ -210,7 +210,7 @@ def mirror_paths(
 
     both = range_m < here.range_m
     pair = pair_gain(here, mirror)
-    return [way(once, group, twice, pair, both_ways=True), way(both, twice, twice)]
+    return [way(once, twice, group, pair, both_ways=True), way(both, twice, twice)]
 
 
 def pair_gain(here: PingGeometry, mirror: Mirror) -> float:

@@ -24,6 +24,7 @@ SEGMENTS = (2, 16)
 """Straight pieces of a bent ray: as few as keep each within `SAGITTA_M` of its arc."""
 SAGITTA_M = 1e-3
 STEEP = 1e-6
+"""A chord with a smaller level part is vertical."""
 TARGET_SEGMENTS = 64
 """Straight pieces of a path to a point target."""
 MAX_LAUNCH_RAD = 0.7

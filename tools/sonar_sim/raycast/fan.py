@@ -24,7 +24,7 @@ MARGIN_BEAMS = 12
 """Columns traced beyond each outermost beam: their main lobes reach out there."""
 STRIPS = 4
 FLAT = 0.05
-"""Cells no wider and higher than this part of x² are flat, to 0.03 % of their solid angle."""
+"""A cell neither wider nor higher than this part of x² has the solid angle ds dw / x, to 0.03 %."""
 MIN_CELL_SINE = 1e-5
 """A cell whose part of directions is narrower than this is left out."""
 
@@ -82,7 +82,7 @@ def solid_angle_sr(
     """Solid angle of cells, that part of them where s² + w² < 1, (N,).
 
     ds dw / x integrates to an arc sine over s, which stays right where x becomes 0; over w it is
-    taken at the middles of `STRIPS`. Small cells far from there are `FLAT`.
+    taken at the middles of `STRIPS`. Most cells are small and far from there: see `FLAT`.
     """
     wide, high = s_to - s_from, w_to - w_from
     s, w = (s_from + s_to) / 2.0, (w_from + w_to) / 2.0

@@ -289,7 +289,8 @@ class _MeshPart:
         edges = _core.EdgeTable(
             corners, self.planes[:, :3].astype(np.float32), self.surface.astype(np.int32)
         )
-        radius = float(np.linalg.norm(corners, axis=1).max(initial=0.0))
+        # A little more: corners and ranges are rounded.
+        radius = 1.001 * float(np.linalg.norm(corners, axis=-1).max(initial=0.0))
         return FrameGroup(embree, mesh, centre, self._pose, first_face, edges, radius)
 
 

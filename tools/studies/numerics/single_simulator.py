@@ -67,6 +67,18 @@ def _amplitude(side: float) -> NDArray[np.float64]:
     return ping.amplitude.astype(np.float64)
 
 
+def _phases() -> SingleError:
+    """Ranges of points up to 120 m off, and the phase of the way there and back at 750 kHz."""
+    points = np.random.default_rng(15).uniform(-70.0, 70.0, (100_000, 3))
+    single = np.sqrt(np.sum(np.square(points.astype(np.float32)), axis=1))
+    exact = np.linalg.norm(points, axis=1)
+    turns = np.abs(single - exact).max() * 2.0 * 750e3 / 1500.0
+    return SingleError(
+        f"{turns:.0e} of a turn at {exact.max():.0f} m",
+        "speckle seen from two places beside each other is alike to 0.998",
+    )
+
+
 def _echoes() -> SingleError:
     """Ten thousand echoes of random phase in each of 200 cells."""
     phase = np.random.default_rng(12).uniform(0.0, 2 * np.pi, (10_000, 200))
@@ -121,10 +133,17 @@ PLACES = (
         "corners count from their scene's middle, the sonar's pose stays in double precision",
     ),
     SinglePlace(
-        "`footprint`, `placing`, `nodes`, `scatter_*`",
+        "`footprint`, `scatter_*`",
         "what a patch sends back, and where it is heard",
         _scattering,
         "patches are placed in rows and columns about the sonar, in metres from it",
+    ),
+    SinglePlace(
+        "`nodes`",
+        "places of a patch's scatterers, and their phases",
+        _phases,
+        "they count from the transmitter; twice the numbers a vector and a cache",
+        "a scatterer is placed where it is heard, and has no twin in double precision",
     ),
     SinglePlace(
         "`deposit`, `random`, `hearing`",

@@ -70,14 +70,12 @@ MEASURED: dict[str, tuple[str, ...]] = {
             "raycast/meshes.py raycast/tracing.py",
         ),
     ),
-    "`footprint`, `placing`, `nodes`, `scatter_*`": (
+    "`footprint`, `scatter_*`": (
         "cpp/python/acoustics/scatter.cpp",
-        *_in(
-            ACOUSTICS,
-            "footprint.cpp nodes.cpp nodes.hpp placing.cpp scatter_field.cpp scatter_power.cpp",
-        ),
+        *_in(ACOUSTICS, "footprint.cpp scatter_field.cpp scatter_power.cpp"),
         *_in(HEARD, "footprint.hpp scatter.hpp"),
     ),
+    "`nodes`": _in(ACOUSTICS, "nodes.cpp nodes.hpp"),
     "`deposit`, `random`, `hearing`": (
         *_in(ACOUSTICS, "complex_gaussian.cpp deposit.cpp cells.cpp"),
         *_in(HEARD, "cells.hpp complex_gaussian.hpp deposit.hpp hearing.hpp"),

@@ -43,7 +43,7 @@ QUICK = ("elevations",)
 """Knobs that every test run turns: what pays off on any scene."""
 ERROR_OF = {"speckle": GRAIN, "range_spread": ROWS}
 HINTS = {
-    "refraction": "The first to turn off: refracted paths cost four times a ping of straight ones.",
+    "refraction": "The first to turn off: no other effect costs as much as refracted paths.",
     "speckle": "Saves time: without it each patch is sampled more finely.",
     "bearing_table": "Saves time: beams at equal angles follow no column of rays.",
     "multipath": "Each mirror is one more cast.",

@@ -28,8 +28,8 @@ struct SeenMesh {
   Vec3 sonar_m;                    ///< in the mesh's frame
 };
 
-/// How a sonar looks into layers that bend its rays.
-struct BentView {
+/// A sonar in layers that bend its rays.
+struct RefractionView {
   SoundLayers layers;
   Vec3 up;          ///< in the sonar's frame
   double height_m;  ///< of the sonar over the sea's surface
@@ -65,12 +65,11 @@ struct FanHits {
 ///     between the two, as between a pile and the floor that it stands in, rays are laid between
 ///     them. Of many pairs, those farthest apart in range are taken.
 /// \param reach_m what lies farther is not met
-/// \param bent layers that bend the rays: edges are seen where their rays leave (to the first order
-/// of
-///     the bending)
+/// \param view layers that bend the rays: edges are seen where their rays leave, to the first order
+///     of the bending
 RefinedRays refined_rays(const FanGrid& grid, const FanHits& hits,
                          const std::vector<SeenMesh>& meshes,
                          const std::vector<std::int64_t>& pairs, double reach_m,
-                         const BentView& bent);
+                         const RefractionView& view);
 
 }  // namespace mapperd::acoustics

@@ -10,7 +10,7 @@
 
 namespace mapperd::acoustics {
 
-/// Speeds by depth, linear in between and constant beyond. None: rays are straight.
+/// Speeds by depth, linear in between and constant beyond. The functions below need one at least.
 struct SoundLayers {
   std::vector<double> depth_m, speed_mps;  ///< depths increase
 };
@@ -18,13 +18,15 @@ struct SoundLayers {
 /// Growth of the speed of sound with height, per second; the speed itself goes to `speed_mps`.
 double speed_gradient(const SoundLayers& layers, double depth_m, double& speed_mps);
 
-/// Turns rays for their next straight pieces. A ray's elevation changes by -(dc/dz) cos / c along
-/// the way (Snell); from the middle of one piece to that of the next, `turn_m`, it is a step of
-/// second order.
+/// Turns rays for their next straight pieces: elevation changes by -(dc/dz) cos / c along the way
+/// (Snell). Turned from the middle of one piece to that of the next, a path is off by the square of
+/// the step.
 /// \param points (count, 3), z up, 0 at the sea's surface
 /// \param directions (count, 3), unit vectors; turned in place
 /// \param step_m length of the next piece
+/// \param turn_m way over which it turns: `step_m`, and half of it for the first piece
 /// \param speeds (count,), in the middle of the next piece
+/// \param threads that share the rays, at most
 void turn_rays(const SoundLayers& layers, std::size_t count, const double* points,
                double* directions, double step_m, double turn_m, double* speeds, unsigned threads);
 
