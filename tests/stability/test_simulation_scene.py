@@ -223,11 +223,12 @@ def test_the_turn_between_directions_all_but_equal_is_a_rotation() -> None:
 
     Naively the turn is about the cross product's axis, made a unit vector: 0 / 0 for equal ones.
     """
-    start = np.array([[1.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0], [0.6, 0.8, 0.0]])
-    end = np.array([[1.0, 0, 0], [1.0, 1e-12, 0], [math.cos(1e-4), 0, math.sin(1e-4)], [0, 0, 1.0]])
+    start = np.array([[1.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0], [0.6, 0.8, 0.0], [0.6, 0.8, 0.0]])
+    near = [math.cos(1e-4), 0, math.sin(1e-4)]
+    end = np.array([[1.0, 0, 0], [1.0, 1e-12, 0], near, [0, 0, 1.0], [1.0, 0, 0]])
     turns = _rotations(start, end)
     assert np.einsum("nij,nj->ni", turns, start) == pytest.approx(end, abs=1e-11)
-    assert turns @ turns.transpose(0, 2, 1) == pytest.approx(np.tile(np.eye(3), (4, 1, 1)))
+    assert turns @ turns.transpose(0, 2, 1) == pytest.approx(np.tile(np.eye(3), (5, 1, 1)))
 
 
 def test_quaternions_of_half_turns_are_unit_and_right() -> None:
