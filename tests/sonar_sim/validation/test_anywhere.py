@@ -345,7 +345,7 @@ def test_a_target_on_a_beam_s_bearing_is_heard_by_that_beam(
 
 @pytest.mark.parametrize("seed", range(8))
 def test_the_tank_s_wall_and_targets_lie_and_end_where_they_do(seed: int) -> None:
-    """V20: from any place in the tank that has the target before it, in any heading."""
+    """V20: from places in the tank's other half, with the target in the fan."""
     rng = np.random.default_rng(1000 + seed)
     bands = [("M750d", 2), ("M1200d", 1), ("M1200d", 2)]
     model = bands[rng.integers(len(bands))]
