@@ -51,7 +51,7 @@ MAPPERD_VECTORISED void follow(const Leg& leg, const float* cell, double sign, F
 
 bool footprint_of(const ScatterInput& echoes, std::size_t hit, Footprint& patch) {
   const RayHits& hits = echoes.hits;
-  const double* plane = echoes.faces.planes + 4 * hits.face[hit];
+  const double* plane = echoes.faces.table[hits.face[hit]].plane;
   const Leg& leg = hits.legs[hits.seen[hit]];
   const float* cell = hits.cell + 4 * hit;
   patch.normal = {plane[0], plane[1], plane[2]};

@@ -13,7 +13,7 @@ namespace mapperd::acoustics {
 
 namespace {
 
-constexpr std::size_t kAhead = 8;     // hits
+constexpr std::size_t kPrefetchFace = 16, kPrefetchNormal = 6;  // hits ahead
 constexpr double kWholeCell = 0.999;  // columns: a narrower cell is one that an outline has cut
 constexpr double kSmallTurn = 0.3;  // rad, by which the surface of a small object turns in a patch
 constexpr double kMinSmallNodes = 8.0;  // of a patch of a small object
@@ -49,15 +49,13 @@ class Speckler {
     const double cells =
         std::max((footprint_.far_m - footprint_.near_m) / row_m, 1.0) * std::max(wide, 1.0);
     double nodes = e_.model.nodes_per_cell * cells;
-    const std::int32_t smooth = e_.faces.smooth[e_.hits.face[hit]];
-    const double* curved_normal = smooth < 0 ? nullptr : e_.faces.curved_normal + 12 * smooth;
-    const double turn = curved_normal == nullptr ? 0.0 : turn_per_m(curved_normal);
+    const Face& face = e_.faces.table[e_.hits.face[hit]];
     // Few patches may be all that there is of a small object: its surface turns within one.
-    if (wide < kWholeCell || turn * std::sqrt(shadow) > kSmallTurn) {
+    if (wide < kWholeCell || face.turn_per_m * std::sqrt(shadow) > kSmallTurn) {
       nodes = std::max(nodes, kMinSmallNodes);
     }
-    const Lattice lattice = lattice_at(hit, axes, shadow / nodes, row_m);
-    begin(hit, axes, lattice, curved_normal, turn);
+    const Lattice lattice = lattice_at(hit, face, axes, shadow / nodes, row_m);
+    begin(hit, face, axes, lattice);
     fill();
     placed();
   }
@@ -67,7 +65,8 @@ class Speckler {
  private:
   // Closer along the range than across: a row is much thinner than a beam is wide, and what a cell
   // hears is the more even the more of its nodes stand in line.
-  Lattice lattice_at(std::size_t hit, const Axes& axes, double node_m2, double row_m) const {
+  Lattice lattice_at(std::size_t hit, const Face& face, const Axes& axes, double node_m2,
+                     double row_m) const {
     const Corners& corner = footprint_.corner_m;
     const Vec3& origin = e_.hits.legs[e_.hits.seen[hit]].origin_m;
     const Vec3& n = footprint_.normal;
@@ -83,17 +82,17 @@ class Speckler {
     const double along_m =
         std::min(std::sqrt(node_m2), kRowsApart * row_m / std::max(std::sqrt(u * u + v * v), 1e-9));
     const int along = level_of(along_m);
-    return lattice_of(e_.model.key, e_.faces.objects[e_.hits.face[hit]],
+    return lattice_of(e_.model.key, face.object,
                       {axes, along, level_of(node_m2 / step_of(along)), turn_of(u, v)});
   }
 
-  void begin(std::size_t hit, const Axes& axes, const Lattice& lattice, const double* curved_normal,
-             double turn) {
+  void begin(std::size_t hit, const Face& face, const Axes& axes, const Lattice& lattice) {
     const RayHits& hits = e_.hits;
-    const int face = hits.face[hit];
+    const double* curved_normal =
+        face.smooth < 0 ? nullptr : e_.faces.curved_normal + 12 * face.smooth;
     const double step_m = std::max(lattice.along_m, lattice.across_m);
-    const Strength strength(e_.model, e_.faces.table[e_.faces.materials[face]],
-                            step_m * (turn + 1.0 / std::max(footprint_.near_m, 1e-3)));
+    const Strength strength(e_.model, e_.faces.materials[face.material],
+                            step_m * (face.turn_per_m + 1.0 / std::max(footprint_.near_m, 1e-3)));
     const Leg& transmit = hits.legs[hits.transmit[hit]];
     const Leg& receive = hits.legs[hits.receive[hit]];
     const SharedTraits traits{&transmit, &receive, curved_normal != nullptr, strength.has_lobe()};
@@ -106,7 +105,7 @@ class Speckler {
     const double gain = hits.gain[hit] * transmit.gain * receive.gain * std::sqrt(area_m2);
     patch_ = {axes,
               footprint_.normal,
-              e_.faces.planes[4 * face + 3],
+              face.plane[3],
               lattice,
               0.0,
               0.0,
@@ -190,12 +189,12 @@ class Speckler {
   std::size_t placed_ = 0;
 };
 
-// Hits lie anywhere in the table of faces: asks for a face's entry before it is needed.
-void fetch(const ScatterInput& echoes, std::size_t hit) {
+// Asks for a face's entry before it is needed, and for what it points to when it has come.
+void fetch(const ScatterInput& echoes, std::size_t soon, std::size_t next) {
 #if defined(__GNUC__)
-  const std::int32_t face = std::max(echoes.hits.face[hit], 0);
-  __builtin_prefetch(echoes.faces.planes + 4 * face);
-  const std::int32_t smooth = echoes.faces.smooth[face];
+  __builtin_prefetch(echoes.faces.table + std::max(echoes.hits.face[soon], 0));
+  const std::int32_t face = echoes.hits.face[next];
+  const std::int32_t smooth = face < 0 ? -1 : echoes.faces.table[face].smooth;
   if (smooth >= 0) {
     __builtin_prefetch(echoes.faces.curved_normal + 12 * smooth);
     __builtin_prefetch(echoes.faces.curved_normal + 12 * smooth + 8);
@@ -212,7 +211,8 @@ void scatter_field(const ScatterInput& echoes, std::complex<float>* field, int t
     }
     const auto speckler = std::make_unique<Speckler>(echoes, band, field);
     for (std::size_t hit = band.first; hit < band.last; ++hit) {
-      fetch(echoes, std::min(hit + kAhead, band.last - 1));
+      fetch(echoes, std::min(hit + kPrefetchFace, band.last - 1),
+            std::min(hit + kPrefetchNormal, band.last - 1));
       speckler->add(hit);
     }
     speckler->finish();

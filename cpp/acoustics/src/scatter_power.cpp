@@ -57,17 +57,15 @@ class Averager {
 
   void begin(std::size_t hit) {
     const RayHits& hits = e_.hits;
-    const int face = hits.face[hit];
+    const Face& face = e_.faces.table[hits.face[hit]];
     seen_ = &hits.legs[hits.seen[hit]];
     transmit_ = &hits.legs[hits.transmit[hit]];
     receive_ = &hits.legs[hits.receive[hit]];
     const float* cell = hits.cell + 4 * hit;
     const double step_rad = 0.125 * std::max(cell[1] - cell[0], cell[3] - cell[2]);
-    curved_normal_ =
-        e_.faces.smooth[face] < 0 ? nullptr : e_.faces.curved_normal + 12 * e_.faces.smooth[face];
-    const double turn =
-        curved_normal_ != nullptr ? 1.0 + turn_per_m(curved_normal_) * patch_.far_m : 1.0;
-    strength_ = Strength(e_.model, e_.faces.table[e_.faces.materials[face]], step_rad * turn);
+    curved_normal_ = face.smooth < 0 ? nullptr : e_.faces.curved_normal + 12 * face.smooth;
+    const double turn = 1.0 + face.turn_per_m * patch_.far_m;
+    strength_ = Strength(e_.model, e_.faces.materials[face.material], step_rad * turn);
     gain_ = hits.gain[hit] * transmit_->gain * receive_->gain;
     const auto& m = seen_->rotation;
     const Vec3& n = patch_.normal;

@@ -18,10 +18,7 @@ constexpr double kMu = 0.01;
 
 // A wall square ahead of a sonar at the origin, seen by kSide² rays, into a fan's grid.
 struct Wall {
-  std::vector<double> planes{-1.0, 0.0, 0.0, -kWallM};
-  std::vector<std::uint32_t> objects{5};
-  std::vector<std::int32_t> materials{0};
-  std::vector<std::int32_t> smooth{-1};
+  acoustics::Face face{{-1.0, 0.0, 0.0, -kWallM}, 0.0, 5, 0, -1};
   acoustics::Material material{kMu, 0.0, 0.01, 0.1};
   std::vector<std::int32_t> none;
   std::vector<float> cell, span, gain;
@@ -49,8 +46,16 @@ struct Wall {
     }
   }
 
+  void lean(double angle_rad) {
+    face = {{-std::cos(angle_rad), 0.0, std::sin(angle_rad), -kWallM * std::cos(angle_rad)},
+            0.0,
+            5,
+            0,
+            -1};
+  }
+
   acoustics::ScatterInput echoes(std::uint64_t key, std::size_t count) const {
-    return {{1, planes.data(), objects.data(), materials.data(), smooth.data(), nullptr, &material},
+    return {{&face, nullptr, &material},
             {count, none.data(), none.data(), transmit.empty() ? none.data() : transmit.data(),
              receive.empty() ? none.data() : receive.data(), cell.data(), span.data(), gain.data(),
              legs.data(), both_ways},
@@ -107,14 +112,14 @@ double sum_of(const std::vector<std::complex<float>>& field) {
 TEST_CASE("the mean power of a wall is Lambert's integral over it, however it leans") {
   for (const double lean_rad : {0.0, 0.4, -0.4, 0.8}) {
     Wall wall;
-    wall.planes = {-std::cos(lean_rad), 0.0, std::sin(lean_rad), -kWallM * std::cos(lean_rad)};
+    wall.lean(lean_rad);
     CHECK(sum_of(wall.power(2)) / expected_power(lean_rad) == near(1.0, 0.01));
   }
 }
 
 TEST_CASE("a wall that leans has the field's power too") {
   Wall wall(kSide / 8);
-  wall.planes = {-std::cos(0.8), 0.0, std::sin(0.8), -kWallM * std::cos(0.8)};
+  wall.lean(0.8);
   double sum = 0.0;
   for (std::uint64_t key = 0; key < 100; ++key) sum += sum_of(wall.field(key, 2));
   CHECK(sum / 100 / expected_power(0.8) == near(1.0, 0.03));
@@ -160,7 +165,7 @@ TEST_CASE("what an echo spreads to the columns beside it is lost nowhere") {
 acoustics::Footprint footprint(const std::vector<double>& plane, const std::vector<float>& cell,
                                const std::vector<float>& span) {
   Wall wall(1);
-  wall.planes = plane;
+  std::copy_n(plane.data(), 4, wall.face.plane);
   wall.cell = cell;
   wall.span = span;
   acoustics::Footprint patch{};

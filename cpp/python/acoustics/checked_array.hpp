@@ -4,12 +4,11 @@
 #include <pybind11/numpy.h>
 
 #include <stdexcept>
-#include <string>
 
 template <typename T>
 using Array = pybind11::array_t<T, pybind11::array::c_style>;
 
-inline void require(bool holds, const std::string& what) {
+inline void require(bool holds, const char* what) {
   if (!holds) {
     throw std::invalid_argument(what);
   }

@@ -2,10 +2,12 @@
 
 #include <pybind11/numpy.h>
 
+#include <algorithm>
 #include <complex>
-#include <string>
+#include <vector>
 
 #include "checked_array.hpp"
+#include "mapperd/acoustics/footprint.hpp"
 #include "mapperd/acoustics/scatter.hpp"
 
 namespace acoustics = mapperd::acoustics;
@@ -14,20 +16,14 @@ namespace py = pybind11;
 
 namespace {
 
-// Keeps the arrays that its view points into.
+// Keeps what its view points into.
 struct FaceTable {
-  Array<double> planes, curved_normal, table;
-  Array<std::uint32_t> objects;
-  Array<std::int32_t> materials, smooth;
+  std::vector<acoustics::Face> faces;
+  Array<double> curved_normal, materials;
 
   [[nodiscard]] acoustics::Faces view() const {
-    return {static_cast<std::size_t>(planes.shape(0)),
-            planes.data(),
-            objects.data(),
-            materials.data(),
-            smooth.data(),
-            curved_normal.data(),
-            reinterpret_cast<const acoustics::Material*>(table.data())};
+    return {faces.data(), curved_normal.data(),
+            reinterpret_cast<const acoustics::Material*>(materials.data())};
   }
 };
 
@@ -41,12 +37,19 @@ FaceTable face_table(Array<double> planes, Array<std::uint32_t> objects,
   require(curved_normal.ndim() == 2 && curved_normal.shape(1) == 12,
           "curved_normal must be (S, 12)");
   require(table.ndim() == 2 && table.shape(1) == 4, "table must be (M, 4)");
+  FaceTable faces{{}, curved_normal, table};
+  faces.faces.reserve(static_cast<std::size_t>(count));
   for (py::ssize_t i = 0; i < count; ++i) {
-    require(materials.data()[i] >= 0 && materials.data()[i] < table.shape(0),
-            "materials out of the table");
-    require(smooth.data()[i] < curved_normal.shape(0), "smooth beyond curved_normal");
+    acoustics::Face face{{}, 0.0, objects.data()[i], materials.data()[i], smooth.data()[i]};
+    require(face.material >= 0 && face.material < table.shape(0), "materials out of the table");
+    require(face.smooth < curved_normal.shape(0), "smooth beyond curved_normal");
+    std::copy_n(planes.data() + 4 * i, 4, face.plane);
+    if (face.smooth >= 0) {
+      face.turn_per_m = acoustics::turn_per_m(curved_normal.data() + 12 * face.smooth);
+    }
+    faces.faces.push_back(face);
   }
-  return {planes, curved_normal, table, objects, materials, smooth};
+  return faces;
 }
 
 struct ScatterSetting {
@@ -84,7 +87,7 @@ void check(const FaceTable& faces, const RayArrays& rays) {
           "face, seen, transmit, receive, gain must be (H,), cell (H, 4), span_m (H, 2)");
   require(rays.legs.ndim() == 2 && rays.legs.shape(1) == 16, "legs must be (L, 16)");
   const auto legs = static_cast<std::int32_t>(rays.legs.shape(0));
-  const auto all = static_cast<std::int32_t>(faces.planes.shape(0));
+  const auto all = static_cast<std::int32_t>(faces.faces.size());
   for (py::ssize_t i = 0; i < count; ++i) {
     require(rays.face.data()[i] < all, "face out of the table");
     require(rays.seen.data()[i] >= 0 && rays.seen.data()[i] < legs &&

@@ -5,6 +5,7 @@
 /// Functions of their arguments: any thread may call them.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
@@ -16,7 +17,7 @@ namespace mapperd::acoustics {
 
 /// Unit vector in the object's frame with direction cosines s (starboard) and w (up).
 inline Vec3 direction(const Leg& leg, double s, double w) {
-  const double x = std::sqrt(std::fmax(1.0 - s * s - w * w, 1e-9));
+  const double x = std::sqrt(std::max(1.0 - s * s - w * w, 1e-9));
   const auto& m = leg.rotation;
   return {m[0] * x - m[1] * s + m[2] * w, m[3] * x - m[4] * s + m[5] * w,
           m[6] * x - m[7] * s + m[8] * w};
@@ -28,8 +29,8 @@ struct Reals {
 };
 
 inline Reals reals_of(double from_s, double to_s, double w) {
-  const double most = std::sqrt(std::fmax(1.0 - w * w, 1e-12));
-  return {most, std::fmin(std::fmax(from_s, -most), most), std::fmin(std::fmax(to_s, -most), most)};
+  const double most = std::sqrt(std::max(1.0 - w * w, 1e-12));
+  return {most, std::min(std::max(from_s, -most), most), std::min(std::max(to_s, -most), most)};
 }
 
 /// Four points, axis by axis.
@@ -90,7 +91,7 @@ class Strength {
 /// Cosine between a normal and the half-way direction of two unit vectors.
 inline double half_cosine(const Vec3& normal, const Vec3& a, const Vec3& b) {
   const Vec3 sum = a + b;
-  return std::fabs(dot(normal, sum)) / std::sqrt(std::fmax(dot(sum, sum), 1e-12));
+  return std::fabs(dot(normal, sum)) / std::sqrt(std::max(dot(sum, sum), 1e-12));
 }
 
 /// Maximum rotation of a round surface's normal per metre, rad/m.

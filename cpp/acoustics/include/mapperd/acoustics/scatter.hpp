@@ -31,15 +31,20 @@ struct Material {
   double slope_rad;         ///< standard deviation of the slope
 };
 
-/// Triangles, as their planes n.p = offset in the frame of their object.
+/// A triangle, as its plane n.p = offset in the frame of its object. Hits lie anywhere in the table
+/// of faces: all that they need is in one line of the cache.
+struct alignas(64) Face {
+  double plane[4];        ///< n, offset
+  double turn_per_m;      ///< by which a round surface's normal turns at most, rad/m
+  std::uint32_t object;   ///< key
+  std::int32_t material;  ///< index
+  std::int32_t smooth;    ///< index into curved_normal, or -1
+};
+
 struct Faces {
-  std::size_t count;
-  const double* planes;           ///< (count, 4): n, offset
-  const std::uint32_t* objects;   ///< key of the object
-  const std::int32_t* materials;  ///< index
-  const std::int32_t* smooth;     ///< index into curved_normal, or -1
+  const Face* table;
   const double* curved_normal;  ///< (S, 12): normal of a round surface at p is G p + g, rows of G|g
-  const Material* table;
+  const Material* materials;
 };
 
 /// Hits of the rays. Each covers a cell of directions, in the frame of the leg that saw it.
