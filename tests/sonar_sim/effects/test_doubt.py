@@ -74,12 +74,11 @@ def test_what_is_not_left_to_the_rules_is_not_doubted(
 
 def test_what_costs_nothing_is_decided_without_a_look() -> None:
     # A scene without echoes, as of a thing that the coarse rays miss.
-    empty = decide_cell(
-        view_of(), EffectSelection.read("auto"), Tolerance(), {"spreading", "vertical_pattern"}
-    )
-    assert set(empty.names) == {"spreading", "vertical_pattern"}
-    near = replace(LOUD, demanded_range_m=0.3)
-    names = {"absorption", "lambert"}
+    names = {"spreading", "vertical_pattern", "side_lobes", "tvg", "gain"}
+    empty = decide_cell(view_of(), EffectSelection.read("auto"), Tolerance(), names)
+    assert set(empty.names) == names
+    near = replace(LOUD, demanded_range_m=0.3, gain_percent=0.0)
+    names = {"absorption", "lambert", "gain"}
     few = decide_cell(view_of(sonar=near), EffectSelection.read("auto"), Tolerance(), names)
     assert few.names == ()
 

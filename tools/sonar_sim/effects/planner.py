@@ -60,6 +60,9 @@ _BOUNDS = {
     "shadows": _Bound(lambda view, _tolerance: bool(view.scene.surfaces), "surfaces hide others"),
     "lambert": _Bound(lambda view, _tolerance: bool(view.scene.surfaces), "surfaces have slopes"),
     "saturation": _Bound(lambda _view, _tolerance: True, "pixels have a greatest value"),
+    "side_lobes": _Bound(lambda _view, _tolerance: True, "echoes have arcs"),
+    "tvg": _Bound(lambda _view, _tolerance: True, "echoes have ranges"),
+    "gain": _Bound(lambda view, _tolerance: view.gains.operator_db != 0.0, "it is not 0 dB"),
 }
 
 BY_BOUNDS = frozenset(_BOUNDS)
