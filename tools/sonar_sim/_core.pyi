@@ -327,6 +327,44 @@ def spans(
         size_m: longest edge of each face, (F,).
     """
 
+class TriangleTable:
+    """Triangles of a mesh, for rays of one origin."""
+
+    def __init__(self, corners_m: NDArray[np.float32]) -> None:
+        """Sort triangles.
+
+        Args:
+            corners_m: (F, 3, 3).
+
+        Raises:
+            ValueError: the shape is wrong, or a corner is not less than 1e9 m.
+        """
+    def cast_bundle(
+        self,
+        origin_m: NDArray[np.float64],
+        direction: NDArray[np.float32],
+        near_m: NDArray[np.float32] | None,
+        first_face: int,
+        range_m: NDArray[np.float32],
+        face: NDArray[np.int32],
+        threads: int,
+    ) -> None:
+        """Find the first triangle on each ray; rays of the mesh's frame.
+
+        Args:
+            origin_m: of all rays, (3,).
+            direction: unit vectors, (N, 3).
+            near_m: hits at or below this range are ignored, (N,); None: 0.1 mm.
+            first_face: added to the triangles' indices.
+            range_m: (N,), in: maximum range; out: range of the hit, unchanged where there is none.
+            face: (N,), of the hit, unchanged where there is none.
+            threads: at most; the result does not depend on it.
+
+        Raises:
+            TypeError: `range_m` or `face` is of another type or not contiguous.
+            ValueError: sizes differ, or `range_m` or `face` is read-only.
+        """
+
 class EdgeTable:
     """Edges of a mesh at which its outline may lie."""
 
@@ -358,6 +396,26 @@ class MeshView:
             pose: rotation sonar from mesh, row by row; origin of the mesh in the sonar's frame;
                 the sonar in the mesh's frame, (15,).
         """
+
+def rays_near_ball(
+    start_m: NDArray[np.float64],
+    direction: NDArray[np.float32],
+    reach_m: float,
+    middle_m: NDArray[np.float64],
+    radius_m: float,
+) -> NDArray[np.int64]:
+    """Indices of the rays that pass through a ball within `reach_m`.
+
+    Args:
+        start_m: (N, 3).
+        direction: unit vectors, (N, 3).
+        reach_m: maximum range.
+        middle_m: of the ball, (3,).
+        radius_m: of the ball.
+
+    Raises:
+        ValueError: sizes differ.
+    """
 
 def turned_rays(
     layers: NDArray[np.float64],

@@ -6,6 +6,8 @@
 #include <cstring>
 #include <unordered_map>
 
+#include "morton.hpp"
+
 namespace mapperd::acoustics {
 
 namespace {
@@ -68,38 +70,18 @@ std::vector<Side> sides_of(const std::vector<std::uint32_t>& names) {
   return sides;
 }
 
-// Spreads the lowest 10 bits to every third one (a Morton code).
-std::uint32_t spread_bits(std::uint32_t x) {
-  x = (x | x << 16) & 0x030000FFU;
-  x = (x | x << 8) & 0x0300F00FU;
-  x = (x | x << 4) & 0x030C30C3U;
-  return (x | x << 2) & 0x09249249U;
-}
-
 // Sorts edges so that those near each other follow one another.
 void sort_by_place(std::vector<MeshEdge>& edges) {
-  float low[3] = {1e30F, 1e30F, 1e30F};
-  float high[3] = {-1e30F, -1e30F, -1e30F};
+  std::vector<float> places;
+  places.reserve(3 * edges.size());
   for (const MeshEdge& edge : edges) {
-    for (std::size_t k = 0; k < 3; ++k) {
-      low[k] = std::min(low[k], edge.end_m[0][k]);
-      high[k] = std::max(high[k], edge.end_m[0][k]);
-    }
+    places.insert(places.end(), edge.end_m[0], edge.end_m[0] + 3);
   }
-  const float wide = std::max({high[0] - low[0], high[1] - low[1], high[2] - low[2], 1e-9F});
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
-  for (std::uint32_t i = 0; i < edges.size(); ++i) {
-    std::uint32_t code = 0;
-    for (std::size_t k = 0; k < 3; ++k) {
-      const float at = (edges[i].end_m[0][k] - low[k]) / wide * 1023.0F;
-      code |= spread_bits(static_cast<std::uint32_t>(at)) << k;
-    }
-    order.emplace_back(code, i);
-  }
-  std::sort(order.begin(), order.end());
   std::vector<MeshEdge> sorted;
   sorted.reserve(edges.size());
-  for (const auto& at : order) sorted.push_back(edges[at.second]);
+  for (const std::uint32_t at : morton_order(places.data(), edges.size())) {
+    sorted.push_back(edges[at]);
+  }
   edges.swap(sorted);
 }
 

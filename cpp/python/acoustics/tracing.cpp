@@ -4,11 +4,14 @@
 #include <pybind11/stl.h>
 
 #include <algorithm>
+#include <cmath>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "checked_array.hpp"
 #include "mapperd/acoustics/neighbours.hpp"
+#include "mapperd/acoustics/ray_bundle.hpp"
 #include "mapperd/acoustics/silhouettes.hpp"
 #include "mapperd/acoustics/sound_layers.hpp"
 
@@ -72,6 +75,55 @@ acoustics::MeshEdges edge_table(const Array<float>& corners_m, const Array<float
   const py::gil_scoped_release unlocked;
   return acoustics::mesh_edges(corners_m.data(), normals.data(), surface.data(),
                                static_cast<std::size_t>(count));
+}
+
+// Its own type: a vector would be copied into a list.
+struct TriangleTable {
+  std::vector<acoustics::TrianglePack> packs;
+};
+
+TriangleTable triangle_table(const Array<float>& corners_m) {
+  require(corners_m.ndim() == 3 && corners_m.shape(1) == 3 && corners_m.shape(2) == 3,
+          "corners_m must be (F, 3, 3)");
+  require(std::all_of(corners_m.data(), corners_m.data() + corners_m.size(),
+                      [](float at) { return std::fabs(at) < acoustics::kMaxCornerM; }),
+          "corners_m must be less than 1e9 m");
+  const py::gil_scoped_release unlocked;
+  const auto count = static_cast<std::size_t>(corners_m.shape(0));
+  return {acoustics::pack_triangles(corners_m.data(), count)};
+}
+
+void cast_bundle(const TriangleTable& table, const Array<double>& origin_m,
+                 const Array<float>& direction, const std::optional<Array<float>>& near_m,
+                 std::int32_t first_face, Array<float>& range_m, Array<std::int32_t>& face,
+                 unsigned threads) {
+  const py::ssize_t count = range_m.size();
+  require(origin_m.size() == 3 && direction.ndim() == 2 && direction.shape(0) == count &&
+              direction.shape(1) == 3 && face.size() == count &&
+              (!near_m || near_m->size() == count),
+          "origin_m must be (3,), direction (N, 3), near_m, range_m and face (N,)");
+  acoustics::RayBundle rays{
+      static_cast<std::size_t>(count), {}, direction.data(), near_m ? near_m->data() : nullptr};
+  std::copy_n(origin_m.data(), 3, rays.origin_m);
+  float* ranges = range_m.mutable_data();
+  std::int32_t* faces = face.mutable_data();
+  const py::gil_scoped_release unlocked;
+  acoustics::cast_bundle(table.packs, rays, first_face, threads, ranges, faces);
+}
+
+py::array rays_near_ball(const Array<double>& start_m, const Array<float>& direction,
+                         double reach_m, const Array<double>& middle_m, double radius_m) {
+  require(start_m.ndim() == 2 && start_m.shape(1) == 3 && direction.ndim() == 2 &&
+              direction.shape(0) == start_m.shape(0) && direction.shape(1) == 3 &&
+              middle_m.size() == 3,
+          "start_m and direction must be (N, 3), middle_m (3,)");
+  std::vector<std::int64_t> near;
+  {
+    const py::gil_scoped_release unlocked;
+    near = acoustics::rays_near_ball(static_cast<std::size_t>(start_m.shape(0)), start_m.data(),
+                                     direction.data(), reach_m, middle_m.data(), radius_m);
+  }
+  return Array<std::int64_t>(static_cast<py::ssize_t>(near.size()), near.data());
 }
 
 acoustics::SeenMesh mesh_view(const acoustics::MeshEdges& table, const Array<double>& pose) {
@@ -197,8 +249,14 @@ void bind_tracing(py::module_& module) {
   py::class_<acoustics::MeshEdges>(module, "EdgeTable")
       .def(py::init(&edge_table), arg("corners_m"), arg("normals"), arg("surface"))
       .def("__len__", [](const acoustics::MeshEdges& table) { return table.edges.size(); });
+  py::class_<TriangleTable>(module, "TriangleTable")
+      .def(py::init(&triangle_table), arg("corners_m"))
+      .def("cast_bundle", &cast_bundle, arg("origin_m"), arg("direction"), arg("near_m"),
+           arg("first_face"), arg("range_m").noconvert(), arg("face").noconvert(), arg("threads"));
   py::class_<acoustics::SeenMesh>(module, "MeshView")
       .def(py::init(&mesh_view), arg("table"), arg("pose"), py::keep_alive<1, 2>());
+  module.def("rays_near_ball", &rays_near_ball, arg("start_m"), arg("direction"), arg("reach_m"),
+             arg("middle_m"), arg("radius_m"));
   module.def("turned_rays", &turned_rays, arg("layers"), arg("points"), arg("directions"),
              arg("step_m"), arg("turn_m"), arg("threads") = 2);
   module.def("followed_rays", &followed_rays, arg("layers"), arg("origin_m"), arg("directions"),

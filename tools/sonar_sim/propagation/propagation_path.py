@@ -182,11 +182,11 @@ def mirror_paths(
     ]
     legs = np.array([*direct, *bounced]).reshape(-1, LEG_SIZE)
     range_m = met.range_m[hit]
-    point = image.position_m + range_m[:, None].astype(np.float64) * seen.direction[hit]
+    away_m = range_m[:, None].astype(np.float64) * seen.direction.take(hit, axis=0)
     group = met.group[hit]
     span = span_about(here.meshes, met, met.range_m, met.range_m)
     twice = group + np.int32(len(frames))
-    once = _in_sight(here, point, 2.0 * here.range_m - range_m)
+    once = _in_sight(here, image.position_m + away_m, 2.0 * here.range_m - range_m)
 
     def way(
         which: NDArray[np.bool_],
@@ -196,14 +196,15 @@ def mirror_paths(
         *,
         both_ways: bool = False,
     ) -> _core.Rays:
+        its = hit[which]
         return _core.Rays(
-            face=met.face[hit[which]],
+            face=met.face[its],
             seen=twice[which],
             transmit=there[which],
             receive=back[which],
-            cell=seen.fan.cell[hit[which]],
-            span_m=span[hit[which]],
-            gain=np.full(np.count_nonzero(which), gain, dtype=np.float32),
+            cell=seen.fan.cell.take(its, axis=0),
+            span_m=span.take(its, axis=0),
+            gain=np.full(len(its), gain, dtype=np.float32),
             legs=legs,
             both_ways=both_ways,
         )
@@ -250,16 +251,24 @@ def _seen_in_mirror(
         group = np.zeros(len(onward), dtype=np.int32)
         crossing = height / np.maximum(rows_dot(onward, mirror.normal), 1e-9)
         ray = np.flatnonzero(crossing < 2.0 * here.range_m)
-        direction = chunked_matmul(onward[ray], reflector)
+        going = onward.take(ray, axis=0)
+        direction = chunked_matmul(going, reflector)
         first = here.meshes.cast(
             here.pose.position_m, direction, here.time_s, reach_m, here.threads
         )
         there = reaches_mirror(here.meshes, mirror, first.face, first.range_m, crossing[ray])
-        ray, direction = ray[there], direction[there]
-        way = crossing[ray]
-        start = here.pose.position_m + way[:, None] * direction + RELATIVE_GAP * mirror.normal
-        met = here.meshes.cast(start, onward[ray], here.time_s, 2.0 * here.range_m, here.threads)
-        range_m[ray] = met.range_m + way
+        ray, going = ray[there], going[there]
+        # From the image, of which the sonar's own ray is the mirrored one.
+        behind = crossing[ray] * (1.0 + RELATIVE_GAP / height)
+        met = here.meshes.cast(
+            image.position_m,
+            going,
+            here.time_s,
+            2.0 * here.range_m,
+            here.threads,
+            near_m=behind.astype(np.float32),
+        )
+        range_m[ray] = met.range_m
         face[ray], group[ray] = met.face, met.group
         return Hits(range_m, face, group)
 

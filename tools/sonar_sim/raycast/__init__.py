@@ -1,1 +1,1 @@
-"""Rays of the sonar and of a depth camera, cast into a scene with Embree."""
+"""Rays of the sonar and of a depth camera, cast into a scene."""

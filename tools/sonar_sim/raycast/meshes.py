@@ -1,4 +1,7 @@
-"""The scene's triangles: in Embree for the rays, in tables for the echoes."""
+"""The scene's triangles: for the rays to meet, and in tables for the echoes.
+
+Rays of one origin meet triangles that are projected onto them; for all others there is Embree.
+"""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -20,8 +23,6 @@ SEA = -2
 NOTHING = -1
 MIN_AREA = 1e-14
 """Of a triangle, against the square of its scene's extent; smaller ones have no normal."""
-START_OFFSET_M = 1e-4
-"""So far from a sonar that lies in a face its rays begin."""
 MIN_RAYS_PER_THREAD = 4096
 """Rays that are worth a thread of their own."""
 
@@ -40,13 +41,20 @@ class Hits:
     face: NDArray[np.int32]
     group: NDArray[np.int32]
 
+    @classmethod
+    def empty(cls, count: int, range_m: float) -> "Hits":
+        """No hits yet, and the maximum range at which there may be some."""
+        face = np.full(count, NOTHING, dtype=np.int32)
+        return cls(np.full(count, range_m, np.float32), face, np.zeros(count, dtype=np.int32))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameGroup:
     """Surfaces that share one frame: all that stand still, or one that moves.
 
     Attributes:
-        embree: their triangles, moved by -centre_m.
+        triangles: moved by -centre_m, for rays of one origin.
+        embree: the same, for all others.
         centre_m: keeps float32 precise in scenes far from the map's origin, (3,).
         pose: map_T_object at a time.
         first_face: in the table of faces.
@@ -54,6 +62,7 @@ class FrameGroup:
         radius_m: of a ball about the centre that holds them.
     """
 
+    triangles: _core.TriangleTable
     embree: EmbreeScene
     mesh: TriangleMesh
     centre_m: NDArray[np.float64]
@@ -62,17 +71,10 @@ class FrameGroup:
     edges: _core.EdgeTable
     radius_m: float
 
-    def in_reach(
-        self,
-        map_T_object: FramePose,  # noqa: N803
-        low_m: NDArray[np.float64],
-        high_m: NDArray[np.float64],
-        reach_m: float,
-    ) -> bool:
-        """Whether rays that start in a box, map frame, may meet a triangle."""
-        centre_m = map_T_object.position_m + map_T_object.rotation @ self.centre_m
-        away_m = centre_m - np.clip(centre_m, low_m, high_m)
-        return float(np.linalg.norm(away_m)) < self.radius_m + reach_m
+    def middle_m(self, map_T_object: FramePose) -> NDArray[np.float64]:  # noqa: N803
+        """Of the ball that holds the triangles, map frame, (3,)."""
+        away_m: NDArray[np.float64] = map_T_object.rotation @ self.centre_m
+        return map_T_object.position_m + away_m
 
     def seen_from(self, map_T_sonar: FramePose, time_s: float) -> _core.MeshView:  # noqa: N803
         """The edges from a sonar's pose, at a time."""
@@ -148,110 +150,135 @@ class Meshes:
         origin_m: NDArray[np.float64],
         direction: NDArray[np.float32],
         time_s: float,
-        reach_m: float | NDArray[np.float32],
+        reach_m: float,
         threads: int = 2,
+        *,
+        near_m: NDArray[np.float32] | None = None,
     ) -> Hits:
         """What rays meet first.
 
         Args:
-            origin_m: map frame, (3,) or (N, 3).
+            origin_m: map frame, (3,) or, much slower, (N, 3).
             direction: unit vectors, map frame, (N, 3).
             time_s: at which moving objects are met.
-            reach_m: what lies farther is not met, one or (N,).
+            reach_m: what lies farther is not met.
             threads: that share the rays.
+            near_m: minimum range, (N,); only for rays of one origin.
+
+        Raises:
+            ValueError: `near_m` is given for rays of several origins.
         """
+        if origin_m.ndim == 1:
+            met = Hits.empty(len(direction), reach_m)
+            self._cast_bundle(met, origin_m, direction, time_s, near_m=near_m, threads=threads)
+            met.range_m[met.face < 0] = np.inf
+            return met
+        if near_m is not None:
+            raise ValueError("near_m needs rays of one origin: origin_m must be (3,)")
         count = len(direction)
         parts = min(threads, max(1, count // MIN_RAYS_PER_THREAD))
-        cuts = [(count * i // parts, count * (i + 1) // parts) for i in range(parts)]
+        cuts = [slice(count * i // parts, count * (i + 1) // parts) for i in range(parts)]
 
-        def work(cut: tuple[int, int]) -> Hits:
-            part = slice(*cut)
-            origin = origin_m if origin_m.ndim == 1 else origin_m[part]
-            reach = reach_m[part] if isinstance(reach_m, np.ndarray) else reach_m
-            return self._cast(origin, direction[part], time_s, reach)
+        def work(part: slice) -> Hits:
+            met = Hits.empty(part.stop - part.start, reach_m)
+            self._cast_each(met, origin_m[part], direction[part], time_s, reach_m)
+            met.range_m[met.face < 0] = np.inf
+            return met
 
         if parts == 1:
             return work(cuts[0])
         with ThreadPoolExecutor(parts) as pool:
-            met = list(pool.map(work, cuts))
+            met_by_part = list(pool.map(work, cuts))
         return Hits(
-            np.concatenate([m.range_m for m in met]),
-            np.concatenate([m.face for m in met]),
-            np.concatenate([m.group for m in met]),
+            np.concatenate([met.range_m for met in met_by_part]),
+            np.concatenate([met.face for met in met_by_part]),
+            np.concatenate([met.group for met in met_by_part]),
         )
 
-    def _cast(
+    def _cast_bundle(
         self,
+        met: Hits,
         origin_m: NDArray[np.float64],
         direction: NDArray[np.float32],
         time_s: float,
-        reach_m: float | NDArray[np.float32],
-    ) -> Hits:
-        count = len(direction)
-        nearest = np.full(count, np.inf, dtype=np.float32)
-        face = np.full(count, NOTHING, dtype=np.int32)
-        owner = np.zeros(count, dtype=np.int32)
-        longest_m = float(np.max(reach_m, initial=0.0))
-        # One axis after the other: along the first of two axes numpy takes ten times as long.
-        starts = np.atleast_2d(origin_m).T if count else np.zeros((3, 1))
-        low_m, high_m = (np.array([end(axis) for axis in starts]) for end in (np.min, np.max))
+        *,
+        near_m: NDArray[np.float32] | None,
+        threads: int,
+    ) -> None:
+        """Enter what rays of one origin meet nearer than what is known."""
+        reach_m = float(met.range_m.max(initial=0.0))
         for number, group in enumerate(self.groups):
             pose = group.pose(time_s)
-            if not group.in_reach(pose, low_m, high_m, longest_m):
+            away_m = float(np.linalg.norm(group.middle_m(pose) - origin_m))
+            if away_m > group.radius_m + reach_m:
                 continue
-            range_m, found = _run(group, pose, origin_m, direction)
-            nearer = (found >= 0) & (range_m < nearest)
-            nearest[nearer] = range_m[nearer]
-            face[nearer] = found[nearer] + group.first_face
-            owner[nearer] = number
-        if self._sea:
-            self._meet_sea(origin_m, direction, nearest, face, owner)
-        face[~(nearest < reach_m)] = NOTHING
-        return Hits(nearest, face, owner)
+            start, local = _in_frame(group, pose, origin_m[None, :], direction)
+            group.triangles.cast_bundle(
+                start[0], local, near_m, group.first_face, met.range_m, met.face, threads
+            )
+            met.group[met.face >= group.first_face] = number
+        self._meet_sea(met, origin_m, direction, near_m)
+
+    def _cast_each(
+        self,
+        met: Hits,
+        origin_m: NDArray[np.float64],
+        direction: NDArray[np.float32],
+        time_s: float,
+        reach_m: float,
+    ) -> None:
+        """Enter what rays meet, each from an origin of its own."""
+        for number, group in enumerate(self.groups):
+            pose = group.pose(time_s)
+            ray = _core.rays_near_ball(
+                origin_m, direction, reach_m, group.middle_m(pose), group.radius_m
+            )
+            if len(ray) == 0:
+                continue
+            own = origin_m.take(ray, axis=0), direction.take(ray, axis=0)
+            start, local = _in_frame(group, pose, *own)
+            found = group.embree.run(start.astype(np.float32), local, output=True)
+            nearer = (found["primID"] >= 0) & (found["tfar"] < met.range_m[ray])
+            its = ray[nearer]
+            met.range_m[its] = found["tfar"][nearer]
+            met.face[its] = found["primID"][nearer] + group.first_face
+            met.group[its] = number
+        self._meet_sea(met, origin_m, direction, None)
 
     def _meet_sea(
         self,
+        met: Hits,
         origin_m: NDArray[np.float64],
         direction: NDArray[np.float32],
-        nearest: NDArray[np.float32],
-        face: NDArray[np.int32],
-        owner: NDArray[np.int32],
+        near_m: NDArray[np.float32] | None,
     ) -> None:
         """The sea's surface is the plane z = 0, met from below."""
+        if not self._sea:
+            return
         height = -np.asarray(origin_m)[..., 2]
         rising = np.maximum(direction[:, 2], np.float32(1e-9))
         range_m = (height / rising).astype(np.float32)
-        meets = (direction[:, 2] > 0.0) & (height > 0.0) & (range_m < nearest)
-        nearest[meets] = range_m[meets]
-        face[meets] = len(self.planes) - 1
-        owner[meets] = self.sea_group
+        meets = (direction[:, 2] > 0.0) & (height > 0.0) & (range_m < met.range_m)
+        if near_m is not None:
+            meets &= range_m > near_m
+        met.range_m[meets] = range_m[meets]
+        met.face[meets] = len(self.planes) - 1
+        met.group[meets] = self.sea_group
 
 
-def _run(
+def _in_frame(
     group: FrameGroup,
     map_T_object: FramePose,  # noqa: N803
     origin_m: NDArray[np.float64],
     direction: NDArray[np.float32],
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Ranges and faces of a group that rays of the map meet."""
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Origins and directions of rays of the map in a group's frame, about its centre, (N, 3)."""
     turn = map_T_object.rotation
     start = origin_m - map_T_object.position_m
-    still = np.array_equal(turn, np.eye(3))
-    if not still:
-        start = chunked_matmul(np.atleast_2d(start), turn)
+    if not np.array_equal(turn, np.eye(3)):
+        start = chunked_matmul(start, turn)
         direction = chunked_matmul(direction, turn.astype(np.float32))
-    start = start - group.centre_m
-    origins = np.empty((len(direction), 3), dtype=np.float32)
-    origins[:] = start
-    found = group.embree.run(origins, np.ascontiguousarray(direction), output=True)
-    range_m, face = found["tfar"], found["primID"].astype(np.int32)
-    # A sonar in the plane of a face would see nothing else, on either side of it.
-    blind = np.flatnonzero((face >= 0) & (range_m <= 0.0)) if origin_m.ndim == 1 else ()
-    if len(blind):
-        ahead = origins[blind] + np.float32(START_OFFSET_M) * direction[blind]
-        found = group.embree.run(ahead, np.ascontiguousarray(direction[blind]), output=True)
-        range_m[blind], face[blind] = found["tfar"] + np.float32(START_OFFSET_M), found["primID"]
-    return range_m, face
+    return start - group.centre_m, np.ascontiguousarray(direction)
 
 
 class _MeshPart:
@@ -291,7 +318,8 @@ class _MeshPart:
         )
         # A little more: corners and ranges are rounded.
         radius = 1.001 * float(np.linalg.norm(corners, axis=-1).max(initial=0.0))
-        return FrameGroup(embree, mesh, centre, self._pose, first_face, edges, radius)
+        table = _core.TriangleTable(corners)
+        return FrameGroup(table, embree, mesh, centre, self._pose, first_face, edges, radius)
 
 
 def _pose_of(surface: Surface) -> Callable[[float], FramePose]:

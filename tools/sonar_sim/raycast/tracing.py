@@ -23,7 +23,7 @@ from sonar_sim import _core
 from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.geometry.pose import FramePose
 from sonar_sim.raycast.fan import RayFan
-from sonar_sim.raycast.meshes import NOTHING, Hits, Meshes
+from sonar_sim.raycast.meshes import Hits, Meshes
 
 Number = TypeVar("Number", np.float32, np.float64, np.int32)
 
@@ -175,7 +175,7 @@ def merged(
     known: NDArray[Number], source: NDArray[np.int32], new: NDArray[Number]
 ) -> NDArray[Number]:
     """What rays of a finer fan met, (M, ...): the known of some, and the new ones, in order."""
-    both = known[source]
+    both = known.take(source, axis=0)
     both[source < 0] = new
     return both
 
@@ -192,16 +192,11 @@ def _behind(
 ) -> list[Hits]:
     """What the rays meet behind what they met."""
     layers: list[Hits] = []
-    past = np.where(first.face >= 0, first.range_m + np.float32(PAST_M), np.float32(0.0))
-    open_way = first.face >= 0
+    past = first.range_m + np.float32(PAST_M)
     for _ in range(BEHIND):
-        start = origin_m + direction.astype(np.float64) * past[:, None]
-        met = meshes.cast(start, direction, time_s, reach_m, threads)
-        range_m = (met.range_m + past).astype(np.float32)
-        face = np.where(open_way & (range_m < reach_m), met.face, NOTHING).astype(np.int32)
-        layers.append(Hits(range_m, face, met.group))
-        open_way = face >= 0
-        past = np.where(open_way, range_m + np.float32(PAST_M), past).astype(np.float32)
+        met = meshes.cast(origin_m, direction, time_s, reach_m, threads, near_m=past)
+        layers.append(met)
+        past = met.range_m + np.float32(PAST_M)
     return layers
 
 

@@ -127,7 +127,7 @@ def _pixels() -> SingleError:
 
 PLACES = (
     SinglePlace(
-        "`meshes`, `tracing` (Embree)",
+        "`meshes`, `tracing`",
         "corners, directions and ranges",
         _rays,
         "corners count from their scene's middle, the sonar's pose stays in double precision",

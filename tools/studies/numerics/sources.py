@@ -58,10 +58,10 @@ MEASURED: dict[str, tuple[str, ...]] = {
         *_in("tools/mapper_survey/", "coverage.py export.py"),
     ),
     "pictures of pings": _in("oculus_driver/", "fan.py render/painter.py ping.py"),
-    "`meshes`, `tracing` (Embree)": (
+    "`meshes`, `tracing`": (
         "cpp/python/acoustics/tracing.cpp",
-        *_in(ACOUSTICS, "mesh_edges.cpp neighbours.cpp silhouettes.cpp"),
-        *_in(HEARD, "mesh_edges.hpp neighbours.hpp silhouettes.hpp"),
+        *_in(ACOUSTICS, "mesh_edges.cpp morton.hpp neighbours.cpp ray_bundle.cpp silhouettes.cpp"),
+        *_in(HEARD, "mesh_edges.hpp neighbours.hpp ray_bundle.hpp silhouettes.hpp"),
         *_in(
             SIMULATOR,
             "navigation/odometry_output.py propagation/ground_truth.py "

@@ -1,0 +1,61 @@
+/// \file
+/// \brief What rays that share an origin meet first: triangles are projected onto the rays.
+///
+/// Faster than a search for each ray, as long as rays are not much fewer than triangles in reach.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+namespace mapperd::acoustics {
+
+/// Triangles that lie together, to be passed over together. The last pack is padded with triangles
+/// without area.
+struct TrianglePack {
+  static constexpr std::size_t kSize = 32;
+  float corner_m[3][3][kSize];   ///< by corner, by axis, mesh frame
+  std::int32_t index[kSize];     ///< of each among those given
+  float middle_m[3], half_m[3];  ///< of a box about them
+};
+
+/// Limit of the corners' coordinates: the squares of areas must not overflow.
+constexpr float kMaxCornerM = 1e9F;
+
+/// \param corners_m (count, 3, 3), each less than `kMaxCornerM`
+std::vector<TrianglePack> pack_triangles(const float* corners_m, std::size_t count);
+
+/// Rays of one origin, mesh frame.
+struct RayBundle {
+  std::size_t count;
+  double origin_m[3];
+  const float* direction;  ///< unit vectors, (count, 3)
+  const float* near_m;     ///< hits at or below this range are ignored, (count,); null: `kNearM`
+};
+
+/// Default minimum range: hides the face that a sonar lies in, if its corners are within 100 m.
+/// Those of larger faces are rounded by more.
+constexpr float kNearM = 1e-4F;
+
+/// Finds the first triangle on each ray, from either side; of several at one range, the first of
+/// those given. Triangles that share an edge leave no gap there. A ray's result does not depend on
+/// the other rays or on the number of threads.
+///
+/// \param first_face added to the triangles' indices
+/// \param range_m (count,), in: maximum range; out: range of the hit, unchanged where there is none
+/// \param face (count,), of the hit, unchanged where there is none
+void cast_bundle(const std::vector<TrianglePack>& mesh, const RayBundle& rays,
+                 std::int32_t first_face, unsigned threads, float* range_m, std::int32_t* face);
+
+/// Indices of the rays that pass through a ball within `reach_m`.
+///
+/// \param start_m (count, 3)
+/// \param direction unit vectors, (count, 3)
+std::vector<std::int64_t> rays_near_ball(std::size_t count, const double* start_m,
+                                         const float* direction, double reach_m,
+                                         const double* middle_m, double radius_m);
+
+}  // namespace mapperd::acoustics
