@@ -356,8 +356,8 @@ class TriangleTable:
             direction: unit vectors, (N, 3).
             near_m: hits at or below this range are ignored, (N,); None: 0.1 mm.
             first_face: added to the triangles' indices.
-            range_m: (N,), in: maximum range; out: range of the hit, unchanged where there is none.
-            face: (N,), of the hit, unchanged where there is none.
+            range_m: (N,), in: maximum range; out: range of the hit, unchanged for a miss.
+            face: (N,), of the hit, unchanged for a miss.
             threads: at most; the result does not depend on it.
 
         Raises:

@@ -16,7 +16,7 @@ namespace {
 constexpr std::size_t kLanes = 8;
 constexpr float kSlack = 1e-5F;    // of tangents, against rounding: more rays are tried
 constexpr float kOverlap = 2e-7F;  // rad, of triangles that share a corner, against rounding
-constexpr float kTiny = 1e-30F;
+constexpr float kTiny = 1e-30F;    // keeps edges without length finite
 constexpr double kClosest = 1e-6;  // m; corners nearer have no tangents worth trusting
 constexpr float kSteep = 4.0F;     // triangles with tangents beyond it need clipping
 constexpr std::size_t kMaxCorners =
@@ -146,23 +146,23 @@ struct CubeSide {
     return static_cast<std::size_t>(std::min(at, static_cast<float>((k == 0 ? cells : rows) - 1)));
   }
 
-  // Distance of a point into the pyramid of the rays, from one of its sides.
+  // Distance of a point into the view frustum of the rays, from one of its planes.
   template <typename Real>
-  Real depth(std::size_t wall, const Point<Real>& p) const {
-    const std::size_t side = wall / 2;
+  Real depth(std::size_t plane, const Point<Real>& p) const {
+    const std::size_t side = plane / 2;
     const Real tangent = side == 0 ? p.across : p.up;
-    return wall % 2 == 0 ? tangent - static_cast<Real>(low[side] - kSlack) * p.ahead
-                         : static_cast<Real>(high[side] + kSlack) * p.ahead - tangent;
+    return plane % 2 == 0 ? tangent - static_cast<Real>(low[side] - kSlack) * p.ahead
+                          : static_cast<Real>(high[side] + kSlack) * p.ahead - tangent;
   }
 
   // Whether no ray can meet a box.
   bool out_of_view(const float* middle, const float* half) const {
     const Point<float> at = seen(middle);
     if (at.ahead + half[axis] <= 0.0F) return true;
-    for (std::size_t wall = 0; wall < 4; ++wall) {
-      const float edge = wall % 2 == 0 ? low[wall / 2] - kSlack : high[wall / 2] + kSlack;
-      const float reach = half[wall < 2 ? across : up] + std::fabs(edge) * half[axis];
-      if (depth(wall, at) + reach * (1.0F + kSlack) < 0.0F) return true;
+    for (std::size_t plane = 0; plane < 4; ++plane) {
+      const float edge = plane % 2 == 0 ? low[plane / 2] - kSlack : high[plane / 2] + kSlack;
+      const float reach = half[plane < 2 ? across : up] + std::fabs(edge) * half[axis];
+      if (depth(plane, at) + reach * (1.0F + kSlack) < 0.0F) return true;
     }
     return false;
   }
@@ -304,7 +304,7 @@ class Bundle {
     }
   };
 
-  // The part of a triangle within the pyramid of a side's rays; false if there is none. In double
+  // Clips a triangle to the view frustum of a side; false if nothing is left. In double
   // precision: a large triangle may pass by the origin closely.
   static bool clip(const Facets& facets, std::size_t i, const CubeSide& side, Polygon& polygon) {
     std::array<Point<double>, kMaxCorners> from, to;
@@ -314,12 +314,12 @@ class Bundle {
                  static_cast<double>(p.ahead)};
     }
     std::size_t count = 3;
-    for (std::size_t wall = 0; wall < 4; ++wall) {
+    for (std::size_t plane = 0; plane < 4; ++plane) {
       std::size_t kept = 0;
       for (std::size_t k = 0; k < count; ++k) {
         const Point<double>& a = from[k];
         const Point<double>& b = from[(k + 1) % count];
-        const double da = side.depth(wall, a), db = side.depth(wall, b);
+        const double da = side.depth(plane, a), db = side.depth(plane, b);
         if (da >= 0.0) to[kept++] = a;
         if ((da < 0.0) != (db < 0.0)) {
           const double part = da / (da - db);
@@ -392,7 +392,7 @@ class Bundle {
     }
   }
 
-  // Extent across of the part of a polygon between two tangents up; false if there is none.
+  // Extent across of a polygon between two tangents up; false if it lies outside them.
   MAPPERD_INLINE static bool part_between(const Polygon& polygon, float bottom, float top,
                                           float& from, float& to) {
     from = kInfinite;

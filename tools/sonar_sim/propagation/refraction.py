@@ -114,7 +114,7 @@ def _followed(
             layer.range_m[its] = passed_m[own] + way_m * speed_mps / speed[own]
             new = np.setdiff1d(new, own, assume_unique=True)
         going = np.flatnonzero(found[-1].face[ray] == NOTHING)
-        # Taken by their places: a mask would take three times as long.
+        # By indices: a mask takes three times as long.
         ray, direction = ray.take(going), direction.take(going, axis=0)
         point = point.take(going, axis=0) + step_m * direction
         passed_m = passed_m.take(going) + step_m * speed_mps / speed.take(going)

@@ -45,8 +45,8 @@ constexpr float kNearM = 1e-4F;
 /// the other rays or on the number of threads.
 ///
 /// \param first_face added to the triangles' indices
-/// \param range_m (count,), in: maximum range; out: range of the hit, unchanged where there is none
-/// \param face (count,), of the hit, unchanged where there is none
+/// \param range_m (count,), in: maximum range; out: range of the hit, unchanged for a miss
+/// \param face (count,), of the hit, unchanged for a miss
 void cast_bundle(const std::vector<TrianglePack>& mesh, const RayBundle& rays,
                  std::int32_t first_face, unsigned threads, float* range_m, std::int32_t* face);
 
