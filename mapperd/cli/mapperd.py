@@ -24,7 +24,7 @@ from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
 from mapperd.daemon.map_folder import lost_bricks, write_results
 from mapperd.daemon.run import LiveRun, map_live
-from mapperd.daemon.supervisor import graceful_stop
+from mapperd.daemon.supervisor import deferred_interrupt, graceful_stop
 from mapperd.daemon.systemd import Notifier, goes_to_journal
 from mapperd.errors import (
     CheckpointError,
@@ -205,8 +205,9 @@ def _replay(arguments: Arguments) -> ExitCode:
             return None
         from mapperd.cli.mapperctl.view import ReplayView  # noqa: PLC0415 of the extra `topside`
 
-        page = stack.enter_context(ReplayView(arguments.view_port, sonar_map, _source(arguments)))
-        pages.append(page)
+        with deferred_interrupt():
+            view = ReplayView(arguments.view_port, sonar_map, _source(arguments))
+            pages.append(page := stack.enter_context(view))
         _print(page.line)
         return page
 

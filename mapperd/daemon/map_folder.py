@@ -16,6 +16,7 @@ from mapperd import __version__
 from mapperd.api import OperationError
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
+from mapperd.daemon.supervisor import deferred_interrupt
 from mapperd.errors import ExportError, MapError, StoreError, os_reason
 from mapperd.export.cells import Heights
 from mapperd.export.clouds import write_ply
@@ -197,7 +198,7 @@ def _write_picture(
         f"{len(occupied)} occupied voxels of {resolution_m:g} m from "
         f"{summary['pings_mapped']} of {summary['pings_total']} pings"
     )
-    with atomic_file(path) as file:
+    with deferred_interrupt(), atomic_file(path) as file:
         write_picture(file, occupied, resolution_m, title)
 
 

@@ -17,7 +17,14 @@ from mapperd.errors import MapperdError
 from mapperd.events import Severity
 from mapperd.pipeline.watchdog import Watchdog, Worker
 
-__all__ = ["StatusLine", "graceful_stop", "is_main_thread", "stack_lines", "supervised"]
+__all__ = [
+    "StatusLine",
+    "deferred_interrupt",
+    "graceful_stop",
+    "is_main_thread",
+    "stack_lines",
+    "supervised",
+]
 
 MIB = 1 << 20
 
@@ -96,6 +103,26 @@ def graceful_stop() -> Iterator[None]:
     finally:
         for number, action in (before | stops).items():
             signal.signal(number, action)
+
+
+@contextlib.contextmanager
+def deferred_interrupt() -> Iterator[None]:
+    """Raise KeyboardInterrupt for a Ctrl-C at the end, not inside; for short work.
+
+    Libraries lose the exception where it meets a callback of a weak reference, or make another
+    one of it. Where Ctrl-C has another effect, it keeps that.
+    """
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler or not is_main_thread():
+        yield
+        return
+    pressed: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        if pressed:
+            raise KeyboardInterrupt
 
 
 def is_main_thread() -> bool:

@@ -22,6 +22,7 @@ from mapperd.cli.mapperctl.connection import CtlError, file_error_code
 from mapperd.client import Interest, LinkChanged, MapClient, StreamError
 from mapperd.config.tree import Config
 from mapperd.daemon.map_server import MapServer, saved_map
+from mapperd.daemon.supervisor import deferred_interrupt
 from mapperd.errors import MapperdError, missing_extra
 from mapperd.export.formats import PROBABILITY_FORMATS
 from mapperd.foxglove.recording import FoxgloveRecording
@@ -236,12 +237,13 @@ class ReplayView:
         self._updated_s = 0.0
         self._stop: Callable[[], object] = lambda: None
         self._left = False
+        self._ended = threading.Event()
         with contextlib.ExitStack() as undo:
             self._server, self.line = undo.enter_context(_page(self._args))
             self._open = undo.pop_all()
 
     def __enter__(self) -> Self:
-        self._thread = threading.Thread(target=asyncio.run, args=[self._run()], name="page")
+        self._thread = threading.Thread(target=self._serve, name="page")
         self._thread.start()
         return self
 
@@ -276,7 +278,13 @@ class ReplayView:
         self._shown.phase = "replay finished"
         with contextlib.suppress(KeyboardInterrupt):
             announce()
-            self._thread.join()
+            self._ended.wait()  # an interrupted `join` would take the thread for ended
+
+    def _serve(self) -> None:
+        try:
+            asyncio.run(self._run())
+        finally:
+            self._ended.set()
 
     async def _run(self) -> None:
         task = asyncio.ensure_future(_show(self._server, self._shown, self._args))
@@ -296,17 +304,18 @@ async def _show(server: "ViserServer", shown: MapServer, args: argparse.Namespac
 @contextlib.contextmanager
 def _page(args: argparse.Namespace) -> Iterator[tuple["ViserServer", str]]:
     """Serve an empty page; yields it and the line that names it."""
-    server = open_page(args.host, args.port)
-    try:
+    with contextlib.ExitStack() as stack:
+        with deferred_interrupt():
+            server = open_page(args.host, args.port)
+            stack.callback(server.stop)
         url = f"http://{_named(args.host)}:{server.get_port()}"
         if args.open:
             webbrowser.open(url)
-        yield server, json.dumps({"url": url}) if args.json else f"the map is shown at {url}"
-    except StreamError as error:
-        code = ExitCode.NO_PERMISSION if error.reason in REFUSED else ExitCode.PROTOCOL
-        raise CtlError(str(error), code) from error
-    finally:
-        server.stop()
+        try:
+            yield server, json.dumps({"url": url}) if args.json else f"the map is shown at {url}"
+        except StreamError as error:
+            code = ExitCode.NO_PERMISSION if error.reason in REFUSED else ExitCode.PROTOCOL
+            raise CtlError(str(error), code) from error
 
 
 def _client(

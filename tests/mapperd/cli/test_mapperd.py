@@ -483,6 +483,39 @@ def test_a_replay_is_shown_in_the_browser_until_interrupted(
     assert summary_in(tmp_path / "out")["pings_mapped"] == 5
 
 
+INTERRUPTED_WHILE_THE_PAGE_OPENS = """
+import signal, sys
+from mapperd.cli.mapperctl import view
+from mapperd.cli.mapperd import main
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+def open_page(*place, opened=view.open_page):
+    page = opened(*place)
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt:
+        print("lost", file=sys.stderr)  # as in a callback of a weak reference
+    return page
+
+view.open_page = open_page
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.net
+def test_ctrl_c_while_the_page_opens_ends_the_replay(
+    recording: Path, quick_config: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("viser", reason="the extra `topside` is not installed")
+    words = ["--replay", recording, "--config", quick_config, "--out", tmp_path / "out"]
+    command = [sys.executable, "-c", INTERRUPTED_WHILE_THE_PAGE_OPENS, *map(str, words)]
+    done = subprocess.run(  # noqa: S603
+        [*command, "--view", "0"], stderr=subprocess.PIPE, text=True, timeout=60, check=False
+    )
+    assert done.returncode == ExitCode.INTERRUPTED
+    assert "interrupted" in done.stderr.splitlines()[-1]
+
+
 @pytest.mark.parametrize(
     ("words", "hint"),
     [(["--view"], "mapperctl view"), (["--replay", "a", "--store", "b", "--view"], "view MAP")],

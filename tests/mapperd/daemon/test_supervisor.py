@@ -19,7 +19,7 @@ from mapperd.api import OperationError, PoseRequest, ReportedChanges
 from mapperd.config.layers import Layered
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
-from mapperd.daemon.supervisor import StatusLine, graceful_stop, supervised
+from mapperd.daemon.supervisor import StatusLine, deferred_interrupt, graceful_stop, supervised
 from mapperd.daemon.systemd import Notifier
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog
@@ -175,6 +175,37 @@ def test_stopped(manager: Manager, number: int) -> None:
         assert signal.getsignal(signal.SIGINT) in (signal.default_int_handler, signal.SIG_DFL)
 
     asyncio.run(run(Daemon(), manager, scene))
+
+
+def test_ctrl_c_waits_for_the_end_of_short_work() -> None:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    done = []
+
+    def work() -> None:
+        with deferred_interrupt():
+            signal.raise_signal(signal.SIGINT)
+        done.append("work")
+
+    try:
+        with pytest.raises(KeyboardInterrupt), deferred_interrupt():
+            work()
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        with deferred_interrupt():
+            done.append("without Ctrl-C")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert done == ["work", "without Ctrl-C"]
+
+
+def test_ctrl_c_of_another_effect_keeps_it() -> None:
+    heard: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: heard.append(number))
+    try:
+        with deferred_interrupt():
+            signal.raise_signal(signal.SIGINT)
+            assert heard == [signal.SIGINT]
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 ENDLESS = """
