@@ -304,4 +304,11 @@ def _sum(parts: Iterable[Displacement]) -> Displacement:
 
 
 def _farthest(cells: NDArray[np.float64]) -> float:
-    return float(np.quantile(np.abs(cells), FAR_QUANTILE)) if cells.any() else 0.0
+    """The quantile of the sizes, linear between two of them."""
+    if not cells.any():
+        return 0.0
+    at = FAR_QUANTILE * (len(cells) - 1)
+    low = int(at)
+    high = min(low + 1, len(cells) - 1)
+    sizes = np.partition(np.abs(cells), (low, high))
+    return float(sizes[low] + (at - low) * (sizes[high] - sizes[low]))

@@ -64,8 +64,8 @@ class Previewer:
         length_m = float(np.linalg.norm(way_m))
         if length_m == 0.0:
             return True
-        direction = (way_m / length_m).reshape(1, 3)
-        return not np.isfinite(cast(self._meshes, from_m, direction, time_s, length_m).range_m[0])
+        direction = (way_m / length_m).astype(np.float32).reshape(1, 3)
+        return bool(self._meshes.cast(from_m, direction, time_s, length_m, threads=1).face[0] < 0)
 
     @property
     def bottoms(self) -> frozenset[str]:

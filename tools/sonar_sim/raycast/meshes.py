@@ -255,15 +255,17 @@ class Meshes:
         """The sea's surface is the plane z = 0, met from below."""
         if not self._sea:
             return
-        height = -np.asarray(origin_m)[..., 2]
-        rising = np.maximum(direction[:, 2], np.float32(1e-9))
-        range_m = (height / rising).astype(np.float32)
-        meets = (direction[:, 2] > 0.0) & (height > 0.0) & (range_m < met.range_m)
+        rising = np.flatnonzero(direction[:, 2] > 0.0)
+        height_m = -origin_m[2] if origin_m.ndim == 1 else -origin_m[rising, 2]
+        steepness = np.maximum(direction[:, 2].take(rising), np.float32(1e-9))
+        range_m = (height_m / steepness).astype(np.float32)
+        meets = (height_m > 0.0) & (range_m < met.range_m.take(rising))
         if near_m is not None:
-            meets &= range_m > near_m
-        met.range_m[meets] = range_m[meets]
-        met.face[meets] = len(self.planes) - 1
-        met.group[meets] = self.sea_group
+            meets &= range_m > near_m.take(rising)
+        its = rising[meets]
+        met.range_m[its] = range_m[meets]
+        met.face[its] = len(self.planes) - 1
+        met.group[its] = self.sea_group
 
 
 def _in_frame(

@@ -6,7 +6,6 @@ the beams' mean pitch in the sine of the bearing. Levels are dB re 1 µPa of a c
 
 import math
 from hashlib import blake2b
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,7 +176,7 @@ def add_tail(
     np.minimum(blocks, limit[:, None].astype(np.float32), out=blocks)
     ends = np.minimum(np.arange(blocks.shape[1] + 1) * width, columns)
     sines = column_sines(columns, sonar)
-    middles = np.array([sines[a:b].mean() for a, b in pairwise(ends)])
+    middles = 0.5 * (sines[ends[:-1]] + sines[ends[1:] - 1])
     # The tail is smooth: half a block is fine enough to be linear between.
     step = max(1.0, width / 2.0)
     heard = sines if step == 1.0 else sines[0] + np.arange(0.0, columns, step) * sonar.sine_pitch
