@@ -187,7 +187,8 @@ def test_a_connection_cut_while_it_ends_leaves_no_socket_open(
     async def run() -> None:
         behind = asyncio.Event()
 
-        async def server_behind(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        async def server_behind(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            await reader.readuntil(b"\r\n\r\n")  # unread, it would make the end a reset
             await behind.wait()
             writer.close()
 
