@@ -1,7 +1,7 @@
 """Coarse echoes: a coarse cast of rays and what it hits."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,19 +55,21 @@ def cast(
         reach_m: what lies farther is not met.
     """
     found = scene.cast(origin_m, direction.astype(np.float32), time_s, reach_m, threads=1)
-    hit = found.face >= 0
-    face = found.face[hit]
-    range_m = np.where(hit, found.range_m, np.inf).astype(np.float64)
-    start_m = origin_m if origin_m.ndim == 1 else origin_m[hit]
-    point_m = start_m + direction[hit] * range_m[hit, None]
-    normal = np.zeros((len(hit), 3))
-    normal[hit] = _normals(scene, face, found.group[hit], point_m, time_s)
-    surface = np.full(len(hit), NOTHING, dtype=np.int64)
+    met = found.face >= 0
+    hit = np.flatnonzero(met)
+    face, group, way = found.face.take(hit), found.group.take(hit), direction.take(hit, axis=0)
+    range_m = np.where(met, found.range_m, np.inf).astype(np.float64)
+    start_m = origin_m if origin_m.ndim == 1 else origin_m.take(hit, axis=0)
+    point_m = start_m + way * range_m.take(hit)[:, None]
+    facing = _normals(scene, face, group, point_m, time_s)
+    normal = np.zeros((len(met), 3))
+    normal[hit] = facing
+    surface = np.full(len(met), NOTHING, dtype=np.int64)
     number = scene.surface[face]
     surface[hit] = np.where(number == meshes.SEA, SEA, number)
-    turn = np.zeros((len(hit), 3))
-    tangent = direction[hit] - np.sum(direction[hit] * normal[hit], axis=1)[:, None] * normal[hit]
-    turn[hit] = _turn(scene, face, found.group[hit], tangent, time_s)
+    turn = np.zeros((len(met), 3))
+    tangent = way - np.sum(way * facing, axis=1)[:, None] * facing
+    turn[hit] = _turn(scene, face, group, tangent, time_s)
     return CoarseHits(range_m, normal, surface, turn)
 
 
@@ -198,6 +200,10 @@ class Echoes:
     def up(self) -> NDArray[np.float64]:
         """Sine of the elevation over the fan's plane, (N,)."""
         return self.direction[:, 2]
+
+    def take(self, its: NDArray[np.int64]) -> "Echoes":
+        """Some of them, by their places."""
+        return Echoes(*(getattr(self, part.name).take(its, axis=0) for part in fields(self)))
 
     @property
     def section_m2(self) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.effects.echoes import COLUMNS, GRAZING, Echoes, cast
+from sonar_sim.effects.echoes import COLUMNS, GRAZING, Echoes
 from sonar_sim.effects.effect import Cost, Effect, EffectParameter, RuleResult, by_level
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.planes import MirrorPlane, coherence
@@ -45,7 +45,9 @@ def mirror_ghosts(view: PingPreview, plane: MirrorPlane) -> Ghosts | None:
     away_m = np.clip(sonar_m, plane.low_m, plane.high_m) - sonar_m
     if np.linalg.norm(away_m) > view.sonar.range_m:
         return None
-    if abs(sonar_height) > 2.0 * view.sonar.range_m * _steepest_cosine(plane, k):
+    corner_m = np.maximum(np.abs(plane.low_m - sonar_m), np.abs(plane.high_m - sonar_m)) + NEAR_M
+    farthest_m = min(2.0 * view.sonar.range_m, float(np.linalg.norm(corner_m)))
+    if abs(sonar_height) > farthest_m * _steepest_cosine(plane, k):
         return None
     normal = plane.normal * math.copysign(1.0, sonar_height)
     height = rows_dot(echoes.point_m - plane.point_m, normal)
@@ -59,26 +61,27 @@ def mirror_ghosts(view: PingPreview, plane: MirrorPlane) -> Ghosts | None:
     usable = (height > NEAR_M) & on_plane & (local[:, 0] > 0.0)
     usable &= (echoes.range_m + bounced_m) / 2.0 < view.sonar.range_m
     gamma = abs(plane.reflection) * coherence(k, plane.roughness_m, cos_bounce)
-    usable &= gamma > MIN_REFLECTION
-    if not usable.any():
+    its = np.flatnonzero(usable & (gamma > MIN_REFLECTION))
+    if len(its) == 0:
         return None
-    usable[usable] &= _bounces(view, plane, foot[usable])
-    usable[usable] &= _free(view, foot[usable] + NEAR_M * normal, echoes.point_m[usable])
-    if not usable.any():
+    its = its[_bounces(view, plane, foot[its])]
+    its = its[_free(view, foot[its] + NEAR_M * normal, echoes.point_m[its])]
+    if len(its) == 0:
         return None
-    ratio = _ratio(view, local, away, bounced_m) * np.square(gamma) * usable
-    beside = np.clip(_column(view, local), 0, COLUMNS - 1)
-    usable = (_column(view, local) == beside) & usable
+    local, bounced_m, gamma = local[its], bounced_m[its], gamma[its]
+    echoes, power = echoes.take(its), view.echo_power[its]
+    ratio = np.square(gamma) * _ratio(view, its, local, away[its], bounced_m)
+    column = _column(view, local)
+    beside = np.clip(column, 0, COLUMNS - 1)
+    usable = column == beside
     half = replace(echoes, range_m=(echoes.range_m + bounced_m) / 2.0)
     whole = replace(echoes, range_m=bounced_m, column=beside)
     # There by one way and back by the other, and the other way round: alike in phase.
     same = np.where(beside == echoes.column, 2.0, 1.0)
-    picture = view.grid.picture(half, view.echo_power * ratio * same)
-    picture += view.grid.picture(
-        replace(half, column=beside), view.echo_power * ratio * same * usable
-    )
-    picture += view.grid.picture(whole, view.echo_power * ratio**2 * usable)
-    weight = view.echo_power * ratio
+    picture = view.grid.picture(half, power * ratio * same)
+    picture += view.grid.picture(replace(half, column=beside), power * ratio * same * usable)
+    picture += view.grid.picture(whole, power * ratio**2 * usable)
+    weight = power * ratio
     mean_gamma = float(np.sum(gamma * weight) / max(np.sum(weight), 1e-300))
     return Ghosts(
         Mirror(plane.point_m, normal, math.copysign(mean_gamma, plane.reflection), plane.surface),
@@ -95,14 +98,24 @@ def _steepest_cosine(plane: MirrorPlane, wave_number_per_m: float) -> float:
 
 def _ratio(
     view: PingPreview,
+    its: NDArray[np.int64],
     local: NDArray[np.float64],
     away: NDArray[np.float64],
     bounced_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Power by the mirrored way over the direct way, one way: range, pattern, incidence."""
-    echoes = view.echoes
+    """Power by the mirrored way over the direct way, one way: range, pattern, incidence.
+
+    Args:
+        view: of one pose.
+        its: places of some echoes, (N,).
+        local: directions in which they are mirrored, sonar frame, (N, 3).
+        away: the same, map frame, (N, 3).
+        bounced_m: length of the mirrored way, (N,).
+    """
+    echoes = view.echoes.take(its)
     width = view.sonar.vertical_width_rad
-    pattern = np.sqrt(vertical_two_way_power(local[:, 2], width) / np.maximum(view.pattern, 1e-12))
+    direct = np.maximum(view.pattern[its], 1e-12)
+    pattern = np.sqrt(vertical_two_way_power(local[:, 2], width) / direct)
     point = ~np.any(echoes.normal, axis=1)
     facing = np.abs(np.sum(echoes.normal * away, axis=1)) / np.maximum(
         echoes.cos_incidence, GRAZING
@@ -144,7 +157,7 @@ def _free(
     length = np.linalg.norm(way, axis=1)
     direction = way / np.maximum(length, 1e-9)[:, None]
     reach_m = 2.0 * view.sonar.range_m
-    met = cast(view.meshes, start_m, direction, view.time_s, reach_m)
+    met = view.meshes.cast(start_m, direction.astype(np.float32), view.time_s, reach_m, threads=1)
     free: NDArray[np.bool_] = met.range_m > length * 0.98 - NEAR_M
     return free
 
