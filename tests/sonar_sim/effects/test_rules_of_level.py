@@ -6,11 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from sonar_sim.effects import multipath
+from sonar_sim.effects.multipath import Ghosts, mirror_ghosts
+from sonar_sim.effects.previewer import Previewer
 from sonar_sim.geometry.pose import rotation_of
 from sonar_sim.scene.material import MATERIALS, Material
+from sonar_sim.scene.scenario import sonar_pose
 from sonar_sim.scene.scene import Bubbles, CloudSpec, Emitter, Scene, Sea, Sediment, Surface
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.scene.water import Water
+from sonar_sim.scene_file import load_scenario
 from sonar_sim.simulator import Simulator
 from sonar_sim.validation.setups import sphere
 
@@ -221,6 +226,31 @@ def test_only_a_calm_surface_mirrors(rms_height_m: float, *, on: bool) -> None:
     scene = Scene((pile,), sea=Sea(rms_height_m, -60.0))
     view = view_of(scene=scene, at=pose(0.8), sonar=replace(SONAR, demanded_range_m=8.0))
     assert verdict("multipath", view).on is on
+
+
+@pytest.mark.parametrize("name", ["ship_hull", "tank", "wreck"])
+def test_a_plane_left_out_by_its_bound_has_no_ghosts(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = load_scenario(name)
+    look = Previewer(scenario.scene, scenario.sonar)
+    times_s = np.linspace(0.0, scenario.trajectory.duration_s, 6)
+    views = [look.at(sonar_pose(scenario, time_s), 0, time_s) for time_s in times_s]
+
+    def ghosts() -> list[Ghosts | None]:
+        """Of the planes, and of the same planes where only a shallow bounce leaves an echo."""
+        planes = [(view, plane) for view in views for plane in view.planes]
+        planes += [(view, replace(plane, roughness_m=0.005)) for view, plane in planes]
+        return [mirror_ghosts(view, plane) for view, plane in planes]
+
+    bounded = ghosts()
+    monkeypatch.setattr(multipath, "_steepest_cosine", lambda *_: np.inf)
+    pairs = list(zip(bounded, ghosts(), strict=True))
+    assert any(found is not None for found in bounded)
+    for found, expected in pairs:
+        assert (found is None) == (expected is None)
+        if found is not None and expected is not None:
+            np.testing.assert_array_equal(found.picture, expected.picture)
 
 
 def test_side_lobes_need_contrast_within_rows() -> None:
