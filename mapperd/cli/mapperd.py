@@ -131,7 +131,9 @@ def _exit_of(error: Exception) -> ExitCode:
 
 def _check_picture() -> None:
     """Report before the work that the results will have no picture."""
-    if not can_draw():
+    with deferred_interrupt():
+        drawn = can_draw()
+    if not drawn:
         _print(f"map.png is not drawn: {missing_extra('matplotlib', 'topside')}")
 
 
@@ -203,9 +205,9 @@ def _replay(arguments: Arguments) -> ExitCode:
     def show(sonar_map: "SonarMap") -> "ReplayView | None":
         if arguments.view_port is None:
             return None
-        from mapperd.cli.mapperctl.view import ReplayView  # noqa: PLC0415 of the extra `topside`
-
         with deferred_interrupt():
+            from mapperd.cli.mapperctl.view import ReplayView  # noqa: PLC0415 the extra `topside`
+
             view = ReplayView(arguments.view_port, sonar_map, _source(arguments))
             pages.append(page := stack.enter_context(view))
         _print(page.line)

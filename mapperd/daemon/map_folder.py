@@ -191,15 +191,16 @@ def _write_cloud(path: Path, occupied: VoxelCloud, resolution_m: float) -> None:
 def _write_picture(
     path: Path, occupied: VoxelCloud, resolution_m: float, summary: dict[str, Any]
 ) -> None:
-    if not can_draw():
-        remove(path)
-        return
     title = (
         f"{len(occupied)} occupied voxels of {resolution_m:g} m from "
         f"{summary['pings_mapped']} of {summary['pings_total']} pings"
     )
-    with deferred_interrupt(), atomic_file(path) as file:
-        write_picture(file, occupied, resolution_m, title)
+    with deferred_interrupt():
+        if not can_draw():
+            remove(path)
+            return
+        with atomic_file(path) as file:
+            write_picture(file, occupied, resolution_m, title)
 
 
 def _write_octomap(path: Path, sonar_map: MapContent) -> None:

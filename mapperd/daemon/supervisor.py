@@ -107,16 +107,23 @@ def graceful_stop() -> Iterator[None]:
 
 @contextlib.contextmanager
 def deferred_interrupt() -> Iterator[None]:
-    """Raise KeyboardInterrupt for a Ctrl-C at the end, not inside; for short work.
+    """Hold Ctrl-C back while short work runs, then raise KeyboardInterrupt; a second one at once.
 
-    Libraries lose the exception where it meets a callback of a weak reference, or make another
-    one of it. Where Ctrl-C has another effect, it keeps that.
+    Libraries lose the exception in a callback of a weak reference, or make another one of it. An
+    error of the work becomes the context of the KeyboardInterrupt. Where SIGINT has another
+    handler, and in other threads, nothing changes.
     """
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler or not is_main_thread():
         yield
         return
     pressed: list[int] = []
-    signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+
+    def press(number: int, _: object) -> None:
+        if pressed:
+            raise KeyboardInterrupt
+        pressed.append(number)
+
+    signal.signal(signal.SIGINT, press)
     try:
         yield
     finally:

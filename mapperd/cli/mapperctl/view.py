@@ -3,11 +3,13 @@
 import argparse
 import asyncio
 import contextlib
+import errno
 import functools
 import ipaddress
 import json
 import shlex
 import signal
+import socket
 import sys
 import threading
 import time
@@ -23,7 +25,7 @@ from mapperd.client import Interest, LinkChanged, MapClient, StreamError
 from mapperd.config.tree import Config
 from mapperd.daemon.map_server import MapServer, saved_map
 from mapperd.daemon.supervisor import deferred_interrupt
-from mapperd.errors import MapperdError, missing_extra
+from mapperd.errors import MapperdError, missing_extra, os_reason
 from mapperd.export.formats import PROBABILITY_FORMATS
 from mapperd.foxglove.recording import FoxgloveRecording
 from mapperd.localization.status import LocalizationSnapshot
@@ -54,14 +56,14 @@ def open_page(host: str, port: int) -> "ViserServer":
     except ImportError as error:
         text = missing_extra(error.name or "viser", "topside")
         raise CtlError(text, ExitCode.BAD_CONFIG) from error
+    _require_free(host, port)
     rich.reconfigure(quiet=True)  # it prints boxes
     _push_from_any_thread()
     with _only_from_here():
         server = viser.ViserServer(host=host, port=port, verbose=False)
-    if port not in (0, server.get_port()):  # it takes the next one that is free
+    if port not in (0, server.get_port()):  # taken since then: it goes on to the next one
         server.stop()
-        text = f"{host}:{port}: another program listens there: choose another --port"
-        raise CtlError(text, ExitCode.UNAVAILABLE)
+        raise _taken(host, port)
     server.request_share_url = _never_shared  # type: ignore[method-assign]
     server.gui.configure_theme(
         dark_mode=True, show_logo=False, show_share_button=False, brand_color=(14, 116, 144)
@@ -74,6 +76,23 @@ def open_page(host: str, port: int) -> "ViserServer":
         "/light/sun", intensity=2.0, position=(6.0, -9.0, 14.0), cast_shadow=False
     )
     return server
+
+
+def _require_free(host: str, port: int) -> None:
+    """Refuse where viser would wait without end: it tries 1000 ports, and does not say why."""
+    try:
+        place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        socket.create_server(place[4][:2], family=place[0]).close()
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise _taken(host, port) from error
+        text = f"{host}: the page cannot be served there: {os_reason(error)}"
+        raise CtlError(text, ExitCode.UNAVAILABLE) from error
+
+
+def _taken(host: str, port: int) -> CtlError:
+    text = f"{host}:{port}: another program listens there: choose another --port"
+    return CtlError(text, ExitCode.UNAVAILABLE)
 
 
 @functools.cache
@@ -249,10 +268,10 @@ class ReplayView:
 
     def __exit__(self, *_: object) -> None:
         self._left = True  # its loop may not run yet
-        with contextlib.suppress(RuntimeError):  # its loop has ended
-            self._stop()
-        self._thread.join()
-        self._open.close()
+        with self._open:
+            with contextlib.suppress(RuntimeError):  # its loop has ended
+                self._stop()
+            self._ended.wait()  # an interrupted `join` would take the thread for ended
 
     def update(self, counters: PipelineCounters, localization: LocalizationSnapshot | None) -> None:
         """Show how far the replay is; now and then."""
@@ -278,7 +297,7 @@ class ReplayView:
         self._shown.phase = "replay finished"
         with contextlib.suppress(KeyboardInterrupt):
             announce()
-            self._ended.wait()  # an interrupted `join` would take the thread for ended
+            self._ended.wait()
 
     def _serve(self) -> None:
         try:

@@ -513,6 +513,7 @@ def test_ctrl_c_while_the_page_opens_ends_the_replay(
         [*command, "--view", "0"], stderr=subprocess.PIPE, text=True, timeout=60, check=False
     )
     assert done.returncode == ExitCode.INTERRUPTED
+    assert "lost" not in done.stderr
     assert "interrupted" in done.stderr.splitlines()[-1]
 
 

@@ -197,6 +197,22 @@ def test_ctrl_c_waits_for_the_end_of_short_work() -> None:
     assert done == ["work", "without Ctrl-C"]
 
 
+def test_a_second_ctrl_c_ends_work_that_takes_long() -> None:
+    def work() -> None:
+        with deferred_interrupt():
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+            pytest.fail("the work went on")
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            work()
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def test_ctrl_c_of_another_effect_keeps_it() -> None:
     heard: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, _: heard.append(number))

@@ -72,6 +72,23 @@ def test_a_connection_that_another_page_makes_is_refused() -> None:
         server.stop()
 
 
+@pytest.mark.parametrize("host", ["192.0.2.1", "no-such-host.invalid"])
+def test_a_host_that_is_not_this_computer_is_one_clear_error(host: str) -> None:
+    pytest.importorskip("viser", reason="the extra `topside` is not installed")
+    with pytest.raises(CtlError, match=host) as refused:
+        open_page(host, 0)
+    assert refused.value.code == ExitCode.UNAVAILABLE
+
+
+def test_the_last_port_is_not_followed_by_another() -> None:
+    pytest.importorskip("viser", reason="the extra `topside` is not installed")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 65535))
+        taken.listen()
+        with pytest.raises(CtlError, match="another program listens there"):
+            open_page("127.0.0.1", 65535)
+
+
 def test_a_message_stays_where_its_event_cannot_be_set() -> None:
     pytest.importorskip("viser", reason="the extra `topside` is not installed")
 

@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sonar_sim.effects.displacement import path_bending
+from sonar_sim.effects.displacement import Displacement, path_bending
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.rule_check import RuleChecker
+from sonar_sim.effects.texture import FAR_QUANTILE
 from sonar_sim.geometry.pose import Mounting
 from sonar_sim.geometry.trajectory import Motion, Trajectory, Waypoint
 from sonar_sim.scene.scenario import Scenario
@@ -20,6 +21,14 @@ STILL = Trajectory(
     [Waypoint(0.0, 0.0, -3.0, 0.0), Waypoint(0.1, 0.0, -3.0, 0.0)],
     Motion(speed_mps=0.01, sway_deg=0.0, heave_m=0.0),
 )
+
+
+@pytest.mark.parametrize("count", [1, 2, 9, 100])
+def test_a_displacement_is_that_of_all_but_a_few_parts(count: int) -> None:
+    rows = np.random.default_rng(count).normal(size=count)
+    expected = np.quantile(np.abs(rows), FAR_QUANTILE)
+    assert Displacement(rows, np.zeros(count)).cells == pytest.approx(expected)
+    assert Displacement(np.zeros(0), np.zeros(0)).cells == 0.0
 
 
 @pytest.mark.parametrize(("off_mps", "on"), [(0.1, False), (2.0, True)])

@@ -70,17 +70,19 @@ def mirror_ghosts(view: PingPreview, plane: MirrorPlane) -> Ghosts | None:
         return None
     local, bounced_m, gamma = local[its], bounced_m[its], gamma[its]
     echoes, power = echoes.take(its), view.echo_power[its]
-    ratio = np.square(gamma) * _ratio(view, its, local, away[its], bounced_m)
+    pattern = vertical_two_way_power(local[:, 2], view.sonar.vertical_width_rad)
+    pattern = np.sqrt(pattern / np.maximum(view.pattern[its], 1e-12))
+    ratio = np.square(gamma) * _ratio(view, echoes, pattern, away[its], bounced_m)
     column = _column(view, local)
     beside = np.clip(column, 0, COLUMNS - 1)
-    usable = column == beside
+    inside = column == beside
     half = replace(echoes, range_m=(echoes.range_m + bounced_m) / 2.0)
     whole = replace(echoes, range_m=bounced_m, column=beside)
     # There by one way and back by the other, and the other way round: alike in phase.
     same = np.where(beside == echoes.column, 2.0, 1.0)
     picture = view.grid.picture(half, power * ratio * same)
-    picture += view.grid.picture(replace(half, column=beside), power * ratio * same * usable)
-    picture += view.grid.picture(whole, power * ratio**2 * usable)
+    picture += view.grid.picture(replace(half, column=beside), power * ratio * same * inside)
+    picture += view.grid.picture(whole, power * ratio**2 * inside)
     weight = power * ratio
     mean_gamma = float(np.sum(gamma * weight) / max(np.sum(weight), 1e-300))
     return Ghosts(
@@ -98,8 +100,8 @@ def _steepest_cosine(plane: MirrorPlane, wave_number_per_m: float) -> float:
 
 def _ratio(
     view: PingPreview,
-    its: NDArray[np.int64],
-    local: NDArray[np.float64],
+    echoes: Echoes,
+    pattern: NDArray[np.float64],
     away: NDArray[np.float64],
     bounced_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
@@ -107,15 +109,11 @@ def _ratio(
 
     Args:
         view: of one pose.
-        its: places of some echoes, (N,).
-        local: directions in which they are mirrored, sonar frame, (N, 3).
-        away: the same, map frame, (N, 3).
+        echoes: some of the view's.
+        pattern: one-way power by the vertical pattern, mirrored over direct, (N,).
+        away: directions in which they are mirrored, map frame, (N, 3).
         bounced_m: length of the mirrored way, (N,).
     """
-    echoes = view.echoes.take(its)
-    width = view.sonar.vertical_width_rad
-    direct = np.maximum(view.pattern[its], 1e-12)
-    pattern = np.sqrt(vertical_two_way_power(local[:, 2], width) / direct)
     point = ~np.any(echoes.normal, axis=1)
     facing = np.abs(np.sum(echoes.normal * away, axis=1)) / np.maximum(
         echoes.cos_incidence, GRAZING

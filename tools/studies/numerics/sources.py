@@ -112,7 +112,7 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
     "serves the rules that decide on effects, to tenths of a decibel": _in(
         SIMULATOR,
         "effects/coarse_picture.py effects/echoes.py effects/image_difference.py "
-        "effects/multipath.py effects/rule_check.py effects/texture.py",
+        "effects/multipath.py effects/previewer.py effects/rule_check.py effects/texture.py",
     ),
     "the published plugin's arithmetic in the widths that it has": _in(
         SIMULATOR + "classic/",
