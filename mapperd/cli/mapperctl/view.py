@@ -78,8 +78,13 @@ def open_page(host: str, port: int) -> "ViserServer":
     return server
 
 
+MAX_PORT = 65535
+
+
 def _require_free(host: str, port: int) -> None:
     """Refuse where viser would wait without end: it tries 1000 ports, and does not say why."""
+    if not 0 <= port <= MAX_PORT:
+        raise CtlError(f"port {port}: ports go from 0 to {MAX_PORT}", ExitCode.USAGE)
     try:
         place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         socket.create_server(place[4][:2], family=place[0]).close()

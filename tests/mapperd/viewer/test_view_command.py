@@ -80,6 +80,14 @@ def test_a_host_that_is_not_this_computer_is_one_clear_error(host: str) -> None:
     assert refused.value.code == ExitCode.UNAVAILABLE
 
 
+@pytest.mark.parametrize("port", [-1, 65536, 99999])
+def test_a_port_that_does_not_exist_is_one_clear_error(port: int) -> None:
+    pytest.importorskip("viser", reason="the extra `topside` is not installed")
+    with pytest.raises(CtlError, match=f"port {port}") as refused:
+        open_page("127.0.0.1", port)
+    assert refused.value.code == ExitCode.USAGE
+
+
 def test_the_last_port_is_not_followed_by_another() -> None:
     pytest.importorskip("viser", reason="the extra `topside` is not installed")
     with socket.socket() as taken:
