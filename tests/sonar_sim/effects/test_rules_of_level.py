@@ -246,11 +246,11 @@ def test_a_plane_left_out_by_its_bound_has_no_ghosts(
     bounded = ghosts()
     monkeypatch.setattr(multipath, "_steepest_cosine", lambda *_: np.inf)
     pairs = list(zip(bounded, ghosts(), strict=True))
-    assert any(found is not None for found in bounded)
-    for found, expected in pairs:
-        assert (found is None) == (expected is None)
-        if found is not None and expected is not None:
-            np.testing.assert_array_equal(found.picture, expected.picture)
+    assert any(bounded)
+    for actual, expected in pairs:
+        assert (actual is None) == (expected is None)
+        if actual and expected:
+            np.testing.assert_array_equal(actual.picture, expected.picture)
 
 
 def test_side_lobes_need_contrast_within_rows() -> None:
