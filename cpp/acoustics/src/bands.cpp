@@ -21,21 +21,39 @@ double sine_of(const Leg& leg, const Vec3& point_m) {
   return -(m[1] * d.x + m[4] * d.y + m[7] * d.z) / std::sqrt(std::max(dot(d, d), 1e-12));
 }
 
-void widen(const ScatterInput& echoes, std::size_t hit, std::int32_t leg, double& low,
-           double& high) {
-  const RayHits& hits = echoes.hits;
-  if (hits.seen[hit] == leg) {
-    low = std::min<double>(low, hits.cell[4 * hit]);
-    high = std::max<double>(high, hits.cell[4 * hit + 1]);
-    return;
+// Sines of bearing.
+struct Interval {
+  double low = 1.0, high = -1.0;
+
+  void add(double sine) {
+    low = std::min(low, sine);
+    high = std::max(high, sine);
   }
-  Footprint patch;
-  if (footprint_of(echoes, hit, patch)) {
-    for (std::size_t k = 0; k < 4; ++k) {
-      const Vec3 corner{patch.corner_m[0][k], patch.corner_m[1][k], patch.corner_m[2][k]};
-      const double s = sine_of(hits.legs[leg], corner);
-      low = std::min(low, s);
-      high = std::max(high, s);
+};
+
+// Widens an interval by what the given legs hear of the hits: all see their own cells.
+void widen(const ScatterInput& echoes, const std::int32_t* leg, std::size_t first, std::size_t last,
+           Interval& interval) {
+  const RayHits& hits = echoes.hits;
+  bool all_seen = true;
+  for (std::size_t hit = first; hit < last; ++hit) {
+    if (hits.face[hit] >= 0 && hits.seen[hit] == leg[hit]) {
+      interval.add(hits.cell[4 * hit]);
+      interval.add(hits.cell[4 * hit + 1]);
+    } else if (hits.face[hit] >= 0) {
+      all_seen = false;
+    }
+  }
+  Footprints patches;
+  for (std::size_t hit = first; hit < last && !all_seen;) {
+    hit = footprints_of(echoes, hit, last, patches);
+    for (std::size_t i = 0; i < patches.count; ++i) {
+      const std::size_t its = patches.hit[i];
+      for (std::size_t k = 0; k < 4 && patches.exists[i] && hits.seen[its] != leg[its]; ++k) {
+        interval.add(sine_of(
+            hits.legs[leg[its]],
+            {patches.corner_m[0][k][i], patches.corner_m[1][k][i], patches.corner_m[2][k][i]}));
+      }
     }
   }
 }
@@ -63,24 +81,18 @@ std::size_t first_from(const ScatterInput& echoes, std::size_t part) {
 }
 
 Band band_of(const ScatterInput& echoes, std::size_t first, std::size_t last) {
-  double low = 1.0;
-  double high = -1.0;
-  for (std::size_t hit = first; hit < last; ++hit) {
-    if (echoes.hits.face[hit] < 0) {
-      continue;
-    }
-    widen(echoes, hit, echoes.hits.receive[hit], low, high);
-    if (echoes.hits.both_ways) {
-      widen(echoes, hit, echoes.hits.transmit[hit], low, high);
-    }
+  Interval heard;
+  widen(echoes, echoes.hits.receive, first, last, heard);
+  if (echoes.hits.both_ways) {
+    widen(echoes, echoes.hits.transmit, first, last, heard);
   }
-  if (low > high) {
+  if (heard.low > heard.high) {
     return {first, first, 0, 0};
   }
   const double reach = static_cast<double>(echoes.response.tap_count) + kJitterColumns;
   const double most = static_cast<double>(echoes.grid.columns);
-  const double from = std::clamp(column_of(echoes.grid, low) - reach, 0.0, most);
-  const double to = std::clamp(column_of(echoes.grid, high) + reach, 0.0, most);
+  const double from = std::clamp(column_of(echoes.grid, heard.low) - reach, 0.0, most);
+  const double to = std::clamp(column_of(echoes.grid, heard.high) + reach, 0.0, most);
   const auto column = static_cast<std::ptrdiff_t>(from);
   return {first, last, column, static_cast<std::ptrdiff_t>(std::ceil(to)) - column};
 }

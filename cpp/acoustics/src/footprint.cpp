@@ -10,70 +10,129 @@ namespace {
 
 constexpr double kPi = 3.14159265358979323846;
 
-// Where the cell's four edges meet the plane, and how far that is; `sign` is the side that it
-// shows.
-MAPPERD_VECTORISED void follow(const Leg& leg, const float* cell, double sign, Footprint& patch,
-                               std::array<double, 4>& range_m) {
-  const double s[4] = {cell[0], cell[1], cell[1], cell[0]};
-  const double w[4] = {cell[2], cell[2], cell[3], cell[3]};
-  const auto& m = leg.rotation;
-  const auto& o = leg.origin_m;
-  const double n0 = sign * patch.normal[0], n1 = sign * patch.normal[1];
-  const double n2 = sign * patch.normal[2];
-  const double height_m = std::fabs(patch.height_m);
-  const double min_facing = patch.min_facing;
-  const double min_m = patch.min_m, max_m = patch.max_m;
-  double range[4], x[4], y[4], z[4];
-  for (std::size_t k = 0; k < 4; ++k) {
-    // Where the fan of directions ends, cells end with it.
-    const double max_s = std::sqrt(1.0 - w[k] * w[k]);
-    const double below_s = s[k] < max_s ? s[k] : max_s;
-    const double real_s = below_s > -max_s ? below_s : -max_s;
-    const double square = 1.0 - real_s * real_s - w[k] * w[k];
-    const double ahead = std::sqrt(square > 0.0 ? square : 0.0);
-    x[k] = m[0] * ahead - m[1] * real_s + m[2] * w[k];
-    y[k] = m[3] * ahead - m[4] * real_s + m[5] * w[k];
-    z[k] = m[6] * ahead - m[7] * real_s + m[8] * w[k];
-    const double facing = n0 * x[k] + n1 * y[k] + n2 * z[k];
-    const double reach_m = height_m / (facing > min_facing ? facing : min_facing);
-    const double beyond_m = reach_m > min_m ? reach_m : min_m;
-    range[k] = beyond_m < max_m ? beyond_m : max_m;
+// What a batch is computed from.
+struct Seen {
+  PerHit<double> rotation[9];  // of the seeing leg
+  PerHit<double> from_s, to_s, from_w, to_w;
+};
+
+// Takes one hit's numbers; heights are what they are over the legs' origins.
+void take(const ScatterInput& echoes, std::size_t hit, Seen& seen, Footprints& to) {
+  const RayHits& hits = echoes.hits;
+  const std::size_t i = to.count++;
+  const double* plane = echoes.faces.table[hits.face[hit]].plane;
+  const Leg& leg = hits.legs[hits.seen[hit]];
+  const Vec3& transmit_m = hits.legs[hits.transmit[hit]].origin_m;
+  const Vec3& receive_m = hits.legs[hits.receive[hit]].origin_m;
+  const Vec3 normal{plane[0], plane[1], plane[2]};
+  to.hit[i] = hit;
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    to.normal[axis][i] = plane[axis];
+  }
+  to.origin_m[0][i] = leg.origin_m.x;
+  to.origin_m[1][i] = leg.origin_m.y;
+  to.origin_m[2][i] = leg.origin_m.z;
+  to.offset[i] = plane[3];
+  to.height_m[i] = plane[3] - dot(normal, leg.origin_m);
+  to.transmit_height_m[i] = plane[3] - dot(normal, transmit_m);
+  to.receive_height_m[i] = plane[3] - dot(normal, receive_m);
+  for (std::size_t k = 0; k < 9; ++k) {
+    seen.rotation[k][i] = leg.rotation[k];
+  }
+  const float* cell = hits.cell + 4 * hit;
+  seen.from_s[i] = cell[0];
+  seen.to_s[i] = cell[1];
+  seen.from_w[i] = cell[2];
+  seen.to_w[i] = cell[3];
+  to.min_m[i] = hits.span_m[2 * hit];
+  to.max_m[i] = hits.span_m[2 * hit + 1];
+}
+
+// How much the middles of the cells face the planes; 0 where no footprint exists.
+MAPPERD_VECTORISED void face(const Seen& seen, const Footprints& patches, PerHit<double>& facing) {
+  MAPPERD_INDEPENDENT
+  for (std::size_t i = 0; i < kPatches; ++i) {
+    const double w = 0.5 * (seen.from_w[i] + seen.to_w[i]);
+    const Reals reals = reals_of(seen.from_s[i], seen.to_s[i], w);
+    const double s = 0.5 * (reals.from_s + reals.to_s);
+    const double ahead = std::sqrt(std::max(1.0 - s * s - w * w, 1e-9));
+    const auto& m = seen.rotation;
+    const double x = m[0][i] * ahead - m[1][i] * s + m[2][i] * w;
+    const double y = m[3][i] * ahead - m[4][i] * s + m[5][i] * w;
+    const double z = m[6][i] * ahead - m[7][i] * s + m[8][i] * w;
+    const double towards =
+        patches.normal[0][i] * x + patches.normal[1][i] * y + patches.normal[2][i] * z;
+    const double height_m = patches.height_m[i];
+    const double least =
+        std::min(std::min(towards * height_m, height_m * patches.transmit_height_m[i]),
+                 height_m * patches.receive_height_m[i]);
+    facing[i] = least > 0.0 ? towards : 0.0;
+  }
+}
+
+// Where the cells' four edges meet the planes, and how far that is.
+MAPPERD_VECTORISED void follow(const Seen& seen, const PerHit<double>& facing,
+                               Footprints& patches) {
+  const PerHit<double>* const s_of[4] = {&seen.from_s, &seen.to_s, &seen.to_s, &seen.from_s};
+  const PerHit<double>* const w_of[4] = {&seen.from_w, &seen.from_w, &seen.to_w, &seen.to_w};
+  MAPPERD_INDEPENDENT
+  for (std::size_t i = 0; i < kPatches; ++i) {
+    patches.min_facing[i] = std::fabs(facing[i]) / kMaxRangeFactor;
+    patches.near_m[i] = HUGE_VAL;
+    patches.far_m[i] = 0.0;
   }
   for (std::size_t k = 0; k < 4; ++k) {
-    range_m[k] = range[k];
-    patch.corner_m[0][k] = o[0] + range[k] * x[k];
-    patch.corner_m[1][k] = o[1] + range[k] * y[k];
-    patch.corner_m[2][k] = o[2] + range[k] * z[k];
+    const PerHit<double>& corner_s = *s_of[k];
+    const PerHit<double>& corner_w = *w_of[k];
+    MAPPERD_INDEPENDENT
+    for (std::size_t i = 0; i < kPatches; ++i) {
+      const double w = corner_w[i];
+      // Where the fan of directions ends, cells end with it.
+      const double max_s = std::sqrt(1.0 - w * w);
+      const double below_s = corner_s[i] < max_s ? corner_s[i] : max_s;
+      const double s = below_s > -max_s ? below_s : -max_s;
+      const double square = 1.0 - s * s - w * w;
+      const double ahead = std::sqrt(square > 0.0 ? square : 0.0);
+      const auto& m = seen.rotation;
+      const double x = m[0][i] * ahead - m[1][i] * s + m[2][i] * w;
+      const double y = m[3][i] * ahead - m[4][i] * s + m[5][i] * w;
+      const double z = m[6][i] * ahead - m[7][i] * s + m[8][i] * w;
+      // The side that the plane shows.
+      const double sign = facing[i] > 0.0 ? 1.0 : -1.0;
+      const double towards = sign * patches.normal[0][i] * x + sign * patches.normal[1][i] * y +
+                             sign * patches.normal[2][i] * z;
+      const double least = patches.min_facing[i];
+      const double reach_m = std::fabs(patches.height_m[i]) / (towards > least ? towards : least);
+      const double beyond_m = reach_m > patches.min_m[i] ? reach_m : patches.min_m[i];
+      const double range_m = beyond_m < patches.max_m[i] ? beyond_m : patches.max_m[i];
+      patches.near_m[i] = range_m < patches.near_m[i] ? range_m : patches.near_m[i];
+      patches.far_m[i] = range_m > patches.far_m[i] ? range_m : patches.far_m[i];
+      patches.corner_m[0][k][i] = patches.origin_m[0][i] + range_m * x;
+      patches.corner_m[1][k][i] = patches.origin_m[1][i] + range_m * y;
+      patches.corner_m[2][k][i] = patches.origin_m[2][i] + range_m * z;
+    }
   }
 }
 
 }  // namespace
 
-bool footprint_of(const ScatterInput& echoes, std::size_t hit, Footprint& patch) {
-  const RayHits& hits = echoes.hits;
-  const double* plane = echoes.faces.table[hits.face[hit]].plane;
-  const Leg& leg = hits.legs[hits.seen[hit]];
-  const float* cell = hits.cell + 4 * hit;
-  patch.normal = {plane[0], plane[1], plane[2]};
-  patch.height_m = plane[3] - dot(patch.normal, leg.origin_m);
-  patch.transmit_height_m = plane[3] - dot(patch.normal, hits.legs[hits.transmit[hit]].origin_m);
-  patch.receive_height_m = plane[3] - dot(patch.normal, hits.legs[hits.receive[hit]].origin_m);
-  const double middle_w = 0.5 * (static_cast<double>(cell[2]) + cell[3]);
-  const Reals reals = reals_of(cell[0], cell[1], middle_w);
-  const Vec3 middle = direction(leg, 0.5 * (reals.from_s + reals.to_s), middle_w);
-  const double facing = dot(patch.normal, middle);
-  if (!(facing * patch.height_m > 0.0) || !(patch.height_m * patch.transmit_height_m > 0.0) ||
-      !(patch.height_m * patch.receive_height_m > 0.0)) {
-    return false;
+std::size_t footprints_of(const ScatterInput& echoes, std::size_t first, std::size_t last,
+                          Footprints& patches) {
+  Seen seen{};
+  patches.count = 0;
+  std::size_t hit = first;
+  for (; hit < last && patches.count < kPatches; ++hit) {
+    if (echoes.hits.face[hit] >= 0) {
+      take(echoes, hit, seen, patches);
+    }
   }
-  patch.min_facing = std::fabs(facing) / kMaxRangeFactor;
-  patch.min_m = hits.span_m[2 * hit];
-  patch.max_m = hits.span_m[2 * hit + 1];
-  std::array<double, 4> range_m;
-  follow(leg, cell, facing > 0.0 ? 1.0 : -1.0, patch, range_m);
-  patch.near_m = std::min({range_m[0], range_m[1], range_m[2], range_m[3]});
-  patch.far_m = std::max({range_m[0], range_m[1], range_m[2], range_m[3]});
-  return true;
+  PerHit<double> facing;
+  face(seen, patches, facing);
+  follow(seen, facing, patches);
+  for (std::size_t i = 0; i < kPatches; ++i) {
+    patches.exists[i] = facing[i] != 0.0;
+  }
+  return hit;
 }
 
 Strength::Strength(const ScatterModel& model, const Material& material, double step_rad)

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "mapperd/acoustics/lattice.hpp"
 #include "mapperd/common/fast_math.hpp"
 
 namespace mapperd::acoustics {
@@ -11,62 +12,33 @@ namespace {
 
 // Loops that run to a multiple of the vectors' length go over what is not read.
 
-// A vector that is linear over a patch: at its first node, and its growth per step of the lattice.
-struct Linear {
-  Vec3 first, along, across;
+// One patch's vectors, in the nodes' precision.
+struct Steps {
+  Steps(const Linear& from, std::size_t patch) {
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      first[axis] = static_cast<float>(from.first[axis][patch]);
+      along[axis] = static_cast<float>(from.along[axis][patch]);
+      across[axis] = static_cast<float>(from.across[axis][patch]);
+    }
+  }
+  float first[3], along[3], across[3];
 };
 
-// Places on the patch's plane, relative to an origin.
-Linear places_of(const PatchModel& patch, const Vec3& origin_m) {
-  const Lattice& lattice = patch.lattice;
-  const Axes& axes = patch.axes;
-  const Vec3& n = patch.normal;
-  const double slope_u = n[axes.u] / n[axes.c];
-  const double slope_v = n[axes.v] / n[axes.c];
-  const double shift_i = patch.first_i + lattice.i0 - 0.5;
-  const double shift_j = patch.first_j + lattice.j0 - 0.5;
-  Linear place;
-  place.along[axes.u] = lattice.along_m * lattice.cosine;
-  place.along[axes.v] = lattice.along_m * lattice.sine;
-  place.across[axes.u] = -lattice.across_m * lattice.sine;
-  place.across[axes.v] = lattice.across_m * lattice.cosine;
-  for (Vec3* step : {&place.along, &place.across}) {
-    (*step)[axes.c] = -slope_u * (*step)[axes.u] - slope_v * (*step)[axes.v];
-  }
-  place.first = shift_i * place.along + shift_j * place.across;
-  place.first[axes.c] += patch.offset / n[axes.c];
-  place.first = place.first - origin_m;
-  return place;
-}
-
-// Normals of a round surface over such places, of any length.
-Linear normals_of(const double* curved_normal, const Linear& place, const Vec3& origin_m) {
-  Linear normal;
-  for (std::size_t row = 0; row < 3; ++row) {
-    const double* g = curved_normal + 4 * row;
-    const Vec3 slope{g[0], g[1], g[2]};
-    normal.first[row] = dot(slope, place.first + origin_m) + g[3];
-    normal.along[row] = dot(slope, place.along);
-    normal.across[row] = dot(slope, place.across);
-  }
-  return normal;
-}
-
 // Random places within the lattice's cells: in steps from the patch's first node, and as points.
-MAPPERD_VECTORISED void jitter(const PatchModel& patch, const Linear& from, std::size_t first,
+MAPPERD_VECTORISED void jitter(const Patches& patches, std::size_t patch, std::size_t first,
                                std::size_t count, Nodes& nodes, float* __restrict along,
                                float* __restrict across) {
-  const std::uint64_t key = patch.lattice.key;
+  const Steps from(patches.place, patch);
+  const std::uint64_t key = patches.key[patch];
   const auto low = static_cast<std::uint32_t>(key);
   const auto high = static_cast<std::uint32_t>(key >> 32);
-  const auto first_i = static_cast<std::uint32_t>(static_cast<std::int64_t>(patch.first_i));
-  const auto first_j = static_cast<std::uint32_t>(static_cast<std::int64_t>(patch.first_j));
-  const float x0 = static_cast<float>(from.first.x), y0 = static_cast<float>(from.first.y),
-              z0 = static_cast<float>(from.first.z);
-  const float xa = static_cast<float>(from.along.x), ya = static_cast<float>(from.along.y),
-              za = static_cast<float>(from.along.z);
-  const float xb = static_cast<float>(from.across.x), yb = static_cast<float>(from.across.y),
-              zb = static_cast<float>(from.across.z);
+  const auto first_i =
+      static_cast<std::uint32_t>(static_cast<std::int64_t>(patches.first_i[patch]));
+  const auto first_j =
+      static_cast<std::uint32_t>(static_cast<std::int64_t>(patches.first_j[patch]));
+  const float x0 = from.first[0], y0 = from.first[1], z0 = from.first[2];
+  const float xa = from.along[0], ya = from.along[1], za = from.along[2];
+  const float xb = from.across[0], yb = from.across[1], zb = from.across[2];
   const std::int32_t* __restrict from_i = nodes.i + first;
   const std::int32_t* __restrict from_j = nodes.j + first;
   std::uint32_t* __restrict bits = nodes.bits + first;
@@ -93,15 +65,12 @@ MAPPERD_VECTORISED void jitter(const PatchModel& patch, const Linear& from, std:
 }
 
 // Normals at such places.
-MAPPERD_VECTORISED void incline(const Linear& from, const float* __restrict along,
+MAPPERD_VECTORISED void incline(const Steps& from, const float* __restrict along,
                                 const float* __restrict across, std::size_t first,
                                 std::size_t count, Nodes& nodes) {
-  const float x0 = static_cast<float>(from.first.x), y0 = static_cast<float>(from.first.y),
-              z0 = static_cast<float>(from.first.z);
-  const float xa = static_cast<float>(from.along.x), ya = static_cast<float>(from.along.y),
-              za = static_cast<float>(from.along.z);
-  const float xb = static_cast<float>(from.across.x), yb = static_cast<float>(from.across.y),
-              zb = static_cast<float>(from.across.z);
+  const float x0 = from.first[0], y0 = from.first[1], z0 = from.first[2];
+  const float xa = from.along[0], ya = from.along[1], za = from.along[2];
+  const float xb = from.across[0], yb = from.across[1], zb = from.across[2];
   float* __restrict x = nodes.normal[0] + first;
   float* __restrict y = nodes.normal[1] + first;
   float* __restrict z = nodes.normal[2] + first;
@@ -301,31 +270,34 @@ MAPPERD_VECTORISED void weigh(const float* __restrict there, const float* __rest
 
 }  // namespace
 
-void place(const PatchModel& patch, const SharedTraits& traits, std::size_t first, Nodes& nodes) {
+void place(const Footprints& footprints, const Patches& patches, std::size_t patch,
+           const Strength& strength, double gain, const SharedTraits& traits, std::size_t first,
+           Nodes& nodes) {
   const std::size_t count = nodes.count - first;
-  const Vec3& origin_m = traits.transmit->origin_m;
   Each<float> along, across;
-  const Linear points = places_of(patch, origin_m);
-  jitter(patch, points, first, count, nodes, along, across);
-  repeat(static_cast<float>(patch.transmit_height_m), count, nodes.height_m[0] + first);
-  repeat(patch.gain, count, nodes.gain + first);
-  repeat(patch.strength.mu(), count, nodes.mu + first);
+  jitter(patches, patch, first, count, nodes, along, across);
+  const auto height_m = [](const PerHit<double>& of, std::size_t at) {
+    return static_cast<float>(std::fabs(of[at]));
+  };
+  repeat(height_m(footprints.transmit_height_m, patch), count, nodes.height_m[0] + first);
+  repeat(static_cast<float>(gain), count, nodes.gain + first);
+  repeat(strength.mu(), count, nodes.mu + first);
   if (!traits.same_leg()) {
-    repeat(static_cast<float>(patch.receive_height_m), count, nodes.height_m[1] + first);
+    repeat(height_m(footprints.receive_height_m, patch), count, nodes.height_m[1] + first);
   }
   if (traits.round) {
     // A whole number of vectors, as above.
     const std::size_t whole = (count + kLanes - 1) / kLanes * kLanes;
-    incline(normals_of(patch.curved_normal, points, origin_m), along, across, first, whole, nodes);
+    incline(Steps(patches.normal, patch), along, across, first, whole, nodes);
   }
   if (!traits.lobe) {
     return;
   }
-  repeat(patch.strength.lobe_height(), count, nodes.lobe_height + first);
-  repeat(patch.strength.steepness(), count, nodes.steepness + first);
-  repeat(patch.strength.smoothness(), count, nodes.smoothness + first);
+  repeat(strength.lobe_height(), count, nodes.lobe_height + first);
+  repeat(strength.steepness(), count, nodes.steepness + first);
+  repeat(strength.smoothness(), count, nodes.smoothness + first);
   for (std::size_t axis = 0; axis < 3 && !traits.round; ++axis) {
-    repeat(static_cast<float>(patch.normal[axis]), count, nodes.normal[axis] + first);
+    repeat(static_cast<float>(footprints.normal[axis][patch]), count, nodes.normal[axis] + first);
   }
 }
 

@@ -6,8 +6,8 @@
 #include <cstdint>
 
 #include "mapperd/acoustics/footprint.hpp"
-#include "mapperd/acoustics/lattice.hpp"
 #include "mapperd/acoustics/scatter.hpp"
+#include "patches.hpp"
 
 namespace mapperd::acoustics {
 
@@ -30,19 +30,6 @@ inline bool operator==(const SharedTraits& a, const SharedTraits& b) {
          a.lobe == b.lobe;
 }
 
-// Properties that the nodes of a patch share.
-struct PatchModel {
-  Axes axes;
-  Vec3 normal;
-  double offset;  // of the plane n.p
-  Lattice lattice;
-  double first_i, first_j;                     // from which its nodes are counted
-  const double* curved_normal;                 // of a round surface, or null
-  double transmit_height_m, receive_height_m;  // of the plane over the legs' origins
-  float gain;                                  // of pressure, the node's area included
-  Strength strength;
-};
-
 // One number per node.
 template <typename Number>
 using Each = Number[kNodes + kLanes];
@@ -60,31 +47,10 @@ struct Nodes {
   Each<float> mu, lobe_height, steepness, smoothness;
 };
 
-// Four sides of a patch, in steps of its lattice; scanned by lines of nodes.
-struct Outline {
-  double along[4], across[4];  // corners
-  double lean[4];              // of the sides that begin there: along over across
-  double first_along, first_across;
-  std::size_t lines;
-  bool turned;  // lines run along j
-};
-
-Outline outline_of(const Corners& corner_m, const Axes& axes, const Lattice& lattice);
-
-// Maximum lines processed at once.
-constexpr std::size_t kLines = 64;
-
-// Nodes on some lines of an outline, counted from its first ones: from `first` on, `count` of them.
-// Patches that share an edge share no node.
-struct Lines {
-  std::size_t size;
-  std::int32_t first[kLines], count[kLines];
-};
-
-void scan(const Outline& outline, std::size_t from, Lines& lines);
-
-// Computes the quantities of a patch for its nodes from `first` on.
-void place(const PatchModel& patch, const SharedTraits& traits, std::size_t first, Nodes& nodes);
+// Computes the quantities of one of the patches for its nodes from `first` on.
+void place(const Footprints& footprints, const Patches& patches, std::size_t patch,
+           const Strength& strength, double gain, const SharedTraits& traits, std::size_t first,
+           Nodes& nodes);
 
 // Nodes relative to a leg.
 struct Sights {

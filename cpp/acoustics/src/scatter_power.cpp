@@ -21,19 +21,32 @@ class Averager {
   Averager(const ScatterInput& echoes, const Band& band, float* power)
       : e_(echoes), band_(band), power_(power) {}
 
-  // Cuts a hit's cell into pieces so small that each lies within about one row.
-  void add(std::size_t hit) {
-    if (e_.hits.face[hit] < 0 || !footprint_of(e_, hit, patch_)) {
-      return;
+  // Takes the hits of a batch; returns the next one.
+  std::size_t add(std::size_t first, std::size_t last) {
+    const std::size_t next = footprints_of(e_, first, last, footprints_);
+    for (std::size_t i = 0; i < footprints_.count; ++i) {
+      if (footprints_.exists[i]) {
+        begin(i);
+        cut(footprints_.hit[i]);
+      }
     }
-    begin(hit);
+    return next;
+  }
+
+ private:
+  struct Extent {
+    double across_m, along_m;
+  };
+
+  // Cuts a hit's cell into pieces so small that each lies within about one row.
+  void cut(std::size_t hit) {
     const float* cell = e_.hits.cell + 4 * hit;
     const double s_width = cell[1] - cell[0];
     const double w_width = cell[3] - cell[2];
     const double s_mid = 0.5 * (cell[0] + cell[1]);
     const double w_mid = 0.5 * (cell[2] + cell[3]);
     const Extent all = extent_of(s_mid, w_mid, s_width, w_width);
-    const double max_m = patch_.far_m - patch_.near_m;
+    const double max_m = far_m_ - near_m_;
     const double s_count = pieces(std::min(all.across_m, max_m));
     const double w_count = pieces(std::min(all.along_m, max_m));
     for (double i = 0.5; i < s_count; i += 1.0) {
@@ -44,19 +57,24 @@ class Averager {
     }
   }
 
- private:
-  struct Extent {
-    double across_m, along_m;
-  };
-
   [[nodiscard]] double pieces(double extent_m) const {
     const double rows = std::ceil(extent_m / (kRowsPerPiece * e_.grid.row_m));
     return std::clamp(rows, curved_normal_ != nullptr || strength_.has_lobe() ? 8.0 : 4.0,
                       kMaxPieces);
   }
 
-  void begin(std::size_t hit) {
+  void begin(std::size_t patch) {
     const RayHits& hits = e_.hits;
+    const std::size_t hit = footprints_.hit[patch];
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      plane_normal_[axis] = footprints_.normal[axis][patch];
+    }
+    height_m_ = footprints_.height_m[patch];
+    min_facing_ = footprints_.min_facing[patch];
+    min_m_ = footprints_.min_m[patch];
+    max_m_ = footprints_.max_m[patch];
+    near_m_ = footprints_.near_m[patch];
+    far_m_ = footprints_.far_m[patch];
     const Face& face = e_.faces.table[hits.face[hit]];
     seen_ = &hits.legs[hits.seen[hit]];
     transmit_ = &hits.legs[hits.transmit[hit]];
@@ -64,11 +82,11 @@ class Averager {
     const float* cell = hits.cell + 4 * hit;
     const double step_rad = 0.125 * std::max(cell[1] - cell[0], cell[3] - cell[2]);
     curved_normal_ = face.smooth < 0 ? nullptr : e_.faces.curved_normal + 12 * face.smooth;
-    const double turn = 1.0 + face.turn_per_m * patch_.far_m;
+    const double turn = 1.0 + face.turn_per_m * far_m_;
     strength_ = Strength(e_.model, e_.faces.materials[face.material], step_rad * turn);
     gain_ = hits.gain[hit] * transmit_->gain * receive_->gain;
     const auto& m = seen_->rotation;
-    const Vec3& n = patch_.normal;
+    const Vec3& n = plane_normal_;
     for (std::size_t axis = 0; axis < 3; ++axis) {
       normal_[axis] = m[axis] * n[0] + m[3 + axis] * n[1] + m[6 + axis] * n[2];
     }
@@ -78,8 +96,8 @@ class Averager {
   [[nodiscard]] Extent extent_of(double s, double w, double s_width, double w_width) const {
     const double x = std::sqrt(std::max(1.0 - s * s - w * w, 1e-6));
     const double facing =
-        std::max(std::fabs(normal_[0] * x - normal_[1] * s + normal_[2] * w), patch_.min_facing);
-    const double reach_m = std::fabs(patch_.height_m) / (facing * facing);
+        std::max(std::fabs(normal_[0] * x - normal_[1] * s + normal_[2] * w), min_facing_);
+    const double reach_m = std::fabs(height_m_) / (facing * facing);
     return {reach_m * std::fabs(normal_[0] * s / x + normal_[1]) * s_width,
             reach_m * std::fabs(normal_[2] - normal_[0] * w / x) * w_width};
   }
@@ -111,17 +129,17 @@ class Averager {
     }
     const double s = bearing.s;
     const Vec3 d = direction(*seen_, s, w);
-    const double facing = dot(patch_.normal, d);
-    if (facing * patch_.height_m <= 0.0 || std::fabs(facing) < patch_.min_facing) {
+    const double facing = dot(plane_normal_, d);
+    if (facing * height_m_ <= 0.0 || std::fabs(facing) < min_facing_) {
       return;
     }
-    const double range_m = std::clamp(patch_.height_m / facing, patch_.min_m, patch_.max_m);
+    const double range_m = std::clamp(height_m_ / facing, min_m_, max_m_);
     Vec3 point_m;
     for (std::size_t axis = 0; axis < 3; ++axis) {
       point_m[axis] = seen_->origin_m[axis] + range_m * d[axis];
     }
     const Vec3 normal =
-        curved_normal_ != nullptr ? curved_normal_at(curved_normal_, point_m) : patch_.normal;
+        curved_normal_ != nullptr ? curved_normal_at(curved_normal_, point_m) : plane_normal_;
     const double cosine =
         std::max(std::fabs(dot(normal, d)), curved_normal_ != nullptr ? kMinCosine : 0.0);
     const double area_m2 = range_m * range_m * bearing.angle_rad * w_width / cosine;
@@ -130,8 +148,7 @@ class Averager {
     const Sight back = receive_ == seen_ ? seen : sight_of(*receive_, point_m);
     const Extent extent = extent_of(s, w, bearing.angle_rad * bearing.ahead, w_width);
     const double section_m2 = area_m2 * cross_section(out, back, normal);
-    const double extent_m =
-        std::min(extent.across_m + extent.along_m, patch_.far_m - patch_.near_m);
+    const double extent_m = std::min(extent.across_m + extent.along_m, far_m_ - near_m_);
     heard(out, back, section_m2, extent_m);
     if (e_.hits.both_ways) {
       heard(back, out, section_m2, extent_m);
@@ -184,7 +201,10 @@ class Averager {
   const ScatterInput& e_;
   const Band& band_;
   float* power_;
-  Footprint patch_{};
+  Footprints footprints_{};
+  Vec3 plane_normal_{};  // object's frame
+  double height_m_ = 0.0, min_facing_ = 0.0;
+  double min_m_ = 0.0, max_m_ = 0.0, near_m_ = 0.0, far_m_ = 0.0;
   Strength strength_{ScatterModel{}, Material{}, 0.0};
   const Leg* seen_ = nullptr;
   const Leg* transmit_ = nullptr;
@@ -199,8 +219,8 @@ class Averager {
 void scatter_power(const ScatterInput& echoes, float* power, int threads) {
   in_bands(bands_of(echoes, threads), threads, [&](const Band& band) {
     Averager averager(echoes, band, power);
-    for (std::size_t hit = band.first; hit < band.last; ++hit) {
-      averager.add(hit);
+    for (std::size_t hit = band.first; hit < band.last;) {
+      hit = averager.add(hit, band.last);
     }
   });
 }

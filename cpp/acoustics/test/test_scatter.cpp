@@ -161,34 +161,36 @@ TEST_CASE("what an echo spreads to the columns beside it is lost nowhere") {
   CHECK(sum_of(wide.power(2)) / sum_of(Wall().power(2)) == near(1.0, 1e-5));
 }
 
-// One cell's patch on a plane.
-acoustics::Footprint footprint(const std::vector<double>& plane, const std::vector<float>& cell,
-                               const std::vector<float>& span) {
+// One cell's patch on a plane, the first of a batch.
+acoustics::Footprints footprint(const std::vector<double>& plane, const std::vector<float>& cell,
+                                const std::vector<float>& span) {
   Wall wall(1);
   std::copy_n(plane.data(), 4, wall.face.plane);
   wall.cell = cell;
   wall.span = span;
-  acoustics::Footprint patch{};
-  CHECK(acoustics::footprint_of(wall.echoes(1, 1), 0, patch));
-  return patch;
+  acoustics::Footprints patches;
+  CHECK(acoustics::footprints_of(wall.echoes(1, 1), 0, 1, patches) == 1);
+  CHECK(patches.count == 1);
+  CHECK(patches.exists[0]);
+  return patches;
 }
 
 TEST_CASE("a floor seen along has a patch that ends where its face does") {
   const std::vector<double> floor{0.0, 0.0, 1.0, -1.0};
   const std::vector<float> to_the_sky{-0.01F, 0.01F, -0.05F, 0.01F};
-  const acoustics::Footprint far = footprint(floor, to_the_sky, {0.1F, 100.0F});
-  CHECK(far.near_m == near(20.0, 1e-4));
-  CHECK((far.far_m > 60.0 && far.far_m < 100.0));
-  const acoustics::Footprint face = footprint(floor, to_the_sky, {30.0F, 60.0F});
-  CHECK(face.near_m == near(30.0, 1e-9));
-  CHECK(face.far_m == near(60.0, 1e-9));
+  const acoustics::Footprints far = footprint(floor, to_the_sky, {0.1F, 100.0F});
+  CHECK(far.near_m[0] == near(20.0, 1e-4));
+  CHECK((far.far_m[0] > 60.0 && far.far_m[0] < 100.0));
+  const acoustics::Footprints face = footprint(floor, to_the_sky, {30.0F, 60.0F});
+  CHECK(face.near_m[0] == near(30.0, 1e-9));
+  CHECK(face.far_m[0] == near(60.0, 1e-9));
 }
 
 TEST_CASE("a cell ends where directions do") {
-  const acoustics::Footprint abeam =
+  const acoustics::Footprints abeam =
       footprint({0.0, 1.0, 0.0, -5.0}, {0.95F, 1.05F, -0.01F, 0.01F}, {0.1F, 100.0F});
-  CHECK(abeam.near_m == near(5.0, 1e-3));
-  for (std::size_t k = 0; k < 4; ++k) CHECK(abeam.corner_m[1][k] == near(-5.0, 1e-6));
+  CHECK(abeam.near_m[0] == near(5.0, 1e-3));
+  for (std::size_t k = 0; k < 4; ++k) CHECK(abeam.corner_m[1][k][0] == near(-5.0, 1e-6));
 }
 
 TEST_CASE("a beam counts there and back, and like losses and gains it is one of amplitudes") {

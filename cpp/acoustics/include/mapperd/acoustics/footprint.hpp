@@ -33,19 +33,28 @@ inline Reals reals_of(double from_s, double to_s, double w) {
   return {most, std::min(std::max(from_s, -most), most), std::min(std::max(to_s, -most), most)};
 }
 
-/// Four points, axis by axis.
-using Corners = std::array<std::array<double, 4>, 3>;
+/// Hits of a batch. Loops over a batch run to its end, whether it is full or not.
+constexpr std::size_t kPatches = 32;
 
-/// The patch of a face's plane that one ray's cell covers, in the object's frame.
-struct Footprint {
-  Vec3 normal;               ///< of length 1
-  double height_m;           ///< of the plane over the seeing origin, along the normal
-  double transmit_height_m;  ///< over the transmitting one
-  double receive_height_m;   ///< over the receiving one
-  double min_facing;         ///< minimum |n.d| within this patch
-  Corners corner_m;          ///< object's frame, around the patch
-  double min_m, max_m;       ///< ranges between which the plane is followed
-  double near_m, far_m;      ///< ranges of the corners from the seeing origin
+/// One number per hit of a batch.
+template <typename Number>
+using PerHit = Number[kPatches];
+
+/// The patches of faces' planes that the cells of some rays cover, in the objects' frames: one
+/// array per quantity, so that loops over them become vector code.
+struct Footprints {
+  std::size_t count = 0;
+  PerHit<std::size_t> hit{};
+  PerHit<bool> exists{};         ///< false: a leg is behind the plane or does not see it
+  PerHit<double> normal[3]{};    ///< of length 1
+  PerHit<double> offset{};       ///< of the plane n.p
+  PerHit<double> origin_m[3]{};  ///< of the seeing leg
+  PerHit<double> height_m{};     ///< of the plane over it, along n
+  PerHit<double> transmit_height_m{}, receive_height_m{};  ///< over the other legs' origins
+  PerHit<double> min_facing{};                             ///< minimum |n.d| within a patch
+  PerHit<double> corner_m[3][4]{};                         ///< by axis, around the patch
+  PerHit<double> min_m{}, max_m{};   ///< ranges between which the plane is followed
+  PerHit<double> near_m{}, far_m{};  ///< ranges of the corners from the seeing origin
 };
 
 /// A grazing plane is followed up to this multiple of the hit's range.
@@ -54,8 +63,10 @@ constexpr double kMaxRangeFactor = 1.6;
 /// Minimum cosine of incidence on a round surface.
 constexpr double kMinCosine = 0.05;
 
-/// Returns false if no footprint exists: a leg is behind the plane or does not see it.
-bool footprint_of(const ScatterInput& echoes, std::size_t hit, Footprint& patch);
+/// Fills a batch with the next hits that have a face.
+/// Returns the first hit that it did not look at, or `last`.
+std::size_t footprints_of(const ScatterInput& echoes, std::size_t first, std::size_t last,
+                          Footprints& patches);
 
 /// Lobes weaker than exp(-this) are ignored.
 constexpr double kFaintest = 25.0;

@@ -15,6 +15,14 @@
 #define MAPPERD_VECTORISED_WIDE
 #endif
 
+/// Before a loop: no iteration reads or writes what another one writes. The compiler then need not
+/// prove it of the arrays that references lead to.
+#if defined(__GNUC__) && !defined(__clang__)
+#define MAPPERD_INDEPENDENT _Pragma("GCC ivdep")
+#else
+#define MAPPERD_INDEPENDENT
+#endif
+
 /// Functions that such loops call.
 #if defined(__GNUC__)
 #define MAPPERD_INLINE inline __attribute__((always_inline))
