@@ -100,13 +100,17 @@ MAPPERD_INLINE void add_scaled(float* cell, const float* taps, const Numbers& nu
   std::memcpy(cell, &sum, sizeof sum);
 }
 
-// Adds each echo to `taps` cells, an even number; weights are there twice, for both parts.
+// Adds each echo to `taps` cells, an even number; weights are there twice, for both parts. Cells of
+// later echoes are fetched in time: each row of the field lies on a memory page of its own.
 MAPPERD_VECTORISED void spread(const float* real, const float* imaginary, const std::int32_t* cell,
                                const std::int32_t* fraction, std::size_t count, std::size_t taps,
                                const float* weights, float* field) {
   for (std::size_t i = 0; i < count; ++i) {
     float* to = field + 2 * static_cast<std::size_t>(cell[i]);
     const float* by = weights + 2 * taps * static_cast<std::size_t>(fraction[i]);
+    const float* later = field + 2 * static_cast<std::size_t>(cell[i + kFetchAhead]);
+    __builtin_prefetch(later, 1);
+    __builtin_prefetch(later + 2 * taps - 1, 1);
     const float re = real[i], im = imaginary[i];
     const Pair pair{re, im, re, im};
     const Four four{re, im, re, im, re, im, re, im};

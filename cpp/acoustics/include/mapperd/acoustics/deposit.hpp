@@ -16,6 +16,7 @@
 namespace mapperd::acoustics {
 
 constexpr std::size_t kBatch = 512;
+constexpr std::size_t kFetchAhead = 16;  ///< echoes
 
 /// A batch of scatterers, one array per quantity.
 struct Scatterers {
@@ -44,7 +45,8 @@ class Deposit {
   std::complex<float>* field_;
   std::vector<float> taps_;  ///< each twice, for the real and the imaginary part
   std::array<float, kBatch> pressure_{}, real_{}, imaginary_{};
-  std::array<std::int32_t, kBatch> cell_{}, fraction_{};
+  std::array<std::int32_t, kBatch> fraction_{};
+  std::array<std::int32_t, kBatch + kFetchAhead> cell_{};  ///< beyond the batch: of the last one
 };
 
 }  // namespace mapperd::acoustics
