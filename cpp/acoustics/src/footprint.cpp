@@ -16,6 +16,18 @@ struct Seen {
   PerHit<double> from_s, to_s, from_w, to_w;
 };
 
+// Range beyond which nothing is heard of a hit, where that is the same for its whole patch.
+double heard_to_m(const ScatterInput& echoes, std::size_t hit) {
+  const RayHits& hits = echoes.hits;
+  const Leg& leg = hits.legs[hits.seen[hit]];
+  const bool straight = hits.transmit[hit] == hits.seen[hit] && hits.receive[hit] == hits.seen[hit];
+  if (!straight || leg.drift_m.x != 0.0 || leg.drift_m.y != 0.0 || leg.drift_m.z != 0.0) {
+    return HUGE_VAL;
+  }
+  const EchoGrid& grid = echoes.grid;
+  return static_cast<double>(grid.rows + 1) * grid.row_m / grid.range_scale;
+}
+
 // Takes one hit's numbers; heights are what they are over the legs' origins.
 void take(const ScatterInput& echoes, std::size_t hit, Seen& seen, Footprints& to) {
   const RayHits& hits = echoes.hits;
@@ -45,7 +57,7 @@ void take(const ScatterInput& echoes, std::size_t hit, Seen& seen, Footprints& t
   seen.from_w[i] = cell[2];
   seen.to_w[i] = cell[3];
   to.min_m[i] = hits.span_m[2 * hit];
-  to.max_m[i] = hits.span_m[2 * hit + 1];
+  to.max_m[i] = std::min<double>(hits.span_m[2 * hit + 1], heard_to_m(echoes, hit));
 }
 
 // How much the middles of the cells face the planes; 0 where no footprint exists.

@@ -252,20 +252,21 @@ void lay(const ScatterInput& echoes, const Footprints& footprints, Patches& patc
     traits.transmit_m[1][i] = transmit_m.y;
     traits.transmit_m[2][i] = transmit_m.z;
   }
-  Lattices lattices;
+  Lattices lattices{};
   choose(echoes, footprints, traits, lattices, patches);
   for (std::size_t i = 0; i < kPatches; ++i) {
-    const std::uint32_t object =
-        i < footprints.count ? echoes.faces.table[hits.face[footprints.hit[i]]].object : 0;
-    const Origin origin = origin_of(echoes.model.key, object,
-                                    {lattices.normal_axis[i], lattices.along_level[i],
-                                     lattices.across_level[i], lattices.turn[i]});
-    patches.exists[i] = footprints.exists[i] && lattices.shadow_m2[i] > 0.0;
-    patches.key[i] = origin.key;
-    lattices.i0[i] = origin.i0;
-    lattices.j0[i] = origin.j0;
-    lattices.cosine[i] = kCosine[lattices.turn[i]];
-    lattices.sine[i] = kSine[lattices.turn[i]];
+    patches.exists[i] = i < footprints.count && footprints.exists[i] && lattices.shadow_m2[i] > 0.0;
+    if (patches.exists[i]) {
+      const Face& face = echoes.faces.table[hits.face[footprints.hit[i]]];
+      const Origin origin = origin_of(echoes.model.key, face.object,
+                                      {lattices.normal_axis[i], lattices.along_level[i],
+                                       lattices.across_level[i], lattices.turn[i]});
+      patches.key[i] = origin.key;
+      lattices.i0[i] = origin.i0;
+      lattices.j0[i] = origin.j0;
+      lattices.cosine[i] = kCosine[lattices.turn[i]];
+      lattices.sine[i] = kSine[lattices.turn[i]];
+    }
   }
   outline(footprints, lattices, patches.outline, patches);
   locate(footprints, lattices, traits, patches);

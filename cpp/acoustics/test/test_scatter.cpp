@@ -161,15 +161,17 @@ TEST_CASE("what an echo spreads to the columns beside it is lost nowhere") {
   CHECK(sum_of(wide.power(2)) / sum_of(Wall().power(2)) == near(1.0, 1e-5));
 }
 
-// One cell's patch on a plane, the first of a batch.
+// One cell's patch on a plane, the first of a batch; in a grid that ends at 1 km.
 acoustics::Footprints footprint(const std::vector<double>& plane, const std::vector<float>& cell,
-                                const std::vector<float>& span) {
-  Wall wall(1);
+                                const std::vector<float>& span, Wall wall = Wall(1),
+                                std::ptrdiff_t rows = 50000) {
   std::copy_n(plane.data(), 4, wall.face.plane);
   wall.cell = cell;
   wall.span = span;
+  acoustics::ScatterInput echoes = wall.echoes(1, 1);
+  echoes.grid.rows = rows;
   acoustics::Footprints patches;
-  CHECK(acoustics::footprints_of(wall.echoes(1, 1), 0, 1, patches) == 1);
+  CHECK(acoustics::footprints_of(echoes, 0, 1, patches) == 1);
   CHECK(patches.count == 1);
   CHECK(patches.exists[0]);
   return patches;
@@ -184,6 +186,22 @@ TEST_CASE("a floor seen along has a patch that ends where its face does") {
   const acoustics::Footprints face = footprint(floor, to_the_sky, {30.0F, 60.0F});
   CHECK(face.near_m[0] == near(30.0, 1e-9));
   CHECK(face.far_m[0] == near(60.0, 1e-9));
+}
+
+TEST_CASE("a floor seen along has a patch that ends where nothing is heard") {
+  const std::vector<double> floor{0.0, 0.0, 1.0, -1.0};
+  const std::vector<float> cell{-0.01F, 0.01F, -0.05F, 0.01F}, span{0.1F, 100.0F};
+  const auto end_m = [&](const Wall& wall) {
+    return footprint(floor, cell, span, wall, 1500).far_m[0];  // rows end at 30 m
+  };
+  CHECK(end_m(Wall(1)) == near(30.02, 1e-9));
+  // The way back differs, or the Doppler shift moves echoes: rows do not tell the range.
+  Wall moves(1), drifts(1);
+  moves.legs.push_back({{0.1, 0, 0}, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1.0});
+  moves.receive = {1};
+  drifts.legs[0].drift_m = {-0.1, 0, 0};
+  CHECK(end_m(moves) > 60.0);
+  CHECK(end_m(drifts) > 60.0);
 }
 
 TEST_CASE("a cell ends where directions do") {
