@@ -31,28 +31,35 @@ struct Interval {
   }
 };
 
-// Widens an interval by what the given legs hear of the hits: all see their own cells.
-void widen(const ScatterInput& echoes, const std::int32_t* leg, std::size_t first, std::size_t last,
-           Interval& interval) {
+// Widens an interval by the sines at which the given legs, one per hit, hear the hits. The leg that
+// saw a hit hears it in its own cell.
+void widen(const ScatterInput& echoes, const std::int32_t* legs, std::size_t first,
+           std::size_t last, Interval& interval) {
   const RayHits& hits = echoes.hits;
   bool all_seen = true;
   for (std::size_t hit = first; hit < last; ++hit) {
-    if (hits.face[hit] >= 0 && hits.seen[hit] == leg[hit]) {
+    if (hits.face[hit] < 0) {
+      continue;
+    }
+    if (hits.seen[hit] == legs[hit]) {
       interval.add(hits.cell[4 * hit]);
       interval.add(hits.cell[4 * hit + 1]);
-    } else if (hits.face[hit] >= 0) {
+    } else {
       all_seen = false;
     }
   }
   Footprints patches;
-  for (std::size_t hit = first; hit < last && !all_seen;) {
-    hit = footprints_of(echoes, hit, last, patches);
+  for (std::size_t next = first; next < last && !all_seen;) {
+    next = footprints_of(echoes, next, last, patches);
     for (std::size_t i = 0; i < patches.count; ++i) {
-      const std::size_t its = patches.hit[i];
-      for (std::size_t k = 0; k < 4 && patches.exists[i] && hits.seen[its] != leg[its]; ++k) {
-        interval.add(sine_of(
-            hits.legs[leg[its]],
-            {patches.corner_m[0][k][i], patches.corner_m[1][k][i], patches.corner_m[2][k][i]}));
+      const std::size_t hit = patches.hit[i];
+      if (!patches.exists[i] || hits.seen[hit] == legs[hit]) {
+        continue;
+      }
+      const auto& corner_m = patches.corner_m;
+      for (std::size_t k = 0; k < 4; ++k) {
+        interval.add(sine_of(hits.legs[legs[hit]],
+                             {corner_m[0][k][i], corner_m[1][k][i], corner_m[2][k][i]}));
       }
     }
   }

@@ -101,7 +101,7 @@ MAPPERD_INLINE void add_scaled(float* cell, const float* taps, const Numbers& nu
 }
 
 // Adds each echo to `taps` cells, an even number; weights are there twice, for both parts. Cells of
-// later echoes are fetched in time: each row of the field lies on a memory page of its own.
+// later echoes are fetched in time: rows of the field lie far apart in memory.
 MAPPERD_VECTORISED void spread(const float* real, const float* imaginary, const std::int32_t* cell,
                                const std::int32_t* fraction, std::size_t count, std::size_t taps,
                                const float* weights, float* field) {

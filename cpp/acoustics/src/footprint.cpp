@@ -10,25 +10,13 @@ namespace {
 
 constexpr double kPi = 3.14159265358979323846;
 
-// What a batch is computed from.
+// The seeing legs and the cells of a batch.
 struct Seen {
   PerHit<double> rotation[9];  // of the seeing leg
   PerHit<double> from_s, to_s, from_w, to_w;
 };
 
-// Range beyond which nothing is heard of a hit, where that is the same for its whole patch.
-double heard_to_m(const ScatterInput& echoes, std::size_t hit) {
-  const RayHits& hits = echoes.hits;
-  const Leg& leg = hits.legs[hits.seen[hit]];
-  const bool straight = hits.transmit[hit] == hits.seen[hit] && hits.receive[hit] == hits.seen[hit];
-  if (!straight || leg.drift_m.x != 0.0 || leg.drift_m.y != 0.0 || leg.drift_m.z != 0.0) {
-    return HUGE_VAL;
-  }
-  const EchoGrid& grid = echoes.grid;
-  return static_cast<double>(grid.rows + 1) * grid.row_m / grid.range_scale;
-}
-
-// Takes one hit's numbers; heights are what they are over the legs' origins.
+// Copies what belongs to one hit into the batch.
 void take(const ScatterInput& echoes, std::size_t hit, Seen& seen, Footprints& to) {
   const RayHits& hits = echoes.hits;
   const std::size_t i = to.count++;
@@ -57,7 +45,7 @@ void take(const ScatterInput& echoes, std::size_t hit, Seen& seen, Footprints& t
   seen.from_w[i] = cell[2];
   seen.to_w[i] = cell[3];
   to.min_m[i] = hits.span_m[2 * hit];
-  to.max_m[i] = std::min<double>(hits.span_m[2 * hit + 1], heard_to_m(echoes, hit));
+  to.max_m[i] = hits.span_m[2 * hit + 1];
 }
 
 // How much the middles of the cells face the planes; 0 where no footprint exists.
@@ -75,10 +63,10 @@ MAPPERD_VECTORISED void face(const Seen& seen, const Footprints& patches, PerHit
     const double towards =
         patches.normal[0][i] * x + patches.normal[1][i] * y + patches.normal[2][i] * z;
     const double height_m = patches.height_m[i];
-    const double least =
-        std::min(std::min(towards * height_m, height_m * patches.transmit_height_m[i]),
-                 height_m * patches.receive_height_m[i]);
-    facing[i] = least > 0.0 ? towards : 0.0;
+    const bool exists = (towards * height_m > 0.0) &
+                        (height_m * patches.transmit_height_m[i] > 0.0) &
+                        (height_m * patches.receive_height_m[i] > 0.0);
+    facing[i] = exists ? towards : 0.0;
   }
 }
 

@@ -32,7 +32,7 @@ struct Traits {
   PerHit<double> transmit_m[3];  // origin
 };
 
-// One of a vector's coordinates: the first, second or third after the given axis.
+// Of a vector's coordinates x, y and z, the one along the axis that follows the given one.
 MAPPERD_INLINE double pick(std::int64_t axis, double x, double y, double z) {
   return axis == 2 ? x : (axis == 0 ? y : z);
 }
@@ -76,7 +76,6 @@ MAPPERD_VECTORISED void choose(const ScatterInput& echoes, const Footprints& f,
     const double shadow_m2 = 0.5 * std::fabs(u1 * v2 - v1 * u2);
     const double covered = (std::min(f.far_m[i], end_m) - f.near_m[i]) / row_m;
     to.shadow_m2[i] = covered < -1.0 ? 0.0 : shadow_m2;
-    // Nodes beyond the last row would fall out: their share of the patch asks for none.
     const double cells =
         std::max((f.far_m[i] - f.near_m[i]) / row_m, 1.0) * std::max(traits.wide[i], 1.0);
     const double wanted = nodes_per_cell * cells;
@@ -86,9 +85,9 @@ MAPPERD_VECTORISED void choose(const ScatterInput& echoes, const Footprints& f,
     const double nodes = small ? std::max(wanted, kMinSmallNodes) : wanted;
     const double node_m2 = shadow_m2 / nodes;
     double d[3];
-    for (std::size_t axis_ = 0; axis_ < 3; ++axis_) {
-      const auto& at = f.corner_m[axis_];
-      d[axis_] = 0.25 * (at[0][i] + at[1][i] + at[2][i] + at[3][i]) - f.origin_m[axis_][i];
+    for (std::size_t k = 0; k < 3; ++k) {
+      const auto& at = f.corner_m[k];
+      d[k] = 0.25 * (at[0][i] + at[1][i] + at[2][i] + at[3][i]) - f.origin_m[k][i];
     }
     // How range grows over the lattice's plane.
     const double square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
@@ -205,14 +204,15 @@ MAPPERD_VECTORISED void incline(const PerHit<double> (&slopes)[12], const Traits
   }
 }
 
-// Where lines cross the sides. Loops run to a multiple of the vectors' length.
 constexpr std::size_t kLinesAtOnce = 4;  // most patches have fewer lines
 
+// One patch's sides, see `Outlines`.
 struct Sides {
   double along[4], across[4], lean[4];
   double first_along;
 };
 
+// Where lines cross the sides. Loops run to a multiple of the vectors' length.
 MAPPERD_VECTORISED void cross(const Sides& o, double row, std::size_t count,
                               std::int32_t* __restrict first, std::int32_t* __restrict nodes) {
   for (std::size_t start = 0; start < count; start += kLinesAtOnce) {

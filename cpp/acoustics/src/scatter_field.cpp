@@ -1,6 +1,6 @@
+#include <algorithm>
 #include <cstring>
 #include <memory>
-#include <vector>
 
 #include "mapperd/acoustics/bands.hpp"
 #include "mapperd/acoustics/deposit.hpp"

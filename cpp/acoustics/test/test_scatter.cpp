@@ -161,17 +161,15 @@ TEST_CASE("what an echo spreads to the columns beside it is lost nowhere") {
   CHECK(sum_of(wide.power(2)) / sum_of(Wall().power(2)) == near(1.0, 1e-5));
 }
 
-// One cell's patch on a plane, the first of a batch; in a grid that ends at 1 km.
+// One cell's patch on a plane, the first of a batch.
 acoustics::Footprints footprint(const std::vector<double>& plane, const std::vector<float>& cell,
-                                const std::vector<float>& span, Wall wall = Wall(1),
-                                std::ptrdiff_t rows = 50000) {
+                                const std::vector<float>& span) {
+  Wall wall(1);
   std::copy_n(plane.data(), 4, wall.face.plane);
   wall.cell = cell;
   wall.span = span;
-  acoustics::ScatterInput echoes = wall.echoes(1, 1);
-  echoes.grid.rows = rows;
   acoustics::Footprints patches;
-  CHECK(acoustics::footprints_of(echoes, 0, 1, patches) == 1);
+  CHECK(acoustics::footprints_of(wall.echoes(1, 1), 0, 1, patches) == 1);
   CHECK(patches.count == 1);
   CHECK(patches.exists[0]);
   return patches;
@@ -188,27 +186,53 @@ TEST_CASE("a floor seen along has a patch that ends where its face does") {
   CHECK(face.far_m[0] == near(60.0, 1e-9));
 }
 
-TEST_CASE("a floor seen along has a patch that ends where nothing is heard") {
-  const std::vector<double> floor{0.0, 0.0, 1.0, -1.0};
-  const std::vector<float> cell{-0.01F, 0.01F, -0.05F, 0.01F}, span{0.1F, 100.0F};
-  const auto end_m = [&](const Wall& wall) {
-    return footprint(floor, cell, span, wall, 1500).far_m[0];  // rows end at 30 m
-  };
-  CHECK(end_m(Wall(1)) == near(30.02, 1e-9));
-  // The way back differs, or the Doppler shift moves echoes: rows do not tell the range.
-  Wall moves(1), drifts(1);
-  moves.legs.push_back({{0.1, 0, 0}, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1.0});
-  moves.receive = {1};
-  drifts.legs[0].drift_m = {-0.1, 0, 0};
-  CHECK(end_m(moves) > 60.0);
-  CHECK(end_m(drifts) > 60.0);
-}
-
 TEST_CASE("a cell ends where directions do") {
   const acoustics::Footprints abeam =
       footprint({0.0, 1.0, 0.0, -5.0}, {0.95F, 1.05F, -0.01F, 0.01F}, {0.1F, 100.0F});
   CHECK(abeam.near_m[0] == near(5.0, 1e-3));
   for (std::size_t k = 0; k < 4; ++k) CHECK(abeam.corner_m[1][k][0] == near(-5.0, 1e-6));
+}
+
+// Hits of a batch share vectors, and batches end where their hits do.
+TEST_CASE("a batch of patches is what its hits are one by one") {
+  std::vector<acoustics::Face> faces(3);
+  faces[0] = {{-1.0, 0.0, 0.0, -5.0}, 0.0, 5, 0, -1};  // ahead
+  faces[1] = {{0.0, 0.0, 1.0, -2.0}, 0.0, 5, 0, -1};   // a floor: seen from above only
+  faces[2] = {{0.0, -0.6, 0.8, -3.0}, 0.0, 5, 0, -1};  // leans
+  Wall wall(7);
+  std::vector<std::int32_t> face;
+  for (std::size_t hit = 0; hit < wall.none.size(); ++hit) {
+    face.push_back(static_cast<std::int32_t>(hit % 5) - 1 == 3 ? 0 : static_cast<int>(hit % 5) - 1);
+  }
+  acoustics::ScatterInput echoes = wall.echoes(1, face.size());
+  echoes.faces.table = faces.data();
+  echoes.hits.face = face.data();
+  acoustics::Footprints batch, single;
+  std::size_t taken = 0, existing = 0, batches = 0;
+  for (std::size_t next = 0; next < face.size(); ++batches) {
+    const std::size_t first = next;
+    next = acoustics::footprints_of(echoes, first, face.size(), batch);
+    for (std::size_t i = 0; i < batch.count; ++i, ++taken) {
+      CHECK(face[batch.hit[i]] >= 0);
+      CHECK((batch.hit[i] >= first && batch.hit[i] < next));
+      acoustics::footprints_of(echoes, batch.hit[i], batch.hit[i] + 1, single);
+      CHECK(single.count == 1);
+      CHECK(single.exists[0] == batch.exists[i]);
+      existing += batch.exists[i] ? 1 : 0;
+      CHECK(single.near_m[0] == batch.near_m[i]);
+      CHECK(single.far_m[0] == batch.far_m[i]);
+      for (std::size_t axis = 0; axis < 3; ++axis) {
+        for (std::size_t k = 0; k < 4; ++k) {
+          CHECK(single.corner_m[axis][k][0] == batch.corner_m[axis][k][i]);
+        }
+      }
+    }
+    for (std::size_t i = batch.count; i < acoustics::kPatches; ++i) CHECK(!batch.exists[i]);
+  }
+  CHECK(batches == 2);
+  CHECK(taken == static_cast<std::size_t>(
+                     std::count_if(face.begin(), face.end(), [](int f) { return f >= 0; })));
+  CHECK((existing > taken / 3 && existing < taken));
 }
 
 TEST_CASE("a beam counts there and back, and like losses and gains it is one of amplitudes") {

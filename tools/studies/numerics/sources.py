@@ -72,7 +72,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "`footprint`, `scatter_*`": (
         "cpp/python/acoustics/scatter.cpp",
-        *_in(ACOUSTICS, "footprint.cpp scatter_field.cpp scatter_power.cpp"),
+        *_in(ACOUSTICS, "footprint.cpp patches.cpp scatter_field.cpp scatter_power.cpp"),
         *_in(HEARD, "footprint.hpp scatter.hpp"),
     ),
     "`nodes`": _in(ACOUSTICS, "nodes.cpp nodes.hpp"),

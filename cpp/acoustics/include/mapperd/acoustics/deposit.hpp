@@ -46,7 +46,8 @@ class Deposit {
   std::vector<float> taps_;  ///< each twice, for the real and the imaginary part
   std::array<float, kBatch> pressure_{}, real_{}, imaginary_{};
   std::array<std::int32_t, kBatch> fraction_{};
-  std::array<std::int32_t, kBatch + kFetchAhead> cell_{};  ///< beyond the batch: of the last one
+  std::array<std::int32_t, kBatch + kFetchAhead>
+      cell_{};  ///< beyond the batch: any of the field, to be fetched only
 };
 
 }  // namespace mapperd::acoustics

@@ -6,7 +6,6 @@
 #pragma once
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstddef>
 
@@ -33,7 +32,7 @@ inline Reals reals_of(double from_s, double to_s, double w) {
   return {most, std::min(std::max(from_s, -most), most), std::min(std::max(to_s, -most), most)};
 }
 
-/// Hits of a batch. Loops over a batch run to its end, whether it is full or not.
+/// Maximum hits of a batch. Loops over a batch run to its end, whether it is full or not.
 constexpr std::size_t kPatches = 32;
 
 /// One number per hit of a batch.
@@ -45,11 +44,12 @@ using PerHit = Number[kPatches];
 struct Footprints {
   std::size_t count = 0;
   PerHit<std::size_t> hit{};
-  PerHit<bool> exists{};         ///< false: a leg is behind the plane or does not see it
-  PerHit<double> normal[3]{};    ///< of length 1
-  PerHit<double> offset{};       ///< of the plane n.p
-  PerHit<double> origin_m[3]{};  ///< of the seeing leg
-  PerHit<double> height_m{};     ///< of the plane over it, along n
+  PerHit<bool>
+      exists{};  ///< false: a leg is behind the plane or does not see it, or the batch ends before
+  PerHit<double> normal[3]{};                              ///< of length 1
+  PerHit<double> offset{};                                 ///< of the plane n.p
+  PerHit<double> origin_m[3]{};                            ///< of the seeing leg
+  PerHit<double> height_m{};                               ///< of the plane over it, along n
   PerHit<double> transmit_height_m{}, receive_height_m{};  ///< over the other legs' origins
   PerHit<double> min_facing{};                             ///< minimum |n.d| within a patch
   PerHit<double> corner_m[3][4]{};                         ///< by axis, around the patch

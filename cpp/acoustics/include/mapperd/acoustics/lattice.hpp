@@ -6,8 +6,6 @@
 /// Functions of their arguments: any thread may call them.
 #pragma once
 
-#include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
