@@ -11,13 +11,13 @@ namespace {
 constexpr double kPi = 3.14159265358979323846;
 
 // The seeing legs and the cells of a batch.
-struct Seen {
+struct SeenCells {
   PerHit<double> rotation[9];  // of the seeing leg
   PerHit<double> from_s, to_s, from_w, to_w;
 };
 
 // Copies what belongs to one hit into the batch.
-void take(const ScatterInput& echoes, std::size_t hit, Seen& seen, Footprints& to) {
+void take(const ScatterInput& echoes, std::size_t hit, SeenCells& seen, Footprints& to) {
   const RayHits& hits = echoes.hits;
   const std::size_t i = to.count++;
   const double* plane = echoes.faces.table[hits.face[hit]].plane;
@@ -49,7 +49,8 @@ void take(const ScatterInput& echoes, std::size_t hit, Seen& seen, Footprints& t
 }
 
 // How much the middles of the cells face the planes; 0 where no footprint exists.
-MAPPERD_VECTORISED void face(const Seen& seen, const Footprints& patches, PerHit<double>& facing) {
+MAPPERD_VECTORISED void face(const SeenCells& seen, const Footprints& patches,
+                             PerHit<double>& facing) {
   MAPPERD_INDEPENDENT
   for (std::size_t i = 0; i < kPatches; ++i) {
     const double w = 0.5 * (seen.from_w[i] + seen.to_w[i]);
@@ -71,7 +72,7 @@ MAPPERD_VECTORISED void face(const Seen& seen, const Footprints& patches, PerHit
 }
 
 // Where the cells' four edges meet the planes, and how far that is.
-MAPPERD_VECTORISED void follow(const Seen& seen, const PerHit<double>& facing,
+MAPPERD_VECTORISED void follow(const SeenCells& seen, const PerHit<double>& facing,
                                Footprints& patches) {
   const PerHit<double>* const s_of[4] = {&seen.from_s, &seen.to_s, &seen.to_s, &seen.from_s};
   const PerHit<double>* const w_of[4] = {&seen.from_w, &seen.from_w, &seen.to_w, &seen.to_w};
@@ -118,7 +119,7 @@ MAPPERD_VECTORISED void follow(const Seen& seen, const PerHit<double>& facing,
 
 std::size_t footprints_of(const ScatterInput& echoes, std::size_t first, std::size_t last,
                           Footprints& patches) {
-  Seen seen{};
+  SeenCells seen{};
   patches.count = 0;
   std::size_t hit = first;
   for (; hit < last && patches.count < kPatches; ++hit) {

@@ -13,8 +13,8 @@ namespace {
 // Loops that run to a multiple of the vectors' length go over what is not read.
 
 // One patch's vectors, in the nodes' precision.
-struct Steps {
-  Steps(const Linear& from, std::size_t patch) {
+struct NodeSteps {
+  NodeSteps(const Linear& from, std::size_t patch) {
     for (std::size_t axis = 0; axis < 3; ++axis) {
       first[axis] = static_cast<float>(from.first[axis][patch]);
       along[axis] = static_cast<float>(from.along[axis][patch]);
@@ -28,7 +28,7 @@ struct Steps {
 MAPPERD_VECTORISED void jitter(const Patches& patches, std::size_t patch, std::size_t first,
                                std::size_t count, Nodes& nodes, float* __restrict along,
                                float* __restrict across) {
-  const Steps from(patches.place, patch);
+  const NodeSteps from(patches.place, patch);
   const std::uint64_t key = patches.key[patch];
   const auto low = static_cast<std::uint32_t>(key);
   const auto high = static_cast<std::uint32_t>(key >> 32);
@@ -65,7 +65,7 @@ MAPPERD_VECTORISED void jitter(const Patches& patches, std::size_t patch, std::s
 }
 
 // Normals at such places.
-MAPPERD_VECTORISED void incline(const Steps& from, const float* __restrict along,
+MAPPERD_VECTORISED void incline(const NodeSteps& from, const float* __restrict along,
                                 const float* __restrict across, std::size_t first,
                                 std::size_t count, Nodes& nodes) {
   const float x0 = from.first[0], y0 = from.first[1], z0 = from.first[2];
@@ -288,7 +288,7 @@ void place(const Footprints& footprints, const Patches& patches, std::size_t pat
   if (traits.round) {
     // A whole number of vectors, as above.
     const std::size_t whole = (count + kLanes - 1) / kLanes * kLanes;
-    incline(Steps(patches.normal, patch), along, across, first, whole, nodes);
+    incline(NodeSteps(patches.normal, patch), along, across, first, whole, nodes);
   }
   if (!traits.lobe) {
     return;

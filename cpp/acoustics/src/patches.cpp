@@ -258,9 +258,9 @@ void lay(const ScatterInput& echoes, const Footprints& footprints, Patches& patc
     patches.exists[i] = i < footprints.count && footprints.exists[i] && lattices.shadow_m2[i] > 0.0;
     if (patches.exists[i]) {
       const Face& face = echoes.faces.table[hits.face[footprints.hit[i]]];
-      const Origin origin = origin_of(echoes.model.key, face.object,
-                                      {lattices.normal_axis[i], lattices.along_level[i],
-                                       lattices.across_level[i], lattices.turn[i]});
+      const LatticeOrigin origin = origin_of(echoes.model.key, face.object,
+                                             {lattices.normal_axis[i], lattices.along_level[i],
+                                              lattices.across_level[i], lattices.turn[i]});
       patches.key[i] = origin.key;
       lattices.i0[i] = origin.i0;
       lattices.j0[i] = origin.j0;

@@ -72,12 +72,12 @@ MAPPERD_INLINE std::int64_t turn_of(double u, double v) {
 
 /// Where a lattice begins, at random, so that a scene's symmetry does not affect the number of
 /// nodes; and the key from which its nodes' keys follow.
-struct Origin {
+struct LatticeOrigin {
   std::uint64_t key;
   double i0, j0;
 };
 
-inline Origin origin_of(std::uint64_t key, std::uint32_t object, const LatticeName& name) {
+inline LatticeOrigin origin_of(std::uint64_t key, std::uint32_t object, const LatticeName& name) {
   const auto word = [](std::int64_t value) { return static_cast<std::uint64_t>(value) & 0xFFFFU; };
   const std::uint64_t names = word(name.along_level) << 32 | word(name.across_level) << 16 |
                               word(name.turn) << 2 | word(name.normal_axis);
