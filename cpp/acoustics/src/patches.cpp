@@ -17,7 +17,7 @@ constexpr double kRowsApart = 0.5;      // rows between nodes along the range, a
 
 // The lattices' properties, before their origins are known.
 struct Lattices {
-  PerHit<double> shadow_m2;          // of the patch on its coordinate plane; 0 where out of earshot
+  PerHit<double> shadow_m2;          // of the patch on its coordinate plane; 0 beyond the rows
   PerHit<std::int64_t> normal_axis;  // of the coordinate plane most parallel to the patch
   PerHit<double> cosine, sine;       // of the turn
   PerHit<double> along_m, across_m;  // steps
@@ -25,7 +25,7 @@ struct Lattices {
   PerHit<double> i0, j0;
 };
 
-// What is looked up for each hit.
+// Properties of the hits and their faces.
 struct Traits {
   PerHit<double> wide;  // columns
   PerHit<double> turn_per_m;

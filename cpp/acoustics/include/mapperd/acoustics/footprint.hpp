@@ -44,8 +44,7 @@ using PerHit = Number[kPatches];
 struct Footprints {
   std::size_t count = 0;
   PerHit<std::size_t> hit{};
-  PerHit<bool>
-      exists{};  ///< false: a leg is behind the plane or does not see it, or the batch ends before
+  PerHit<bool> exists{};  ///< false beyond `count`, and where a leg does not see the plane's front
   PerHit<double> normal[3]{};                              ///< of length 1
   PerHit<double> offset{};                                 ///< of the plane n.p
   PerHit<double> origin_m[3]{};                            ///< of the seeing leg
