@@ -1,3 +1,5 @@
+import sqlite3
+import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -16,6 +18,41 @@ class StopError(Exception):
     """Stands for the end of the process."""
 
 
+class Interrupt:
+    """Ends each attempt after some chunks, once a save of this attempt is in the file.
+
+    Saves come from another thread, so without the wait a busy machine might never make progress.
+    """
+
+    def __init__(self, path: Path, chunks: int) -> None:
+        self.path, self.chunks = path, chunks
+        self.interrupted = 0
+        self._begin()
+
+    def __call__(self, counters: PipelineCounters) -> None:
+        if counters is not self._counters:
+            self._begin(counters)
+        self._seen += 1
+        if self._seen < self.chunks:
+            return
+        until_s = time.monotonic() + 0.2
+        while time.monotonic() < until_s:
+            if self._position() != self._before:
+                self.interrupted += 1
+                raise StopError
+            time.sleep(0.001)
+
+    def _begin(self, counters: PipelineCounters | None = None) -> None:
+        self._counters, self._seen = counters, 0
+        self._before = self._position()
+
+    def _position(self) -> bytes | None:
+        if not self.path.exists():
+            return None
+        with closing(sqlite3.connect(self.path)) as file:
+            return bytes(file.execute("SELECT position FROM progress").fetchone()[0])
+
+
 @pytest.mark.parametrize("step", [7, 23, 40])
 def test_counts_of_a_run_that_resumes_add_up(
     tmp_path: Path,
@@ -28,19 +65,17 @@ def test_counts_of_a_run_that_resumes_add_up(
     config = msgspec.structs.replace(
         sessions.config_of(tmp_path), visualization=VisualizationConfig(tile_save_interval=1e-4)
     )
-    chunks, runs = 0, list[PipelineCounters]()
+    runs = list[PipelineCounters]()
+    interrupt = Interrupt(path, step)
 
-    def interrupt(counters: PipelineCounters) -> None:
-        nonlocal chunks
-        runs[-1] = counters
-        chunks += 1
-        if chunks % step == 0:
-            raise StopError
+    def on_chunk(counters: PipelineCounters) -> None:
+        if not runs or runs[-1] is not counters:
+            runs.append(counters)
+        interrupt(counters)
 
     for _ in range(40):
-        runs.append(PipelineCounters())
         try:
-            map_into_store([recording], config, None, path, interrupt)
+            map_into_store([recording], config, None, path, on_chunk)
         except StopError:
             continue
         break
@@ -60,15 +95,8 @@ def test_map_of_the_arc_rule_that_resumes_is_that_of_the_whole_recording(tmp_pat
         truth = whole.sha256()
     assert rule["surface_returns"] > 100
     assert truth == sessions.reference(config, "a")
-    chunks = 0
-
-    def interrupt(_: PipelineCounters) -> None:
-        nonlocal chunks
-        chunks += 1
-        if chunks % 17 == 0:
-            raise StopError
-
-    for _ in range(200):  # an attempt may end before the first save
+    interrupt = Interrupt(tmp_path / "cut.map", 17)
+    for _ in range(40):
         try:
             found = map_into_store([recording], config, None, tmp_path / "cut.map", interrupt)
         except StopError:
@@ -76,7 +104,7 @@ def test_map_of_the_arc_rule_that_resumes_is_that_of_the_whole_recording(tmp_pat
         break
     else:
         pytest.fail("no attempt came to the end")
-    assert chunks > 4 * 17
+    assert interrupt.interrupted > 1
     with closing(found[0]):
         assert found[0].sha256() == truth
     assert found[3] == rule
