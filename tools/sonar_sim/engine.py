@@ -17,7 +17,7 @@ from sonar_sim.propagation.physics import Physics
 from sonar_sim.propagation.point_targets import add_targets
 from sonar_sim.propagation.propagation_path import (
     PingGeometry,
-    audible_faces,
+    audible_materials,
     direct_paths,
     mirror_paths,
 )
@@ -202,7 +202,7 @@ class PingEngine:
             time_s=time_s,
             listening_s=2.0 * range_m / self.scene.water.speed_of_sound_mps,
             range_m=range_m,
-            heard=audible_faces(self._meshes, names, physics),
+            heard=audible_materials(names, physics),
             threads=self._threads,
         )
 

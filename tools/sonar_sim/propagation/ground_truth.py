@@ -116,7 +116,7 @@ def _power(
     if physics.vertical_width_rad is not None:
         up = rays.fan.directions[hit, 2].astype(np.float64)
         power *= vertical_two_way_power(up, physics.vertical_width_rad)
-    heard: NDArray[np.float64] = power * here.heard[face]
+    heard: NDArray[np.float64] = power * here.echoes(face)
     return heard
 
 

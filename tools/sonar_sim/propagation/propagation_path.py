@@ -59,7 +59,7 @@ class PingGeometry:
         time_s: of the transmission.
         listening_s: from the transmission to the last row's echo.
         range_m: true range of the last row's end.
-        heard: faces that send something back, (F,).
+        heard: materials that send something back, (M,).
         threads: that share the rays.
     """
 
@@ -73,12 +73,15 @@ class PingGeometry:
     heard: NDArray[np.bool_]
     threads: int
 
+    def echoes(self, face: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Which hits send something back, (N,), by their faces; -1 is none."""
+        echoes: NDArray[np.bool_] = self.heard[self.meshes.material[face]] & (face >= 0)
+        return echoes
 
-def audible_faces(meshes: Meshes, names: tuple[str, ...], physics: Physics) -> NDArray[np.bool_]:
-    """Faces that send something back: not the silent surfaces', and the sea's if it scatters."""
-    surfaces = [name not in physics.silent for name in names]
-    by_surface = np.array([*surfaces, physics.sea_surface])
-    return by_surface[meshes.material]
+
+def audible_materials(names: tuple[str, ...], physics: Physics) -> NDArray[np.bool_]:
+    """All but the silent surfaces', and the sea's if it scatters, (M,)."""
+    return np.array([*(name not in physics.silent for name in names), physics.sea_surface])
 
 
 def direct_paths(here: PingGeometry, rays: Trace) -> list[_core.Rays]:
@@ -86,7 +89,7 @@ def direct_paths(here: PingGeometry, rays: Trace) -> list[_core.Rays]:
     legs = _LegTable(here)
     ways = []
     for met in rays.met:
-        echoes = (met.face >= 0) & here.heard[met.face]
+        echoes = here.echoes(met.face)
         gain = np.ones(len(met.face), dtype=np.float32)
         if here.physics.clouds:
             hit = np.flatnonzero(echoes)
@@ -174,7 +177,7 @@ def mirror_paths(
         return []
     seen = _seen_in_mirror(here, fan, mirror, image, reach_m)
     met = seen.met[0]
-    hit = np.flatnonzero((met.face >= 0) & here.heard[met.face])
+    hit = np.flatnonzero(here.echoes(met.face))
     frames = here.meshes.poses(here.time_s)
     direct = [leg_in_frame(f, here.pose.position_m, here.pose.rotation) for f in frames]
     bounced = [

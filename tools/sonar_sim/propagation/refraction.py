@@ -271,7 +271,7 @@ class _Found:
 
 def _ways(here: PingGeometry, fan: RayFan, start: NDArray[np.float64], found: _Found) -> _core.Rays:
     """The sound's ways to what was met and back."""
-    hit = np.flatnonzero((found.face >= 0) & here.heard[found.face])
+    hit = np.flatnonzero(here.echoes(found.face))
     legs = _virtual_legs(
         here,
         found.group[hit],
