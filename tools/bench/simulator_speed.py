@@ -19,6 +19,7 @@ from sonar_sim import Simulator, load_scenario
 from sonar_sim.effects.rule_check import measured_costs_ms
 from sonar_sim.engine import PingEngine
 from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
+from sonar_sim.simulator import PINGS_A_TASK
 from studies.report import PAGES, write_section
 
 if TYPE_CHECKING:
@@ -183,7 +184,10 @@ def _work(
     ready: "Barrier",
     results: "Queue[tuple[Counter[str], float]]",
 ) -> None:
-    """In a process of its own: make every so manieth ping; reports effects and CPU time."""
+    """In a process of its own: make a share of the pings; reports effects and CPU time.
+
+    Pings are dealt in blocks, as `simulate_pings` deals them.
+    """
     scenario = _scenario(*size)
     simulator = Simulator(scenario.scene, scenario.sonar, threads=1)
     used: Counter[str] = Counter()
@@ -196,8 +200,10 @@ def _work(
     ping(0)  # the first one warms up
     ready.wait()
     start_s = time.process_time()
-    for number in range(share[0], len(times_s), share[1]):
-        used.update(ping(number))
+    place, workers = share
+    for number in range(len(times_s)):
+        if number // PINGS_A_TASK % workers == place:
+            used.update(ping(number))
     results.put((used, time.process_time() - start_s))
 
 
@@ -286,7 +292,7 @@ def _costs(scenario: Scenario, simulator: Simulator, time_s: float) -> dict[str,
 def main() -> None:
     """Measure both sizes."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--pings", type=int, default=100)
+    parser.add_argument("--pings", type=int, default=96)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--scenes", action="store_true", help="only the table of all scenes")
     parser.add_argument("--write", action="store_true", help="into docs/reports/performance.md")

@@ -155,7 +155,8 @@ def simulate(
     return simulator.ping(pose, 0, time_s, motion, truth=truth)
 
 
-PINGS_A_TASK = 4
+PINGS_A_TASK = 16
+"""Successive pings that one process makes: they share what is decided about effects."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
