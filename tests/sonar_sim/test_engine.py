@@ -260,9 +260,30 @@ def test_doppler_moves_what_closes() -> None:
         assert (rows - plain) * 0.01 == pytest.approx(0.04, abs=0.011)
 
 
+def test_doppler_shifts_what_approaches() -> None:
+    shifted = dataclasses.replace(MEAN, doppler_shift_s=0.02)
+    approach = Drift(velocity_mps=(-2.0, 0.0, 0.0))
+    for scene in (
+        Scene((dataclasses.replace(plate(3.0), motion=approach),)),
+        Scene(targets=(dataclasses.replace(target((3.0, 0.0, 0.0)), motion=approach),)),
+    ):
+        plain = np.flatnonzero(picture(scene, MEAN).max(axis=1))[0]
+        rows = np.flatnonzero(picture(scene, shifted).max(axis=1))[0]
+        assert (rows - plain) * 0.01 == pytest.approx(0.04, abs=0.011)
+
+
 def test_a_wrong_speed_of_sound_stretches_ranges() -> None:
     stretched = picture(Scene((plate(4.0),)), dataclasses.replace(MEAN, range_scale=1.05))
     assert np.flatnonzero(stretched.max(axis=1))[0] * 0.01 == pytest.approx(4.2, abs=0.011)
+
+
+@pytest.mark.parametrize("scale", [0.7, 1.0, 1.4])
+def test_a_floor_stays_even_if_its_ranges_are_stretched(scale: float) -> None:
+    rows = picture(Scene((floor(-2.0, CHALK),)), dataclasses.replace(MEAN, range_scale=scale))
+    level_db = 20.0 * np.log10(rows[round(330 * scale) : round(420 * scale), 10])
+    place = np.arange(len(level_db))
+    smooth_db = np.polynomial.Polynomial.fit(place, level_db, 3)(place)
+    assert np.abs(level_db - smooth_db).max() < 0.1
 
 
 @pytest.mark.parametrize(

@@ -283,12 +283,13 @@ def edges(
     range_m: NDArray[np.float32],
     face: NDArray[np.int32],
     group: NDArray[np.int32],
+    standing: int,
     column: NDArray[np.int32],
     normals: NDArray[np.float32],
     smooth: NDArray[np.int32],
     max_slope: float,
     min_step_m: float,
-    turned: float,
+    min_cosine: float,
 ) -> NDArray[np.int64]:
     """Rays whose upper neighbour in the column met something else, in order.
 
@@ -296,13 +297,14 @@ def edges(
         direction: map frame, column after column from below upwards, (N, 3).
         range_m: at which each ray met something, (N,).
         face: that was met, negative where nothing, (N,).
-        group: whose frame the face is given in; by faces only those of group 0 are compared, (N,).
+        group: whose frame the face is given in, (N,).
+        standing: the group in the map's frame, -1 for none: hits of others are compared by group.
         column: of the fan, (N,).
         normals: of the faces, (F, 3).
         smooth: of the faces, not negative where round, (F,).
         max_slope: slope by which one neighbour may leave the other's plane.
         min_step_m: by which it may in any case.
-        turned: least cosine between the normals on a round surface.
+        min_cosine: between the normals on a round surface.
     """
 
 def spans(

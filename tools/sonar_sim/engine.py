@@ -156,7 +156,7 @@ class PingEngine:
             physics: what to compute.
             ping_id: names the noise; equal numbers give equal noise.
             time_s: of the transmission; moving objects stand where they are then.
-            motion: of the sonar while it listens, used where `physics.pose_blocks` > 1.
+            motion: of the sonar while it listens: for the blocks of poses and the Doppler shift.
             truth: whether to work out the truth of rays and pixels.
 
         Raises:
@@ -275,7 +275,7 @@ class PingEngine:
         )
 
     def _loss(self, physics: Physics) -> NDArray[np.float32]:
-        """Pressure that the way to each row and back leaves, source included, (rows,)."""
+        """Pressure at each row's range, of source level and absorption both ways, (rows,)."""
         range_m = self.sonar.row_centres_m / physics.range_scale
         level_db = self.sonar.source_level_db - 2.0 * physics.attenuation_db_per_m * range_m
         loss: NDArray[np.float32] = (10.0 ** (level_db / 20.0)).astype(np.float32)

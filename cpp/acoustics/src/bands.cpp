@@ -1,11 +1,10 @@
 #include "mapperd/acoustics/bands.hpp"
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
-#include <thread>
 
 #include "mapperd/acoustics/footprint.hpp"
+#include "mapperd/common/parallel.hpp"
 
 namespace mapperd::acoustics {
 
@@ -106,27 +105,10 @@ Band band_of(const ScatterInput& echoes, std::size_t first, std::size_t last) {
 
 }  // namespace
 
-void share(std::size_t count, int threads, const std::function<void(std::size_t)>& task) {
-  std::atomic<std::size_t> next{0};
-  const auto work = [&] {
-    for (std::size_t i = next++; i < count; i = next++) {
-      task(i);
-    }
-  };
-  std::vector<std::thread> helpers;
-  for (int t = 1; t < threads; ++t) {
-    helpers.emplace_back(work);
-  }
-  work();
-  for (std::thread& helper : helpers) {
-    helper.join();
-  }
-}
-
 std::vector<Band> bands_of(const ScatterInput& echoes, int threads) {
   // Cut by bearing, not by number: what is out of earshot then shifts no hit to another band.
   std::vector<Band> bands(kBands);
-  share(kBands, threads, [&](std::size_t i) {
+  run_parallel(kBands, threads, [&](std::size_t i) {
     bands[i] = band_of(echoes, first_from(echoes, i), first_from(echoes, i + 1));
   });
   return bands;
@@ -150,8 +132,7 @@ void in_bands(const std::vector<Band>& bands, int threads,
     round->push_back(&band);
   }
   for (const auto& round : rounds) {
-    const int helpers = std::min(threads, static_cast<int>(round.size()));
-    share(round.size(), helpers, [&](std::size_t i) { task(*round[i]); });
+    run_parallel(round.size(), threads, [&](std::size_t i) { task(*round[i]); });
   }
 }
 

@@ -6,6 +6,7 @@
 #include <cstring>
 #include <unordered_map>
 
+#include "mapperd/common/vec.hpp"
 #include "morton.hpp"
 
 namespace mapperd::acoustics {
@@ -14,8 +15,6 @@ namespace {
 
 constexpr float kFlat = 1.0F - 1e-6F;  // cosine between the normals of faces of one plane
 constexpr float kCrease = 0.9F;        // and of a crease, at most
-
-float dot3(const float* a, const float* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 using Place = std::array<std::uint32_t, 3>;  // bits of a corner's coordinates
 

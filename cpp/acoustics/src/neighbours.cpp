@@ -3,13 +3,13 @@
 #include <algorithm>
 #include <cmath>
 
+#include "mapperd/common/vec.hpp"
+
 namespace mapperd::acoustics {
 
 namespace {
 
 constexpr float kAtSameHeight = 1e-6F;  // sine of elevation
-
-float dot3(const float* a, const float* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 // Whether two hits of the standing scene are of different surfaces, or far apart on a round one.
 bool differ(const Traced& rays, std::size_t low, const float* normals, const std::int32_t* smooth,
@@ -29,7 +29,7 @@ bool differ(const Traced& rays, std::size_t low, const float* normals, const std
   if (std::fabs(dot3(below, step)) > allowed || std::fabs(dot3(above, step)) > allowed) {
     return true;
   }
-  return smooth[rays.face[high]] >= 0 && dot3(below, above) < same.turned;
+  return smooth[rays.face[high]] >= 0 && dot3(below, above) < same.min_cosine;
 }
 
 bool is_edge(const Traced& rays, std::size_t low, const float* normals, const std::int32_t* smooth,
@@ -44,7 +44,7 @@ bool is_edge(const Traced& rays, std::size_t low, const float* normals, const st
   if (rays.group[low] != rays.group[high]) {
     return true;
   }
-  return rays.group[high] == 0 && differ(rays, low, normals, smooth, same);
+  return rays.group[high] == rays.standing && differ(rays, low, normals, smooth, same);
 }
 
 // Ranges between which neighbours met what a ray met.

@@ -58,7 +58,7 @@ class Averager {
   }
 
   [[nodiscard]] double pieces(double extent_m) const {
-    const double rows = std::ceil(extent_m / (kRowsPerPiece * e_.grid.row_m));
+    const double rows = std::ceil(extent_m * e_.grid.range_scale / (kRowsPerPiece * e_.grid.row_m));
     return std::clamp(rows, curved_normal_ != nullptr || strength_.has_lobe() ? 8.0 : 4.0,
                       kMaxPieces);
   }
@@ -176,7 +176,8 @@ class Averager {
     if (e_.model.spreading) {
       power /= out.range_m * out.range_m * back.range_m * back.range_m;
     }
-    over_rows(power, apparent_m / grid.row_m, std::max(extent_m / grid.row_m, 1e-6), column,
+    const double height = std::max(extent_m * grid.range_scale / grid.row_m, 1e-6);
+    over_rows(power, apparent_m / grid.row_m, height, column,
               e_.response.taps + at.fraction * e_.response.tap_count);
   }
 

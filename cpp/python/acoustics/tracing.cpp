@@ -29,9 +29,9 @@ void check_faces(const Array<std::int32_t>& face, py::ssize_t all) {
 
 py::array edges(const Array<float>& direction, const Array<float>& range_m,
                 const Array<std::int32_t>& face, const Array<std::int32_t>& group,
-                const Array<std::int32_t>& column, const Array<float>& normals,
-                const Array<std::int32_t>& smooth, float max_slope, float min_step_m,
-                float turned) {
+                std::int32_t standing, const Array<std::int32_t>& column,
+                const Array<float>& normals, const Array<std::int32_t>& smooth, float max_slope,
+                float min_step_m, float min_cosine) {
   const py::ssize_t count = face.size();
   require(direction.size() == 3 * count && range_m.size() == count && group.size() == count &&
               column.size() == count,
@@ -42,8 +42,8 @@ py::array edges(const Array<float>& direction, const Array<float>& range_m,
   {
     const py::gil_scoped_release unlocked;
     found = acoustics::edges({static_cast<std::size_t>(count), direction.data(), range_m.data(),
-                              face.data(), group.data(), column.data()},
-                             normals.data(), smooth.data(), {max_slope, min_step_m, turned});
+                              face.data(), group.data(), standing, column.data()},
+                             normals.data(), smooth.data(), {max_slope, min_step_m, min_cosine});
   }
   return Array<std::int64_t>(static_cast<py::ssize_t>(found.size()), found.data());
 }
@@ -61,7 +61,7 @@ py::array spans(const Array<float>& range_m, const Array<std::int32_t>& face,
   {
     const py::gil_scoped_release unlocked;
     acoustics::spans({static_cast<std::size_t>(count), nullptr, range_m.data(), face.data(),
-                      nullptr, column.data()},
+                      nullptr, 0, column.data()},
                      up.data(), surface.data(), size_m.data(), to);
   }
   return out;
@@ -242,8 +242,8 @@ py::tuple refined_rays(const Array<float>& direction, const Array<float>& cell,
 void bind_tracing(py::module_& module) {
   using py::arg;
   module.def("edges", &edges, arg("direction"), arg("range_m"), arg("face"), arg("group"),
-             arg("column"), arg("normals"), arg("smooth"), arg("max_slope"), arg("min_step_m"),
-             arg("turned"));
+             arg("standing"), arg("column"), arg("normals"), arg("smooth"), arg("max_slope"),
+             arg("min_step_m"), arg("min_cosine"));
   module.def("spans", &spans, arg("range_m"), arg("face"), arg("column"), arg("up"), arg("surface"),
              arg("size_m"));
   py::class_<acoustics::MeshEdges>(module, "EdgeTable")

@@ -10,9 +10,9 @@ from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.rule_check import RuleChecker
 from sonar_sim.effects.texture import FAR_QUANTILE
 from sonar_sim.geometry.pose import Mounting
-from sonar_sim.geometry.trajectory import Motion, Trajectory, Waypoint
+from sonar_sim.geometry.trajectory import Drift, Motion, Trajectory, Waypoint
 from sonar_sim.scene.scenario import Scenario
-from sonar_sim.scene.scene import Scene
+from sonar_sim.scene.scene import PointTarget, Scene
 from sonar_sim.scene.water import Water
 
 from tests.sonar_sim.effects.previews import SONAR, floor, motion, pose, verdict, view_of, wall
@@ -60,6 +60,15 @@ def test_doppler_is_the_chirps_coupling() -> None:
     assert not on(0.3)
     # Doppler and travel time shift against each other: 1.5 rows less 0.6.
     assert on(1.5)
+
+
+@pytest.mark.parametrize("name", ["motion", "doppler"])
+def test_targets_that_move_are_displaced_too(name: str) -> None:
+    target = PointTarget("fish", (0.0, 0.0, 0.0), 0.0)
+    for velocity_mps, on in (((-1.8, 0.0, 0.0), True), ((0.0, 0.0, 0.0), False)):
+        path = Drift(position_m=(9.0, 0.0, 0.0), velocity_mps=velocity_mps)
+        scene = Scene(targets=(replace(target, motion=path),))
+        assert verdict(name, view_of(scene=scene, at=pose(0.0))).on is on
 
 
 def test_refraction_goes_with_the_gradient() -> None:

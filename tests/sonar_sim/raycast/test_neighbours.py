@@ -61,6 +61,7 @@ def edges_of(
     group: list[int] | None = None,
     column: list[int] | None = None,
     smooth: np.ndarray = FLAT,
+    standing: int = 0,
 ) -> list[int]:
     """Edges among rays that end on the plane z = -1, side by side."""
     count = len(face)
@@ -72,6 +73,7 @@ def edges_of(
         range_m.astype(np.float32),
         np.array(face, dtype=np.int32),
         np.array(group or [0] * count, dtype=np.int32),
+        standing,
         np.array(column or [0] * count, dtype=np.int32),
         NORMALS,
         smooth,
@@ -92,6 +94,11 @@ def test_neighbours_of_another_column_or_owner_are_distinguished() -> None:
     assert edges_of([0, 0, 2, 2], group=[0, 1, 1, 0]) == [0, 2]
 
 
+def test_normals_of_a_moving_object_are_not_compared() -> None:
+    assert edges_of([0, 3, 3], smooth=ROUND) == [0]
+    assert edges_of([0, 3, 3], smooth=ROUND, standing=-1) == []
+
+
 def test_a_round_surface_has_an_edge_where_its_normal_turns() -> None:
     assert edges_of([0, 3, 3]) == []
     assert edges_of([0, 3, 3], smooth=ROUND) == [0]
@@ -107,6 +114,7 @@ def test_a_step_off_the_plane_is_an_edge() -> None:
             np.array([1.0, 1.0 + gap_m], dtype=np.float32),
             np.array([0, 1], dtype=np.int32),
             nothing,
+            0,
             nothing,
             NORMALS,
             FLAT,

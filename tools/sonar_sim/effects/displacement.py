@@ -28,8 +28,13 @@ STEP_S = 1e-3
 
 
 def object_velocity_mps(view: PingPreview) -> NDArray[np.float64]:
-    """Velocity of what each echo came from, map frame, (N, 3)."""
+    """Velocity of each echo's object, map frame, (N, 3); its own turning is left out."""
     velocity = np.zeros((len(view.echoes.range_m), 3))
+    for target in view.scene.targets:
+        if target.motion is not None:
+            here_m, soon_m = (target.position_at_m(view.time_s + t) for t in (0.0, STEP_S))
+            its = np.all(view.echoes.point_m == here_m, axis=1)
+            velocity[its] = (soon_m - here_m) / STEP_S
     for number, surface in enumerate(view.scene.surfaces):
         if surface.motion is not None:
             now, soon = (surface.motion.pose(view.time_s + after) for after in (0.0, STEP_S))

@@ -43,11 +43,6 @@ class Previewer:
         self._bottoms = floor_surfaces(scene)
 
     @property
-    def scene(self) -> Scene:
-        """What is looked at."""
-        return self._scene
-
-    @property
     def sonar(self) -> SonarSettings:
         """What looks."""
         return self._sonar
@@ -66,11 +61,6 @@ class Previewer:
             return True
         direction = (way_m / length_m).astype(np.float32).reshape(1, 3)
         return bool(self._meshes.cast(from_m, direction, time_s, length_m, threads=1).face[0] < 0)
-
-    @property
-    def bottoms(self) -> frozenset[str]:
-        """Names of the surfaces that are the floor."""
-        return self._bottoms
 
     def at(
         self,

@@ -65,7 +65,9 @@ def truth_of(
     range_m = met.range_m[hit]
     surface = meshes.surface[met.face[hit]]
     power = _power(rays, meshes, here, hit=hit, facing=np.abs(facing), wavelength_m=wavelength_m)
-    owner = _owners(rays, hit, normal, range_m * here.physics.range_scale, power=power, sonar=sonar)
+    apparent_m, turn = range_m * here.physics.range_scale, here.pose.rotation
+    reach_m = _reach(rays, hit, normal @ turn, np.abs(facing), apparent_m)
+    owner = _owners(rays, hit, reach_m, apparent_m, power=power, sonar=sonar)
     empty = owner == NOTHING
 
     def pick(values: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -123,7 +125,7 @@ def _power(
 def _owners(
     rays: Trace,
     hit: NDArray[np.int64],
-    normal: NDArray[np.float64],
+    reach_m: NDArray[np.float64],
     apparent_m: NDArray[np.float32],
     *,
     power: NDArray[np.float64],
@@ -131,7 +133,7 @@ def _owners(
 ) -> NDArray[np.int64]:
     """Which hit each pixel shows, (rows, beams): the strongest of those whose cells cover it."""
     beam = rays.fan.column[hit] - (rays.fan.columns - sonar.beams) // 2
-    half = 0.5 * _reach(rays, hit, normal, apparent_m) / sonar.range_resolution_m
+    half = 0.5 * reach_m / sonar.range_resolution_m
     middle = apparent_m / sonar.range_resolution_m
     first = np.clip(np.floor(middle - half), 0, sonar.rows).astype(np.int64)
     last = np.clip(np.floor(middle + half) + 1, 0, sonar.rows).astype(np.int64)
@@ -151,15 +153,17 @@ def _reach(
     rays: Trace,
     hit: NDArray[np.int64],
     normal: NDArray[np.float64],
+    facing: NDArray[np.float64],
     range_m: NDArray[np.float32],
 ) -> NDArray[np.float64]:
-    """How far a hit's cell reaches in range over its plane: dR = R (n.dd) / (n.d) along w."""
+    """How far a hit's cell reaches in range over its plane: dR = R (n.dd) / (n.d) along w.
+
+    Normals are in the sonar's frame.
+    """
     cell = rays.fan.cell[hit].astype(np.float64)
-    turn = np.linalg.lstsq(rays.fan.directions, rays.direction, rcond=None)[0]
-    local = normal @ turn.T
     x, _, z = rays.fan.directions[hit].T.astype(np.float64)
     x = np.maximum(x, MIN_AHEAD)
-    facing = np.maximum(np.abs(np.einsum("ij,ij->i", normal, rays.direction[hit])), 1e-3)
-    along = range_m / facing * np.abs(local[:, 2] - local[:, 0] * z / x) * (cell[:, 3] - cell[:, 2])
+    tilt = np.abs(normal[:, 2] - normal[:, 0] * z / x)
+    along = range_m / np.maximum(facing, 1e-3) * tilt * (cell[:, 3] - cell[:, 2])
     reach: NDArray[np.float64] = np.minimum(along, 0.5 * range_m)
     return reach

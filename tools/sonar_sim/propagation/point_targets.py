@@ -8,7 +8,12 @@ from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.clouds import cloud_gain
 from sonar_sim.propagation.mirror import RELATIVE_GAP, reaches_mirror
 from sonar_sim.propagation.physics import Mirror
-from sonar_sim.propagation.propagation_path import PingGeometry, mirrored, pair_gain
+from sonar_sim.propagation.propagation_path import (
+    OBJECT_STEP_S,
+    PingGeometry,
+    mirrored,
+    pair_gain,
+)
 from sonar_sim.propagation.refraction import EigenRay, eigenrays
 from sonar_sim.scene.scene import PointTarget
 from sonar_sim.scene.sonar import SonarSettings
@@ -36,15 +41,15 @@ def add_targets(
         targets: that may echo.
         here: the ping.
         sonar: settings.
-        loss: pressure that the way to each row and back leaves, source included, (rows,).
+        loss: pressure at each row's range, of source level and absorption both ways, (rows,).
         taps: spread of an echo between columns, (F, even).
         turns_per_m: 1 / wavelength.
     """
     speed_mps = sonar.frequency_hz / turns_per_m
     for target in targets:
-        position = target.position_at_m(here.time_s)
+        position, velocity_mps = _struck(here, target)
         for there, back, gain in _ways(here, position, speed_mps):
-            way = _TargetPath(here, there, back, position)
+            way = _TargetPath(here, there, back, position, velocity_mps)
             pressure = gain * 10.0 ** (target.target_strength_db / 20.0) * way.factor
             _deposit(cells, way, pressure, sonar, loss=loss, taps=taps, turns_per_m=turns_per_m)
 
@@ -58,6 +63,7 @@ class _TargetPath:
         there: FramePose,
         back: FramePose,
         position_m: NDArray[np.float64],
+        velocity_mps: NDArray[np.float64],
     ) -> None:
         physics = here.physics
         out = there.rotation.T @ (position_m - there.position_m)
@@ -65,10 +71,12 @@ class _TargetPath:
         out_m, heard_m = (max(float(np.linalg.norm(v)), 1e-6) for v in (out, heard))
         self.way_m = 0.5 * (out_m + heard_m)
         self.sine = -heard[1] / heard_m
-        closing = 0.0
+        leaves, arrives = out / out_m, heard / heard_m
+        opening = velocity_mps @ (there.rotation @ leaves + back.rotation @ arrives)
         if here.motion is not None:
-            closing = float(here.motion.linear_mps @ (there.rotation @ out)) / out_m
-        self.apparent_m = self.way_m * physics.range_scale + physics.doppler_shift_s * closing
+            # A mirror's image turns the other way round; the sonar itself moves as it is.
+            opening -= here.motion.linear_mps @ (here.pose.rotation @ (leaves + arrives))
+        self.apparent_m = self.way_m * physics.range_scale - physics.doppler_shift_s * opening / 2.0
         self.factor = 1.0
         if physics.vertical_width_rad is not None:
             up = np.array([out[2] / out_m, heard[2] / heard_m])
@@ -170,12 +178,30 @@ def _free(
     return bool(met.face[0] < 0 or met.range_m[0] > range_m - HIDDEN_M)
 
 
+def _struck(
+    here: PingGeometry, target: PointTarget
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Position and velocity of a target when the sound reaches it, map frame."""
+    start_m = target.position_at_m(here.time_s)
+    if target.motion is None:
+        return start_m, np.zeros(3)
+    velocity_mps = (target.position_at_m(here.time_s + OBJECT_STEP_S) - start_m) / OBJECT_STEP_S
+    if here.physics.pose_blocks == 1:
+        return start_m, velocity_mps
+    return target.position_at_m(here.time_s + _echo_s(here, start_m) / 2.0), velocity_mps
+
+
 def _later(here: PingGeometry, position_m: NDArray[np.float64]) -> FramePose:
-    """The sonar when the echo is back."""
+    """The sonar's pose when the echo arrives."""
     if here.motion is None or here.physics.pose_blocks == 1:
         return here.pose
+    return here.motion.pose(here.pose, _echo_s(here, position_m))
+
+
+def _echo_s(here: PingGeometry, position_m: NDArray[np.float64]) -> float:
+    """From the transmission to the echo's arrival."""
     range_m = float(np.linalg.norm(position_m - here.pose.position_m))
-    return here.motion.pose(here.pose, here.listening_s * range_m / here.range_m)
+    return here.listening_s * range_m / here.range_m
 
 
 def _swallowed(here: PingGeometry, position_m: NDArray[np.float64]) -> float:

@@ -115,7 +115,8 @@ class _LegTable:
     """Legs of each group at the transmission, then of each block of the listening time."""
 
     def __init__(self, here: PingGeometry) -> None:
-        self._blocks = here.physics.pose_blocks if here.motion is not None else 1
+        moves = here.motion is not None or here.meshes.moving
+        self._blocks = here.physics.pose_blocks if moves else 1
         self._block_m = here.range_m / self._blocks
         start = here.meshes.poses(here.time_s)
         self._groups = len(start)
@@ -124,10 +125,12 @@ class _LegTable:
             leg_in_frame(frame, here.pose.position_m, here.pose.rotation, drift)
             for frame, drift in zip(start, drifts, strict=True)
         ]
-        if self._blocks > 1 and here.motion is not None:
+        if self._blocks > 1:
             for block in range(self._blocks):
                 after_s = (block + 0.5) / self._blocks * here.listening_s
-                pose = here.motion.pose(here.pose, after_s)
+                pose = here.pose
+                if here.motion is not None:
+                    pose = here.motion.pose(here.pose, after_s)
                 rows += [
                     leg_in_frame(frame, pose.position_m, pose.rotation, drift)
                     for frame, drift in zip(
@@ -148,7 +151,10 @@ class _LegTable:
 
 
 def _drift(here: PingGeometry, group: int) -> NDArray[np.float64]:
-    """Growth of the apparent range by a closing speed of each direction's own, map frame."""
+    """Growth of the apparent range by a closing speed of each direction's own, map frame.
+
+    An object's own turning is left out.
+    """
     if here.physics.doppler_shift_s == 0.0:
         return np.zeros(3)
     own = np.zeros(3) if here.motion is None else np.asarray(here.motion.linear_mps)

@@ -91,6 +91,8 @@ class Meshes:
 
     Attributes:
         groups: by frame.
+        standing: number of the group that stands still, or `NOTHING`.
+        moving: whether any surface moves.
         planes: normal and offset of each face in its group's frame, (F, 4); the last is the sea's.
         normals: of the planes, float32, (F, 3).
         size_m: longest edge of each face, (F,); the sea has no edge.
@@ -107,6 +109,7 @@ class Meshes:
         moving = [[i] for i, surface in enumerate(scene.surfaces) if surface.motion is not None]
         parts = [_MeshPart(scene, members) for members in ([still] if still else []) + moving]
         self._sea = scene.sea is not None
+        self.standing, self.moving = (0 if still else NOTHING), bool(moving)
         self.groups: list[FrameGroup] = []
         count = 0
         for part in parts:

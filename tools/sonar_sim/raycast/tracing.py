@@ -119,6 +119,7 @@ def edges_of(
         met.range_m,
         met.face,
         met.group,
+        meshes.standing,
         fan.column,
         meshes.normals,
         meshes.smooth,

@@ -51,20 +51,6 @@ def ring_down_power_db(
     return level
 
 
-def pixels(amplitude: NDArray[np.float32], gamma_byte: int = 255) -> NDArray[np.uint8]:
-    """Quantise: 255 * clip(amplitude, 0, 1) ^ (gamma / 255), rounded.
-
-    Args:
-        amplitude: any shape, 1 at full scale.
-        gamma_byte: 0 and 255 mean linear.
-    """
-    clipped = np.clip(amplitude, 0.0, 1.0)
-    if gamma_byte not in (0, 255):
-        clipped = clipped ** (gamma_byte / 255.0)
-    quantised: NDArray[np.uint8] = np.rint(255.0 * clipped).astype(np.uint8)
-    return quantised
-
-
 def row_gain(
     sonar: SonarSettings, physics: Physics, absorption_db_per_m: float
 ) -> NDArray[np.float32]:

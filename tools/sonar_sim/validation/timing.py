@@ -8,7 +8,7 @@ import numpy as np
 
 from sonar_sim.engine import PingEngine
 from sonar_sim.geometry.pose import Mounting, SonarMotion
-from sonar_sim.geometry.trajectory import Trajectory, Waypoint
+from sonar_sim.geometry.trajectory import Drift, Trajectory, Waypoint
 from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings, sonar_preset
@@ -83,6 +83,7 @@ WATER = Water(profile=((0.0, 1500.0),))
 PHYSICS = dataclasses.replace(MEAN, pose_blocks=64, speckle=True)
 CLOSING = SonarMotion(np.array([1.0, 0.0, 0.0]), np.zeros(3))
 TURNING = SonarMotion(np.zeros(3), np.array([0.0, 0.0, math.radians(10.0)]))
+APPROACH = Drift(velocity_mps=(-1.0, 0.0, 0.0))
 STILL = SonarMotion(np.zeros(3), np.zeros(3))
 FINE = SonarSettings(
     beams=256, half_aperture_rad=math.radians(5.0), demanded_range_m=44.0, forced_rows=44000
@@ -94,6 +95,8 @@ def v16_motion() -> ValidationResult:
     checks = (
         ValidationCheck("closing 1 m/s, target, mm", -26.7, _shift_mm(_target()), 1.0),
         ValidationCheck("closing 1 m/s, plate, mm", -26.7, _shift_mm(_plate()), 1.5),
+        ValidationCheck("target approaching, 1 m/s, mm", -26.7, _approach_mm(_target()), 1.0),
+        ValidationCheck("plate approaching, 1 m/s, mm", -26.7, _approach_mm(_plate()), 1.5),
         ValidationCheck("turning 10°/s, bearing, deg", 0.53, _turn_deg(), 0.04),
     )
     return ValidationResult("V16 motion", "v R / c; 2 omega R / c", checks, _draw_motion)
@@ -109,12 +112,24 @@ def _plate() -> Scene:
 
 
 def _shift_mm(scene: Scene) -> float:
+    return _nearest_mm(scene, CLOSING) - _nearest_mm(scene, STILL)
+
+
+def _approach_mm(scene: Scene) -> float:
+    """The same if the objects move, and the sonar stands still."""
+    moving = Scene(
+        tuple(dataclasses.replace(surface, motion=APPROACH) for surface in scene.surfaces),
+        targets=tuple(dataclasses.replace(target, motion=APPROACH) for target in scene.targets),
+        water=WATER,
+    )
+    return _nearest_mm(moving) - _nearest_mm(scene)
+
+
+def _nearest_mm(scene: Scene, motion: SonarMotion | None = None) -> float:
     engine = PingEngine(scene, FINE)
-    rows = []
-    for motion in (CLOSING, STILL):
-        amplitude = engine.ping(pose_at((0, 0, 0)), PHYSICS, motion=motion).amplitude
-        rows.append(float(np.flatnonzero(amplitude.max(axis=1) > 0.0)[0]))
-    return (rows[0] - rows[1]) * FINE.range_resolution_m * 1e3
+    amplitude = engine.ping(pose_at((0, 0, 0)), PHYSICS, motion=motion).amplitude
+    row = np.flatnonzero(amplitude.max(axis=1) > 0.0)[0]
+    return float(row) * FINE.range_resolution_m * 1e3
 
 
 def _turn_deg() -> float:

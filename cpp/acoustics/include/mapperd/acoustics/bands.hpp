@@ -13,9 +13,6 @@
 
 namespace mapperd::acoustics {
 
-/// Runs task(0) .. task(count - 1), each once, on at most `threads` threads.
-void share(std::size_t count, int threads, const std::function<void(std::size_t)>& task);
-
 /// Hits first .. last and the columns that their echoes can reach.
 struct Band {
   std::size_t first, last;

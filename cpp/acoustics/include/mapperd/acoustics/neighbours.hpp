@@ -18,7 +18,8 @@ struct Traced {
   const float* direction;  ///< (count, 3), map frame
   const float* range_m;
   const std::int32_t* face;
-  const std::int32_t* group;   ///< moving object whose frame the face is in
+  const std::int32_t* group;   ///< whose frame the face is in
+  std::int32_t standing;       ///< the group whose frame is the map, negative for none
   const std::int32_t* column;  ///< of the fan
 };
 
@@ -26,13 +27,12 @@ struct Traced {
 struct Sameness {
   float max_slope;   ///< maximum slope from one's plane to the other
   float min_step_m;  ///< deviation that is always allowed
-  float turned;      ///< minimum cosine between the normals on a round surface
+  float min_cosine;  ///< between the normals on a round surface
 };
 
 /// Returns the indices of rays whose upper neighbour in the column hit another surface. `normals`
 /// (F, 3) and `smooth` (F,) belong to the faces; `smooth` is not negative for round ones. Normals
-/// of moving objects, whose group is not 0, are in their own frames: their rays are compared by
-/// owner alone.
+/// of moving objects are in their own frames: their rays are compared by group alone.
 std::vector<std::int64_t> edges(const Traced& rays, const float* normals,
                                 const std::int32_t* smooth, const Sameness& same);
 
