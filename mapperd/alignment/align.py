@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -191,8 +192,8 @@ class Alignment:
         loops: all registrations, accepted or not; nodes count over all dives.
         corrected: whether the aligned poses are to be used.
         reason: why they are not; empty if they are.
-        tried: number of registered pairs.
-        rejected: pairs without a registration, by reason.
+        tried: number of pairs of submaps that were compared for revisits.
+        rejected: those of them without a registration, by reason.
         figures: what the verdict rests on, by name.
     """
 
@@ -201,7 +202,7 @@ class Alignment:
     corrected: bool
     reason: str
     tried: int
-    rejected: dict[str, int] = field(default_factory=dict)
+    rejected: Counter[str] = field(default_factory=Counter)
     figures: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -229,8 +230,8 @@ class _DiveNodes:
     def of(cls, given: DiveInput, dive: DiveSubmaps) -> "_DiveNodes":
         """Place nodes at the submaps, between them where they are far apart, and at fixes."""
         track = dive.track
-        fixes = _fixes_within(given, track)
-        count, fixes = len(fixes), _reachable(fixes, track)
+        merged = _fixes_within(given, track)
+        fixes = _reachable(merged, track)
         given = replace(given, fixes=fixes)
         anchors = [submap.anchor_ns for submap in dive.submaps]
         parts = [fragment.anchor_ns for fragment in dive.fragments]
@@ -257,7 +258,7 @@ class _DiveNodes:
             of_submap,
             of_fragment,
             steps,
-            count - len(fixes),
+            len(merged) - len(fixes),
         )
 
     def frame_by_fixes(self) -> tuple[Floats, bool]:
@@ -408,10 +409,10 @@ class _AloneDive:
 
     dive: _DiveNodes
     graph: PoseGraph
-    finder: LoopFinder
     solution: Solution
     prior_m: float
     tried: int
+    rejected: Counter[str] = field(default_factory=Counter)
 
     @classmethod
     def align(cls, given: DiveInput, options: AlignOptions, progress: Progress) -> "_AloneDive":
@@ -453,21 +454,20 @@ class _AloneDive:
         again_trials = _predicted(pairs, dive.of_submap, graph, AGAIN_NOISE)
         graph.loops = motion.register(trials) + finder.register(again_trials)
         solution, _ = _close_loops(graph, finder, pairs)
-        return cls(dive, graph, finder, solution, prior_m, first.tried + finder.tried)
+        tried, rejected = first.tried + finder.tried, first.rejected + finder.rejected
+        return cls(dive, graph, solution, prior_m, tried, rejected)
 
     def result(self) -> Alignment:
         """Judge the alignment of this dive alone."""
         covariance = self.graph.prepare_covariances()
         figures, reason = _judged(self.graph, self.prior_m)
-        if self.dive.unreachable:
-            figures["fixes_unreachable"] = float(self.dive.unreachable)
+        figures |= _fix_figures(self.graph, self.dive.unreachable)
         if reason:
             aligned = self.refused()
         else:
             aligned = _result_of(self.dive, self.solution.poses, covariance, self.solution.drift)
-        rejected = dict(sorted(self.finder.rejected.items()))
         return Alignment(
-            [aligned], self.graph.loops, not reason, reason, self.tried, rejected, figures
+            [aligned], self.graph.loops, not reason, reason, self.tried, self.rejected, figures
         )
 
     def refused(self) -> AlignedDive:
@@ -548,8 +548,6 @@ def _judged(graph: PoseGraph, prior_m: float) -> tuple[dict[str, float], str]:
         "registration_scale": float(graph.bias[0]),
         "registration_turn": float(graph.bias[1]),
     }
-    if graph.fixes:
-        figures |= {"fixes": float(len(graph.fixes)), "fixes_accepted": float(fixes)}
     if len(accepted) < MIN_LOOPS and not is_fixed:
         found = f"{len(accepted)} revisits" if accepted else "no revisit"
         return figures, f"{found} could be registered, and {MIN_LOOPS} are needed"
@@ -563,6 +561,15 @@ def _judged(graph: PoseGraph, prior_m: float) -> tuple[dict[str, float], str]:
             f"{deviation_m:.2f} m"
         )
     return figures, _divided(split_m, correction_m)
+
+
+def _fix_figures(graph: PoseGraph, unreachable: int) -> dict[str, float]:
+    """Count the fixes that the graph holds, and those that no trajectory reaches."""
+    figures = {"fixes_unreachable": float(unreachable)} if unreachable else {}
+    if graph.fixes:
+        figures["fixes"] = float(len(graph.fixes))
+        figures["fixes_accepted"] = float(sum(fix.accepted for fix in graph.fixes))
+    return figures
 
 
 def _uncertain(deviation_m: float, prior_m: float) -> str:
@@ -614,9 +621,11 @@ def _aligned_together(alone: list[_AloneDive], options: AlignOptions) -> Alignme
     first = np.cumsum([0, *(len(one.dive.t_ns) for one in alone)])
     frames, reason = _frames_of(alone)
     tried = sum(one.tried for one in alone)
+    rejected = sum((one.rejected for one in alone), Counter[str]())
     if reason:
         dives = [one.refused() for one in alone]
-        return Alignment(dives, _shifted_loops(alone, first), False, reason, tried)  # noqa: FBT003
+        loops = _shifted_loops(alone, first)
+        return Alignment(dives, loops, False, reason, tried, rejected)  # noqa: FBT003
     start = np.vstack(
         [compose(frame[None], one.graph.start) for frame, one in zip(frames, alone, strict=True)]
     )
@@ -634,6 +643,7 @@ def _aligned_together(alone: list[_AloneDive], options: AlignOptions) -> Alignme
     solution, _ = _close_loops(graph, finder, (), ROUNDS_BETWEEN)
     covariance = graph.prepare_covariances()
     figures, reason = _judged_together(alone, graph, first)
+    figures |= _fix_figures(graph, sum(one.dive.unreachable for one in alone))
     dives = []
     for k, one in enumerate(alone):
         part = slice(int(first[k]), int(first[k + 1]))
@@ -644,8 +654,7 @@ def _aligned_together(alone: list[_AloneDive], options: AlignOptions) -> Alignme
     if reason:
         for loop in graph.loops:
             loop.weight = 0.0
-    rejected = dict(sorted(finder.rejected.items()))
-    tried += finder.tried
+    tried, rejected = tried + finder.tried, rejected + finder.rejected
     return Alignment(dives, graph.loops, not reason, reason, tried, rejected, figures)
 
 
@@ -750,7 +759,9 @@ def _frames_of(alone: list[_AloneDive]) -> tuple[list[Floats], str]:
         if isinstance(best[0], str):
             return [], f"{one.dive.given.name}: {best[0]}"
         frames[k] = best[0]
-        targets.append(_whole_map(one, best[0]) or whole)
+        moved = _whole_map(one, best[0])
+        if moved is not None:
+            targets.append(moved)
     return frames, ""
 
 

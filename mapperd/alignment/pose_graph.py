@@ -219,10 +219,6 @@ class PoseGraph:
         if not self.anchors:
             self.anchors = [PoseAnchor(0, self.start[0].copy(), EXACT)]
 
-    def reset(self) -> None:
-        """Begin from the odometry again."""
-        self.__post_init__()
-
     def save(self) -> tuple[Floats, Floats, Floats]:
         """Return the present states, for `restore`."""
         return self._states.copy(), self._trust.copy(), self.bias.copy()

@@ -1,6 +1,7 @@
 """Finds registrations between submaps: which pairs to try, where to look, and what to believe."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -118,7 +119,7 @@ class LoopFinder:
     threads: int = 2
     dive_of: Sequence[int] = ()
     tried: int = 0
-    rejected: dict[str, int] = field(default_factory=dict)
+    rejected: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
         self._built: Callable[[int], Submap] = lru_cache(KEPT_SUBMAPS)(self._build)
@@ -198,7 +199,7 @@ class LoopFinder:
             for found in pool.map(self._register, trials):
                 self.tried += 1
                 if isinstance(found, str):
-                    self.rejected[found] = self.rejected.get(found, 0) + 1
+                    self.rejected[found] += 1
                 else:
                     loops.append(found)
         return loops

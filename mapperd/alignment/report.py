@@ -127,8 +127,8 @@ class AlignmentRecord(Struct, frozen=True):
         corrected: whether the trajectories are corrected; else they are the odometry.
         reason: why they are not; empty if they are.
         verdict: both in one line.
-        pairs_tried: number of pairs of submaps that were registered.
-        pairs_rejected: those without a result, by reason.
+        pairs_tried: number of pairs of submaps that were compared for revisits.
+        pairs_rejected: those of them without a registration, by reason.
         revisits_accepted, revisits_refused: number of registrations, without those of submaps that
             follow each other.
         figures: what the verdict rests on, by name.
@@ -462,7 +462,7 @@ def record_of(alignment: Alignment) -> AlignmentRecord:
         reason=alignment.reason,
         verdict=alignment.verdict,
         pairs_tried=alignment.tried,
-        pairs_rejected=dict(alignment.rejected),
+        pairs_rejected=dict(sorted(alignment.rejected.items())),
         revisits_accepted=accepted,
         revisits_refused=len(revisits) - accepted,
         figures={name: float(value) for name, value in alignment.figures.items()},

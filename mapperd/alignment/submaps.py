@@ -214,19 +214,11 @@ class DiveSubmaps:
         fragments: thirds of the submaps, for the motion between them. A submap takes over the drift
             of its odometry: what it shares with the next one was seen by its last pings and by the
             first ones of the next, so the two agree at the drifting poses.
-        pings: number of pings in the submaps.
-        recorded_s: time from the first pose to the last.
     """
 
     track: OdometryTrack
     submaps: list[SonarSubmap]
     fragments: list[SonarSubmap]
-    pings: int
-
-    @property
-    def recorded_s(self) -> float:
-        """Time from the first pose to the last."""
-        return float(self.track.t_ns[-1] - self.track.t_ns[0]) / 1e9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -247,7 +239,6 @@ class _SubmapMapper(SonarMap):
         self._correction = correction
         self.submaps: list[SonarSubmap] = []
         self.fragments: list[SonarSubmap] = []
-        self.pings = 0
         self.posed: PosedPing | None = None
         self._held: list[_HeldPing] = []
         self._path_m = 0.0
@@ -303,7 +294,6 @@ class _SubmapMapper(SonarMap):
         for begin, end in itertools.pairwise(ends):
             if end - begin >= MIN_PINGS:
                 self.fragments.append(self._mapped(held[begin:end], bends[begin:end]))
-        self.pings += len(held)
 
     def _mapped(self, held: Sequence[_HeldPing], bends: Floats) -> SonarSubmap:
         anchor = held[len(held) // 2]
@@ -380,7 +370,7 @@ def read_submaps(
         np.array([fused.segment for fused in path.poses], dtype=np.int64),
         np.sqrt([max(fused.covariance[0, 0] + fused.covariance[1, 1], 0) for fused in path.poses]),
     )
-    return DiveSubmaps(track, mapper.submaps, mapper.fragments, mapper.pings)
+    return DiveSubmaps(track, mapper.submaps, mapper.fragments)
 
 
 def _submap_settings(config: Config) -> Config:

@@ -140,12 +140,13 @@ class DeadReckoning:
             # Velocity is linear between two reports, so the displacement is a parabola.
             fraction = (t_ns - before.t_ns) / (after.t_ns - before.t_ns)
             velocity = way.velocity_mps + fraction * (after.value.velocity_mps - way.velocity_mps)
+            variance = way.variance_m2 + fraction * (after.value.variance_m2 - way.variance_m2)
         elif t_ns - before.t_ns <= self.max_gap_ns:
             velocity = way.velocity_mps
+            variance = way.variance_m2 + seconds * self.noise**2
         else:
             return None
         gone = way.way_m + 0.5 * seconds * (way.velocity_mps + velocity)
-        variance = way.variance_m2 + seconds * self.noise**2
         return Sample(t_ns, Way(gone, velocity, variance), before.segment)
 
     def _sum_up(self, t_ns: int, velocity_mps: Floats, noise: float | None) -> None:

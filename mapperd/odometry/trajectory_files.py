@@ -209,10 +209,11 @@ class CsvFile(_TextPoses):
             header, first = file.readline(MAX_LINE), first + 1
         mark = max(",;\t", key=header.count)
         names = [name.strip().strip("#\"'").strip().lower() for name in header.split(mark)]
-        (time,) = self._columns("time", TIMES, names)
+        (time,) = self._columns(first, "time", TIMES, names)
         kinds = ("position", "orientation")
         columns = [
-            self._columns(what, choice, names) for what, choice in zip(kinds, choices, strict=False)
+            self._columns(first, what, choice, names)
+            for what, choice in zip(kinds, choices, strict=False)
         ]
         wanted = {name: names.index(name) for some in ((time,), *columns) for name in some}
         reader = csv.reader(file, delimiter=mark)
@@ -230,13 +231,13 @@ class CsvFile(_TextPoses):
             raise self._bad(reader.line_num + first, str(error)) from error
 
     def _columns(
-        self, what: str, choices: Sequence[tuple[str, ...]], names: Sequence[str]
+        self, line: int, what: str, choices: Sequence[tuple[str, ...]], names: Sequence[str]
     ) -> tuple[str, ...]:
         for choice in choices:
             if all(name in names for name in choice):
                 return choice
         allowed = " or ".join(",".join(choice) for choice in choices)
-        raise self._bad(1, f"the header names no {what}; allowed columns: {allowed}")
+        raise self._bad(line, f"the header names no {what}; allowed columns: {allowed}")
 
     def _stamp(self, line: int, text: str, column: str) -> int:
         if column in SECONDS:

@@ -66,7 +66,7 @@ def aligned(
 
 def given(fixes: list[tuple[int, float, float, float]], odometry: Floats, name: str) -> DiveInput:
     track = track_of(odometry)
-    return DiveInput(name, lambda _: DiveSubmaps(track, [], [], 0), fixes=tuple(fixes))
+    return DiveInput(name, lambda _: DiveSubmaps(track, [], []), fixes=tuple(fixes))
 
 
 def rms_m(a: Floats, b: Floats) -> float:
@@ -100,6 +100,14 @@ def test_a_wrong_fix_is_refused() -> None:
     assert found.figures["fixes_accepted"] == 6
     assert found.figures["fixes_unreachable"] == 1
     assert rms_m(found.dives[0].poses_at(T_NS), known()) < 2.0
+
+
+@pytest.mark.parametrize("shares", [(), (0.0, 0.2, 0.4, 0.6, 0.9, 1.0)])
+def test_no_fix_is_unreachable_unless_it_is_wrong(shares: tuple[float, ...]) -> None:
+    assert "fixes_unreachable" not in aligned(fixes_at(shares, 0.3), drifting(line())).figures
+    wrong = [*fixes_at(shares, 0.3), (int(T_NS[500]), 900.0, -300.0, 0.3)]
+    if shares:
+        assert aligned(wrong, drifting(line())).figures["fixes_unreachable"] == 1
 
 
 def test_good_odometry_is_placed_as_it_is() -> None:

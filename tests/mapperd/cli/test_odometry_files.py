@@ -302,6 +302,7 @@ def test_window_and_store(bench: Bench) -> None:
         ("1 0 0 0 0 0 0 1\n1e19 0 0 0 0 0 0 1\n", "line 2: timestamp '1e19' is not a time"),
         ("t,x,y,z,qx,qy,qz\n", "line 1: the header names no orientation; allowed columns: qx,qy"),
         ("x,y,z,qx,qy,qz,qw\n", "line 1: the header names no time"),
+        ("# of a DVL\n\nx,y,z,qx,qy,qz,qw\n", "line 3: the header names no time"),
         ("t,x,y,qx,qy,qz,qw\n", "line 1: the header names no position; allowed columns: x_m,"),
         ("t,x,y,z,qx,qy,qz,qw\n", "has no poses"),
         ("t,x,y,z,qx,qy,qz,qw\n1,2,3\n", "line 2: 3 columns; the header has 8"),
@@ -624,6 +625,12 @@ def test_tlog_gives_the_map(bench: Bench) -> None:
         "ATTITUDE",
         "LOCAL_POSITION_NED",
     }
+
+
+def test_empty_tlog_is_one_line(bench: Bench) -> None:
+    path = bench.folder / "empty.tlog"
+    path.touch()
+    assert f"{path}: cannot be read" in bench.fails(path)
 
 
 def test_damaged_tlog_goes_on(bench: Bench) -> None:

@@ -22,6 +22,16 @@ def test_a_last_velocity_is_carried_on_for_a_gap_and_no_longer() -> None:
     assert reckoning.at(2 * S + 1) is None
 
 
+def test_variance_between_two_velocities_leads_from_one_to_the_other() -> None:
+    reckoning = DeadReckoning(S, 0.02)
+    for k in range(3):
+        reckoning.add(k * S // 2, np.zeros(3), in_map=True, noise=0.2)
+    reckoning.advance(lambda _: None, None)
+    found = [reckoning.at(t * S // 4) for t in range(5)]
+    variances_m2 = [sample.value.variance_m2 for sample in found if sample is not None]
+    assert variances_m2 == pytest.approx([0.0, 0.01, 0.02, 0.03, 0.04])
+
+
 def test_a_quaternion_and_its_negative_are_one_turn() -> None:
     start, end = np.array([1.0, 0, 0, 0]), rotation_from_rpy(0, 0, 40.0)
     for sign in (1.0, -1.0):
