@@ -1118,7 +1118,7 @@ class Submap:
 class Registration:
     """Result of `register_submaps`; `pose` is target_T_source, (3,) x, y (m) and yaw (rad).
 
-    `information` (3, 3) is the inverse of its covariance, `curvature` (3, 3) that of the cost.
+    `information` (3, 3) is the inverse of its covariance, `curvature` (3, 3) the cost's Hessian.
     `score`, `matched` and `contradicted` are those of `compare_submaps` with 0.2 m and 2500 points.
     """
 

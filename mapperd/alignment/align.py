@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd._core import Submap, register_submaps, search_poses
+from mapperd._core import Submap
 from mapperd.alignment.pose_graph import (
     DriftModel,
     Loop,
@@ -19,7 +19,13 @@ from mapperd.alignment.pose_graph import (
     PositionFix,
     Solution,
 )
-from mapperd.alignment.registration import LoopFinder, Pair, Trial
+from mapperd.alignment.registration import (
+    LoopFinder,
+    Pair,
+    Trial,
+    joined_submap,
+    register_dives,
+)
 from mapperd.alignment.submaps import (
     Correction,
     DiveSubmaps,
@@ -36,14 +42,14 @@ __all__ = [
     "Alignment",
     "DiveInput",
     "Fix",
-    "Read",
+    "SubmapReader",
     "align",
     "odometry_step",
 ]
 
 Floats = NDArray[np.float64]
 
-Read = Callable[[Correction | None], DiveSubmaps]
+SubmapReader = Callable[[Correction | None], DiveSubmaps]
 """Reads a dive in submaps that follow corrected odometry, or the odometry itself."""
 
 Fix = tuple[int, float, float, float]
@@ -54,8 +60,8 @@ Progress = Callable[[float, str], None]
 NODE_S = 12.0
 """Nodes are at most so far apart, also where there is no submap."""
 
-ROUNDS, ROUNDS_BETWEEN = 5, 2
-PER_SUBMAP = 3
+MAX_ROUNDS, MAX_ROUNDS_BETWEEN_DIVES = 5, 2
+MAX_PARTNERS = 3
 JUMP_M, JUMP_RAD = 10.0, 1.0
 """Standard deviation of a step over a jump of the odometry."""
 
@@ -64,14 +70,14 @@ STATED_SHARE = 0.02
 loosens a step: velocity was missing."""
 
 NEIGHBOUR_NOISE = np.array([0.6, 0.6, math.radians(2.0)])
-AGAIN_NOISE = np.array([0.3, 0.3, math.radians(2.0)])
+SECOND_PASS_NOISE = np.array([0.3, 0.3, math.radians(2.0)])
 """Standard deviations (m, m, rad) that predictions are widened by: of submaps that follow each
 other, where velocity may have failed unnoticed; of registrations that are repeated."""
 
-FIX_STEP_NS = 2_000_000_000
-"""Fixes within so long count as one: they err alike."""
+FIX_INTERVAL_NS = 2_000_000_000
+"""Fixes of one interval of this length are merged: their errors are correlated."""
 
-MAX_DRIFT, LEAST_REACH_M, MIN_AGREEING = 0.2, 3.0, 0.5
+MAX_DRIFT, MAX_DRIFT_OFFSET_M, MIN_AGREEING = 0.2, 3.0, 0.5
 """What odometry may err by, as a share of the distance travelled and in all; the share of the fixes
 that one must agree with."""
 
@@ -79,24 +85,14 @@ FRAME_STEPS, FRAME_SPREAD = 10, 3.0
 """Steps of the robust fit of a frame to fixes; the distance between them, in standard deviations,
 that gives a heading."""
 
-FREE_FRAME = np.array([1e3, 1e3, 10.0])
-FREE_PLACE = np.array([1e3, 1e3, 1e-6])
-FOUND_FRAME = np.array([0.5, 0.5, math.radians(2.0)])
+FREE_POSE_STD = np.array([1e3, 1e3, 10.0])
+FREE_POSITION_STD = np.array([1e3, 1e3, 1e-6])
+REGISTERED_FRAME_STD = np.array([0.5, 0.5, math.radians(2.0)])
 """Standard deviations (m, m, rad) of a dive's first pose: held by position fixes alone, with a
 heading or without; by the registration of whole dives."""
 
 MIN_FIXES = 3
 """Accepted fixes that correct a dive without revisits."""
-
-FRAME_HALF_M, FRAME_HALF_RAD = 12.0, math.radians(45.0)
-FRAME_STEP_M, FRAME_STEP_RAD = 0.5, math.radians(3.0)
-FRAME_CANDIDATES = 8
-MAX_VOXELS, MARGIN_M = 3e7, 5.0
-"""Size of the map of a whole dive in voxels, with a margin."""
-
-MIN_FRAME_SCORE, MIN_FRAME_MATCHED, FRAME_RIVAL_SHARE = 0.6, 0.3, 0.9
-"""What the registration of two whole dives must reach, and the share of its score that any other
-place must stay below."""
 
 MIN_LOOPS = 6
 MIN_BETWEEN_DIVES = 4
@@ -135,7 +131,7 @@ class DiveInput:
     """
 
     name: str
-    read: Read
+    read: SubmapReader
     frame: Floats | None = None
     fixes: tuple[Fix, ...] = ()
 
@@ -230,8 +226,8 @@ class _DiveNodes:
     def of(cls, given: DiveInput, dive: DiveSubmaps) -> "_DiveNodes":
         """Place nodes at the submaps, between them where they are far apart, and at fixes."""
         track = dive.track
-        merged = _fixes_within(given, track)
-        fixes = _reachable(merged, track)
+        merged = _merged_fixes(given, track)
+        fixes = _consistent_fixes(merged, track)
         given = replace(given, fixes=fixes)
         anchors = [submap.anchor_ns for submap in dive.submaps]
         parts = [fragment.anchor_ns for fragment in dive.fragments]
@@ -301,7 +297,7 @@ class _DiveNodes:
         return np.zeros(3) if self.given.frame is None else self.given.frame
 
 
-def _reachable(fixes: tuple[Fix, ...], track: OdometryTrack) -> tuple[Fix, ...]:
+def _consistent_fixes(fixes: tuple[Fix, ...], track: OdometryTrack) -> tuple[Fix, ...]:
     """Leave out fixes whose distances from most others contradict the odometry."""
     if not fixes:
         return fixes
@@ -315,7 +311,7 @@ def _reachable(fixes: tuple[Fix, ...], track: OdometryTrack) -> tuple[Fix, ...]:
     def between(points_m: Floats) -> Floats:
         return np.asarray(np.hypot(*np.moveaxis(points_m[:, None] - points_m, 2, 0)))
 
-    allowed_m = MAX_DRIFT * abs(path_m[:, None] - path_m) + LEAST_REACH_M
+    allowed_m = MAX_DRIFT * abs(path_m[:, None] - path_m) + MAX_DRIFT_OFFSET_M
     allowed_m += 3 * (deviation_m[:, None] + deviation_m)
     agree = abs(between(there_m) - between(here_m)) <= allowed_m
     return tuple(
@@ -323,7 +319,7 @@ def _reachable(fixes: tuple[Fix, ...], track: OdometryTrack) -> tuple[Fix, ...]:
     )
 
 
-def _fixes_within(given: DiveInput, track: OdometryTrack) -> tuple[Fix, ...]:
+def _merged_fixes(given: DiveInput, track: OdometryTrack) -> tuple[Fix, ...]:
     """Return the fixes during a dive, close ones united.
 
     Raises:
@@ -337,7 +333,7 @@ def _fixes_within(given: DiveInput, track: OdometryTrack) -> tuple[Fix, ...]:
             f"{begin_ns / 1e9:.3f} to {end_ns / 1e9:.3f} s; check the clock of the fixes"
         )
     united = []
-    for _, group in itertools.groupby(inside, key=lambda fix: fix[0] // FIX_STEP_NS):
+    for _, group in itertools.groupby(inside, key=lambda fix: fix[0] // FIX_INTERVAL_NS):
         rows = list(group)
         weights = np.array([deviation_m**-2.0 for *_, deviation_m in rows])
         since_ns, x, y = np.average(
@@ -357,13 +353,13 @@ def odometry_step(track: OdometryTrack, begin_ns: int, end_ns: int) -> OdometryS
     ends = np.searchsorted(track.t_ns, [begin_ns, end_ns]).clip(0, len(track.t_ns) - 1)
     before, after = track.deviation_m[ends]
     usual_m = float(before) + STATED_SHARE * path_m
-    loose_m = math.sqrt(max(0.0, float(after) ** 2 - usual_m**2))  # variances add
+    extra_std_m = math.sqrt(max(0.0, float(after) ** 2 - usual_m**2))  # variances add
     jumped = track.segment[ends[1]] != track.segment[ends[0]]
     return OdometryStep(
         compose(inverse(both[0]), both[1]),
         (end_ns - begin_ns) / 1e9,
         path_m,
-        JUMP_M if jumped else loose_m,
+        JUMP_M if jumped else extra_std_m,
         JUMP_RAD if jumped else 0.0,
     )
 
@@ -391,31 +387,31 @@ def align(
     names = [dive.name for dive in dives]
     if len(set(names)) < len(names):
         raise ReplayError("two dives have the same name")
-    alone = []
+    singles = []
     for k, dive in enumerate(dives):
 
         def part(share: float, what: str, k: int = k, name: str = dive.name) -> None:
             progress((k + share) / len(dives), f"{name}: {what}")
 
-        alone.append(_AloneDive.align(dive, options, part))
+        singles.append(_SingleDive.align(dive, options, part))
     if len(dives) == 1:
-        return alone[0].result()
-    return _aligned_together(alone, options)
+        return singles[0].result()
+    return _align_jointly(singles, options)
 
 
 @dataclass(eq=False)
-class _AloneDive:
+class _SingleDive:
     """A dive that was aligned by itself."""
 
     dive: _DiveNodes
     graph: PoseGraph
     solution: Solution
-    prior_m: float
+    odometry_deviation_m: float
     tried: int
     rejected: Counter[str] = field(default_factory=Counter)
 
     @classmethod
-    def align(cls, given: DiveInput, options: AlignOptions, progress: Progress) -> "_AloneDive":
+    def align(cls, given: DiveInput, options: AlignOptions, progress: Progress) -> "_SingleDive":
         """Align in two passes: the second has submaps that follow the trajectory of the first.
 
         The odometry also drifts within a submap, which shears it.
@@ -429,16 +425,16 @@ class _AloneDive:
         graph = PoseGraph(compose(frame[None], start), dive.steps, options.drift)
         graph.solve()
         graph.prepare_covariances()
-        prior_m = _deviation_m(graph)
+        odometry_deviation_m = _deviation_m(graph)
         graph.fixes = dive.fixes(0)
         if graph.fixes and given.frame is None:
-            free = FREE_FRAME if has_heading else FREE_PLACE
+            free = FREE_POSE_STD if has_heading else FREE_POSITION_STD
             graph.anchors = [PoseAnchor(0, graph.start[0], free)]
         graph.solve()
         first = LoopFinder(dive.submaps, dive.of_submap, options.threads)
         motion = LoopFinder(dive.fragments, dive.of_fragment, options.threads)
         progress(0.3, "registering")
-        trials = _predicted(motion.neighbours(), dive.of_fragment, graph, NEIGHBOUR_NOISE)
+        trials = _predicted_trials(motion.neighbours(), dive.of_fragment, graph, NEIGHBOUR_NOISE)
         graph.loops += motion.register(trials)
         solution, known = _close_loops(graph, first, [])
         progress(0.5, "mapping again")
@@ -450,17 +446,17 @@ class _AloneDive:
         revisits = {(loop.i, loop.j) for loop in graph.loops if loop.accepted}
         pairs = [p for p in known if (dive.of_submap[p.i], dive.of_submap[p.j]) in revisits]
         progress(0.8, "registering again")
-        trials = _predicted(motion.neighbours(), dive.of_fragment, graph, AGAIN_NOISE)
-        again_trials = _predicted(pairs, dive.of_submap, graph, AGAIN_NOISE)
+        trials = _predicted_trials(motion.neighbours(), dive.of_fragment, graph, SECOND_PASS_NOISE)
+        again_trials = _predicted_trials(pairs, dive.of_submap, graph, SECOND_PASS_NOISE)
         graph.loops = motion.register(trials) + finder.register(again_trials)
         solution, _ = _close_loops(graph, finder, pairs)
         tried, rejected = first.tried + finder.tried, first.rejected + finder.rejected
-        return cls(dive, graph, solution, prior_m, tried, rejected)
+        return cls(dive, graph, solution, odometry_deviation_m, tried, rejected)
 
     def result(self) -> Alignment:
         """Judge the alignment of this dive alone."""
         covariance = self.graph.prepare_covariances()
-        figures, reason = _judged(self.graph, self.prior_m)
+        figures, reason = _judge(self.graph, self.odometry_deviation_m)
         figures |= _fix_figures(self.graph, self.dive.unreachable)
         if reason:
             aligned = self.refused()
@@ -470,14 +466,19 @@ class _AloneDive:
             [aligned], self.graph.loops, not reason, reason, self.tried, self.rejected, figures
         )
 
+    def map_at(self, frame: Floats) -> Submap | None:
+        """The map of the whole dive at its aligned poses, moved by a planar transform."""
+        poses = self.solution.poses[self.dive.of_submap]
+        return joined_submap(self.dive.submaps, compose(frame[None], poses))
+
     def refused(self) -> AlignedDive:
         """The dive as its odometry has it, in its own frame; all registrations are refused."""
         for loop in self.graph.loops:
             loop.weight = 0.0
         poses = compose(self.dive.own_frame[None], self.dive.odometry)
-        alone = PoseGraph(poses, self.dive.steps, self.graph.model)
-        solution = alone.solve()
-        return _result_of(self.dive, poses, alone.prepare_covariances(), solution.drift)
+        odometry_graph = PoseGraph(poses, self.dive.steps, self.graph.model)
+        solution = odometry_graph.solve()
+        return _result_of(self.dive, poses, odometry_graph.prepare_covariances(), solution.drift)
 
 
 def _result_of(dive: _DiveNodes, poses: Floats, covariance: Floats, drift: Floats) -> AlignedDive:
@@ -488,13 +489,13 @@ def _result_of(dive: _DiveNodes, poses: Floats, covariance: Floats, drift: Float
 
 
 def _close_loops(
-    graph: PoseGraph, finder: LoopFinder, known: Sequence[Pair], rounds: int = ROUNDS
+    graph: PoseGraph, finder: LoopFinder, known: Sequence[Pair], rounds: int = MAX_ROUNDS
 ) -> tuple[Solution, list[Pair]]:
     """Register revisits, the best predicted first, until there are no more."""
     solution, tried = graph.solve(), list(known)
     for _ in range(rounds):
         graph.prepare_covariances()
-        trials = finder.loops(graph, tried, PER_SUBMAP)
+        trials = finder.loops(graph, tried, MAX_PARTNERS)
         if not trials:
             break
         tried += [trial.pair for trial in trials]
@@ -503,7 +504,7 @@ def _close_loops(
     return solution, tried
 
 
-def _predicted(
+def _predicted_trials(
     pairs: Sequence[Pair], nodes: Sequence[int], graph: PoseGraph, noise: Floats
 ) -> list[Trial]:
     trials = []
@@ -526,7 +527,7 @@ def _deviation_m(graph: PoseGraph, first: int = 0, end: int | None = None) -> fl
     return float(np.sqrt(np.maximum(covariance[:, 0, 0] + covariance[:, 1, 1], 0)).mean())
 
 
-def _judged(graph: PoseGraph, prior_m: float) -> tuple[dict[str, float], str]:
+def _judge(graph: PoseGraph, odometry_deviation_m: float) -> tuple[dict[str, float], str]:
     """Return what the verdict rests on, and why the result must not be used; empty if it may.
 
     Fixes correct a dive without revisits, too; but revisits must not contradict them.
@@ -534,33 +535,33 @@ def _judged(graph: PoseGraph, prior_m: float) -> tuple[dict[str, float], str]:
     loops = [loop for loop in graph.loops if not loop.neighbours]
     accepted = [loop for loop in loops if loop.accepted]
     fixes = sum(fix.accepted for fix in graph.fixes)
-    is_fixed = fixes >= MIN_FIXES
+    has_enough_fixes = fixes >= MIN_FIXES
     deviation_m = _deviation_m(graph)
-    correction_m = _apart_m(graph.start, graph.poses)
+    correction_m = _rms_from_start_m(graph.start, graph.poses)
     split_m = _split_m(graph, accepted)
     figures = {
         "revisits_found": float(len(loops)),
         "revisits_accepted": float(len(accepted)),
-        "odometry_deviation_m": prior_m,
+        "odometry_deviation_m": odometry_deviation_m,
         "deviation_m": deviation_m,
         "correction_m": correction_m,
         "split_m": split_m,
         "registration_scale": float(graph.bias[0]),
         "registration_turn": float(graph.bias[1]),
     }
-    if len(accepted) < MIN_LOOPS and not is_fixed:
+    if len(accepted) < MIN_LOOPS and not has_enough_fixes:
         found = f"{len(accepted)} revisits" if accepted else "no revisit"
         return figures, f"{found} could be registered, and {MIN_LOOPS} are needed"
     if len(accepted) < MIN_ACCEPTED_SHARE * len(loops):
         return figures, f"{len(loops) - len(accepted)} of {len(loops)} revisits contradict the rest"
-    if deviation_m > MAX_UNCERTAINTY_SHARE * prior_m and not is_fixed:
-        return figures, _uncertain(deviation_m, prior_m)
+    if deviation_m > MAX_UNCERTAINTY_SHARE * odometry_deviation_m and not has_enough_fixes:
+        return figures, _uncertainty_reason(deviation_m, odometry_deviation_m)
     if correction_m < MIN_CORRECTION_DEVIATIONS * deviation_m and not fixes:
         return figures, (
             f"the correction is {correction_m:.2f} m, and its standard deviation "
             f"{deviation_m:.2f} m"
         )
-    return figures, _divided(split_m, correction_m)
+    return figures, _split_reason(split_m, correction_m)
 
 
 def _fix_figures(graph: PoseGraph, unreachable: int) -> dict[str, float]:
@@ -572,12 +573,12 @@ def _fix_figures(graph: PoseGraph, unreachable: int) -> dict[str, float]:
     return figures
 
 
-def _uncertain(deviation_m: float, prior_m: float) -> str:
-    share = deviation_m / max(prior_m, 1e-9)
+def _uncertainty_reason(deviation_m: float, odometry_deviation_m: float) -> str:
+    share = deviation_m / max(odometry_deviation_m, 1e-9)
     return f"the revisits leave {share:.0%} of the uncertainty of the odometry"
 
 
-def _divided(split_m: float, correction_m: float) -> str:
+def _split_reason(split_m: float, correction_m: float) -> str:
     """Return that two halves of the revisits disagree; empty if they agree."""
     if split_m <= max(MAX_SPLIT_M, MAX_SPLIT_SHARE * correction_m):
         return ""
@@ -587,7 +588,7 @@ def _divided(split_m: float, correction_m: float) -> str:
     )
 
 
-def _apart_m(a: Floats, b: Floats) -> float:
+def _rms_from_start_m(a: Floats, b: Floats) -> float:
     """RMS distance of two trajectories (N, 3) that begin at the same pose."""
     a, b = (compose(inverse(one[0])[None], one) for one in (a, b))
     return _rms_m(a, b)
@@ -616,40 +617,51 @@ def _split_m(graph: PoseGraph, accepted: Sequence[Loop]) -> float:
     return _rms_m(*halves)
 
 
-def _aligned_together(alone: list[_AloneDive], options: AlignOptions) -> Alignment:
+def _align_jointly(singles: list[_SingleDive], options: AlignOptions) -> Alignment:
     """Join dives that were aligned by themselves in one graph."""
-    first = np.cumsum([0, *(len(one.dive.t_ns) for one in alone)])
-    frames, reason = _frames_of(alone)
-    tried = sum(one.tried for one in alone)
-    rejected = sum((one.rejected for one in alone), Counter[str]())
+    first = np.cumsum([0, *(len(single.dive.t_ns) for single in singles)])
+    frames, reason = _frames_of(singles)
+    tried = sum(single.tried for single in singles)
+    rejected = sum((single.rejected for single in singles), Counter[str]())
     if reason:
-        dives = [one.refused() for one in alone]
-        loops = _shifted_loops(alone, first)
+        dives = [single.refused() for single in singles]
+        loops = _shifted_loops(singles, first)
         return Alignment(dives, loops, False, reason, tried, rejected)  # noqa: FBT003
     start = np.vstack(
-        [compose(frame[None], one.graph.start) for frame, one in zip(frames, alone, strict=True)]
+        [
+            compose(frame[None], single.graph.start)
+            for frame, single in zip(frames, singles, strict=True)
+        ]
     )
-    graph = PoseGraph(start, [step for one in alone for step in one.dive.steps], options.drift)
-    graph.anchors = _anchors_of(alone, frames, first)
-    graph.fixes = [fix for k, one in enumerate(alone) for fix in one.dive.fixes(int(first[k]))]
-    graph.loops = _shifted_loops(alone, first)
-    poses = [compose(f[None], one.solution.poses) for f, one in zip(frames, alone, strict=True)]
-    graph.begin_at(np.vstack(poses), np.vstack([one.solution.drift for one in alone]))
-    submaps = [submap for one in alone for submap in one.dive.submaps]
-    nodes = [int(first[k]) + n for k, one in enumerate(alone) for n in one.dive.of_submap]
-    dive_of = [k for k, one in enumerate(alone) for _ in one.dive.submaps]
+    graph = PoseGraph(
+        start, [step for single in singles for step in single.dive.steps], options.drift
+    )
+    graph.anchors = _anchors_of(singles, frames, first)
+    graph.fixes = [
+        fix for k, single in enumerate(singles) for fix in single.dive.fixes(int(first[k]))
+    ]
+    graph.loops = _shifted_loops(singles, first)
+    poses = [
+        compose(f[None], single.solution.poses) for f, single in zip(frames, singles, strict=True)
+    ]
+    graph.begin_at(np.vstack(poses), np.vstack([single.solution.drift for single in singles]))
+    submaps = [submap for single in singles for submap in single.dive.submaps]
+    nodes = [int(first[k]) + n for k, single in enumerate(singles) for n in single.dive.of_submap]
+    dive_of = [k for k, single in enumerate(singles) for _ in single.dive.submaps]
     finder = LoopFinder(submaps, nodes, options.threads, dive_of=dive_of)
     solution = graph.solve()
-    solution, _ = _close_loops(graph, finder, (), ROUNDS_BETWEEN)
+    solution, _ = _close_loops(graph, finder, (), MAX_ROUNDS_BETWEEN_DIVES)
     covariance = graph.prepare_covariances()
-    figures, reason = _judged_together(alone, graph, first)
-    figures |= _fix_figures(graph, sum(one.dive.unreachable for one in alone))
+    figures, reason = _judge_jointly(singles, graph, first)
+    figures |= _fix_figures(graph, sum(single.dive.unreachable for single in singles))
     dives = []
-    for k, one in enumerate(alone):
+    for k, single in enumerate(singles):
         part = slice(int(first[k]), int(first[k + 1]))
         poses_of, drift = solution.poses[part], solution.drift[part]
         dives.append(
-            one.refused() if reason else _result_of(one.dive, poses_of, covariance[part], drift)
+            single.refused()
+            if reason
+            else _result_of(single.dive, poses_of, covariance[part], drift)
         )
     if reason:
         for loop in graph.loops:
@@ -658,51 +670,52 @@ def _aligned_together(alone: list[_AloneDive], options: AlignOptions) -> Alignme
     return Alignment(dives, graph.loops, not reason, reason, tried, rejected, figures)
 
 
-def _shifted_loops(alone: list[_AloneDive], first: NDArray[np.int64]) -> list[Loop]:
+def _shifted_loops(singles: list[_SingleDive], first: NDArray[np.int64]) -> list[Loop]:
     """The loops of all dives, with nodes that count over all dives."""
     return [
         replace(loop, i=loop.i + int(first[k]), j=loop.j + int(first[k]))
-        for k, one in enumerate(alone)
-        for loop in one.graph.loops
+        for k, single in enumerate(singles)
+        for loop in single.graph.loops
     ]
 
 
-def _known(alone: Sequence[_AloneDive]) -> list[bool]:
+def _frames_known(singles: Sequence[_SingleDive]) -> list[bool]:
     """Whether the frame of each dive is known, by itself or by fixes; if of none, the first's."""
-    known = [one.dive.given.frame is not None or bool(one.graph.fixes) for one in alone]
+    known = [single.dive.given.frame is not None or bool(single.graph.fixes) for single in singles]
     return known if any(known) else [True] + [False] * (len(known) - 1)
 
 
 def _anchors_of(
-    alone: list[_AloneDive], frames: list[Floats], first: NDArray[np.int64]
+    singles: list[_SingleDive], frames: list[Floats], first: NDArray[np.int64]
 ) -> list[PoseAnchor]:
     """First poses: their own where the frame is known, else as they were found."""
     anchors = []
-    for k, (one, known) in enumerate(zip(alone, _known(alone), strict=True)):
-        [own] = one.graph.anchors
-        deviation = own.deviation if known else FOUND_FRAME
+    for k, (single, known) in enumerate(zip(singles, _frames_known(singles), strict=True)):
+        [own] = single.graph.anchors
+        deviation = own.deviation if known else REGISTERED_FRAME_STD
         anchors.append(PoseAnchor(int(first[k]), compose(frames[k], own.pose), deviation))
     return anchors
 
 
-def _judged_together(
-    alone: list[_AloneDive], graph: PoseGraph, first: NDArray[np.int64]
+def _judge_jointly(
+    singles: list[_SingleDive], graph: PoseGraph, first: NDArray[np.int64]
 ) -> tuple[dict[str, float], str]:
     """Return what the verdict rests on, and why the result must not be used; empty if it may."""
-    dive_of_node = np.repeat(np.arange(len(alone)), np.diff(first))
+    dive_of_node = np.repeat(np.arange(len(singles)), np.diff(first))
     revisits = [loop for loop in graph.loops if not loop.neighbours]
     between = [loop for loop in revisits if dive_of_node[loop.i] != dive_of_node[loop.j]]
     accepted = [loop for loop in revisits if loop.accepted]
     split_m = _split_m(graph, accepted)
     corrections_m, reason = [], ""
-    for k, (one, known) in enumerate(zip(alone, _known(alone), strict=True)):
+    for k, (single, known) in enumerate(zip(singles, _frames_known(singles), strict=True)):
         begin, end = int(first[k]), int(first[k + 1])
-        corrections_m.append(_apart_m(graph.start[begin:end], graph.poses[begin:end]))
-        reason = reason or _unusable(one, k, revisits, dive_of_node, known=known)
+        corrections_m.append(_rms_from_start_m(graph.start[begin:end], graph.poses[begin:end]))
+        reason = reason or _unusable_reason(single, k, revisits, dive_of_node, known=known)
         deviation_m = _deviation_m(graph, begin, end)
         fixes = sum(fix.accepted for fix in graph.fixes if begin <= fix.node < end)
-        if not reason and deviation_m > MAX_UNCERTAINTY_SHARE * one.prior_m and fixes < MIN_FIXES:
-            reason = f"{one.dive.given.name}: {_uncertain(deviation_m, one.prior_m)}"
+        before_m = single.odometry_deviation_m
+        if not reason and deviation_m > MAX_UNCERTAINTY_SHARE * before_m and fixes < MIN_FIXES:
+            reason = f"{single.dive.given.name}: {_uncertainty_reason(deviation_m, before_m)}"
     figures = {
         "revisits_between_dives": float(len(between)),
         "revisits_between_dives_accepted": float(sum(loop.accepted for loop in between)),
@@ -711,11 +724,11 @@ def _judged_together(
         "registration_scale": float(graph.bias[0]),
         "registration_turn": float(graph.bias[1]),
     }
-    return figures, reason or _divided(split_m, max(corrections_m))
+    return figures, reason or _split_reason(split_m, max(corrections_m))
 
 
-def _unusable(
-    one: _AloneDive,
+def _unusable_reason(
+    single: _SingleDive,
     k: int,
     revisits: Sequence[Loop],
     dive_of_node: NDArray[np.intp],
@@ -723,11 +736,11 @@ def _unusable(
     known: bool,
 ) -> str:
     """Return why the revisits of a dive do not hold it; empty if they do."""
-    name = one.dive.given.name
+    name = single.dive.given.name
     own = [loop for loop in revisits if k in (dive_of_node[loop.i], dive_of_node[loop.j])]
     accepted = [loop for loop in own if loop.accepted]
-    is_fixed = sum(fix.accepted for fix in one.graph.fixes) >= MIN_FIXES
-    if len(accepted) < MIN_LOOPS and not is_fixed:
+    has_enough_fixes = sum(fix.accepted for fix in single.graph.fixes) >= MIN_FIXES
+    if len(accepted) < MIN_LOOPS and not has_enough_fixes:
         return f"{name}: {len(accepted)} revisits could be registered, and {MIN_LOOPS} are needed"
     if len(accepted) < MIN_ACCEPTED_SHARE * len(own):
         return f"{name}: {len(own) - len(accepted)} of {len(own)} revisits contradict the rest"
@@ -740,80 +753,28 @@ def _unusable(
     )
 
 
-def _frames_of(alone: list[_AloneDive]) -> tuple[list[Floats], str]:
+def _frames_of(singles: list[_SingleDive]) -> tuple[list[Floats], str]:
     """Find how each dive must be moved into the common frame, or why one cannot be placed."""
-    frames = [np.zeros(3) for _ in alone]
-    known = _known(alone)
+    frames = [np.zeros(3) for _ in singles]
+    known = _frames_known(singles)
     placed = [
-        _whole_map(one, np.zeros(3)) for one, is_known in zip(alone, known, strict=True) if is_known
+        single.map_at(np.zeros(3))
+        for single, is_known in zip(singles, known, strict=True)
+        if is_known
     ]
     targets = [whole for whole in placed if whole is not None]
-    for k, one in enumerate(alone):
+    for k, single in enumerate(singles):
         if known[k]:
             continue
-        whole = _whole_map(one, np.zeros(3))
+        whole = single.map_at(np.zeros(3))
         if whole is None or not targets:
-            return [], f"{one.dive.given.name}: too few echoes to register it to other dives"
-        found = [_placed(target, whole) for target in targets]
+            return [], f"{single.dive.given.name}: too few echoes to register it to other dives"
+        found = [register_dives(target, whole) for target in targets]
         best = max(found, key=lambda one: one[1])
         if isinstance(best[0], str):
-            return [], f"{one.dive.given.name}: {best[0]}"
+            return [], f"{single.dive.given.name}: {best[0]}"
         frames[k] = best[0]
-        moved = _whole_map(one, best[0])
+        moved = single.map_at(best[0])
         if moved is not None:
             targets.append(moved)
     return frames, ""
-
-
-def _whole_map(one: _AloneDive, frame: Floats) -> Submap | None:
-    """The map of a whole dive at its aligned poses, moved by a planar transform."""
-    occupied: list[Floats] = []
-    free: list[Floats] = []
-    for submap, node in zip(one.dive.submaps, one.dive.of_submap, strict=True):
-        pose = compose(frame, one.solution.poses[node])
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        for voxels, points in ((submap.occupied, occupied), (submap.free, free)):
-            centres = (voxels + 0.5) * submap.resolution_m
-            points.append(centres @ turn.T + [pose[0], pose[1], 0.0])
-    if not sum(map(len, occupied)):
-        return None
-    resolution_m = one.dive.submaps[0].resolution_m
-    extent_m = np.ptp(np.vstack(occupied + free), axis=0) + MARGIN_M
-    while (extent_m / resolution_m).prod() > MAX_VOXELS:  # a large site
-        resolution_m *= 1.5
-    solid, empty = (_thinned(np.vstack(points), resolution_m) for points in (occupied, free))
-    return Submap(solid, empty, resolution_m)
-
-
-def _thinned(points_m: Floats, cell_m: float) -> Floats:
-    """One centre for each voxel that holds a point."""
-    voxels = np.unique(np.floor(points_m / cell_m).astype(np.int32), axis=0)
-    return np.ascontiguousarray((voxels + 0.5) * cell_m)
-
-
-def _placed(target: Submap, source: Submap) -> tuple[Floats | str, float]:
-    """Register two whole dives; return target_T_source, or why not, and the score."""
-    starts = search_poses(
-        target,
-        source,
-        np.zeros(3),
-        half_x_m=FRAME_HALF_M,
-        half_y_m=FRAME_HALF_M,
-        half_yaw_rad=FRAME_HALF_RAD,
-        step_m=FRAME_STEP_M,
-        step_yaw_rad=FRAME_STEP_RAD,
-        count=FRAME_CANDIDATES,
-    )
-    found = [register_submaps(target, source, pose) for pose, *_ in starts]
-    able = [one for one in found if one.matched >= MIN_FRAME_MATCHED]
-    able.sort(key=lambda one: -one.score * one.matched)
-    if not able or able[0].score < MIN_FRAME_SCORE:
-        return "its map fits that of no other dive", 0.0
-    best = able[0]
-    for other in able[1:]:
-        apart_m = float(np.hypot(*(other.pose - best.pose)[:2]))
-        rival = other.score * other.matched > FRAME_RIVAL_SHARE * best.score * best.matched
-        if apart_m > 1.0 and rival:
-            return "its map fits at two places alike", 0.0
-    return best.pose, best.score

@@ -88,15 +88,15 @@ class OdometryStep:
         motion: (3,) planar pose of the later node in the earlier one.
         seconds: between them.
         path_m: length of the way between them.
-        loose_m: further standard deviation: where velocity was missing, or after a jump.
-        loose_rad: the same of the heading.
+        extra_std_m: further standard deviation: where velocity was missing, or after a jump.
+        extra_std_rad: the same of the heading.
     """
 
     motion: Floats
     seconds: float
     path_m: float
-    loose_m: float = 0.0
-    loose_rad: float = 0.0
+    extra_std_m: float = 0.0
+    extra_std_rad: float = 0.0
 
 
 @dataclass(eq=False)
@@ -210,22 +210,22 @@ class PoseGraph:
     anchors: list[PoseAnchor] = field(default_factory=list)
     _states: Floats = field(init=False)
     bias: Floats = field(init=False)
-    _trust: Floats = field(init=False)
+    _step_weights: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         self._states = np.hstack([self.start, np.zeros_like(self.start)])
         self.bias = np.zeros(2)
-        self._trust = np.ones(len(self.start))
+        self._step_weights = np.ones(len(self.start))
         if not self.anchors:
             self.anchors = [PoseAnchor(0, self.start[0].copy(), EXACT)]
 
     def save(self) -> tuple[Floats, Floats, Floats]:
         """Return the present states, for `restore`."""
-        return self._states.copy(), self._trust.copy(), self.bias.copy()
+        return self._states.copy(), self._step_weights.copy(), self.bias.copy()
 
     def restore(self, saved: tuple[Floats, Floats, Floats]) -> None:
         """Return to states of `save`."""
-        self._states, self._trust, self.bias = (array.copy() for array in saved)
+        self._states, self._step_weights, self.bias = (array.copy() for array in saved)
 
     def begin_at(self, poses: Floats, drift: Floats) -> None:
         """Begin from other poses and drift, (N, 3) each."""
@@ -240,7 +240,7 @@ class PoseGraph:
         """Solve the graph; sets weight and chosen alternative of all loops."""
         for loop in self.loops:
             loop.weight = 1.0
-        self._trust[:] = 1.0
+        self._step_weights[:] = 1.0
         # Graduated non-convexity: the kernel starts wide enough to be convex.
         squared = [self._distance(loop)[0] / GATE for loop in self.loops]
         squared += [self._distance_of_fix(fix) / FIX_GATE for fix in self.fixes]
@@ -249,14 +249,14 @@ class PoseGraph:
             last = control <= 1.0
             for _ in range(MAX_STEPS if last else 4):
                 self._weigh(control)
-                if self._step() < STOP:
+                if self._gauss_newton_step() < STOP:
                     break
             if last:
                 break
             control = max(1.0, control / 2.0)
         self._weigh(1.0)
         for loop in self.loops:
-            apart = self._apart(loop)[loop.chosen]
+            apart = self._loop_residuals(loop)[loop.chosen]
             if math.hypot(apart[0], apart[1]) > MAX_RESIDUAL_M:
                 loop.weight = 0.0
         return Solution(self._states[:, :3].copy(), self._states[:, 3:].copy())
@@ -270,18 +270,18 @@ class PoseGraph:
             fix.weight = (limit / (limit + self._distance_of_fix(fix))) ** 2
         for k, step in enumerate(self.steps):
             if step is not None:
-                _, residual, information = self._of_step(k, step)
+                _, residual, information = self._step_factor(k, step)
                 squared = float(residual @ information @ residual)
-                self._trust[k] = (control * STEP_GATE / (control * STEP_GATE + squared)) ** 2
+                self._step_weights[k] = (control * STEP_GATE / (control * STEP_GATE + squared)) ** 2
 
     def _distance(self, loop: Loop) -> tuple[float, int]:
         """Return the least squared Mahalanobis distance of the alternatives, and which it is."""
-        residual = self._apart(loop)
+        residual = self._loop_residuals(loop)
         squared = np.einsum("ki,kij,kj->k", residual, loop.information, residual)
         best = int(squared.argmin())
         return float(squared[best]), best
 
-    def _apart(self, loop: Loop) -> Floats:
+    def _loop_residuals(self, loop: Loop) -> Floats:
         """(K, 3) residuals of the alternatives."""
         relative = compose(inverse(self.poses[loop.i]), self.poses[loop.j])
         residual = self.measured_by(loop, relative)[0] - loop.poses
@@ -306,7 +306,7 @@ class PoseGraph:
         by_bias = np.array([(relative[0], s * across[0]), (relative[1], s * across[1]), (0.0, s)])
         return measured, by_pose, by_bias
 
-    def _step(self) -> float:
+    def _gauss_newton_step(self) -> float:
         """Take one step of Gauss and Newton; return the largest change of a pose."""
         builder = self._linearized()
         matrix, gradient = builder.matrix(), builder.gradient
@@ -316,9 +316,9 @@ class PoseGraph:
         self._states[:, 2] = wrapped(self._states[:, 2])
         return float(np.abs(np.array(change)[:, :3]).max())
 
-    def _linearized(self) -> "_Normal":
+    def _linearized(self) -> "_NormalEquations":
         bias_node = len(self._states)  # its other states do nothing
-        normal = _Normal(bias_node + 1)
+        normal = _NormalEquations(bias_node + 1)
         deviation = np.array([self.model.registration_scale, self.model.registration_turn])
         of_bias = np.eye(len(deviation), STATES)
         normal.add([bias_node], [of_bias], self.bias, np.diag(deviation**-2.0))
@@ -339,8 +339,8 @@ class PoseGraph:
             residual = self._states[k, 3:] - keep * self._states[k - 1, 3:]
             variance = spread**2 * max(1 - keep**2, 1e-6)
             normal.add([k - 1, k], [-keep * drift, drift], residual, np.diag(1 / variance))
-            jacobians, residual, information = self._of_step(k, step)
-            normal.add([k - 1, k], jacobians, residual, self._trust[k] * information)
+            jacobians, residual, information = self._step_factor(k, step)
+            normal.add([k - 1, k], jacobians, residual, self._step_weights[k] * information)
         for loop in self.loops:
             (of_i, of_j), relative = self._relative(loop.i, loop.j, np.zeros(3))
             measured, by_pose, by_bias = self.measured_by(loop, relative)
@@ -355,7 +355,7 @@ class PoseGraph:
             normal.add([fix.node], [np.eye(2, STATES)], residual, information)
         return normal
 
-    def _of_step(self, k: int, step: OdometryStep) -> tuple[list[Floats], Floats, Floats]:
+    def _step_factor(self, k: int, step: OdometryStep) -> tuple[list[Floats], Floats, Floats]:
         """Jacobians by the states of the nodes k - 1 and k, residual and information of a step."""
         scale, crab, turn = self._states[k - 1, 3:]
         angle = crab + turn * step.seconds / 2
@@ -370,8 +370,8 @@ class PoseGraph:
         jacobians[0][:2, 5] -= (1 + scale) * across * step.seconds / 2
         jacobians[0][2, 5] -= step.seconds
         model = self.model
-        variance_m2 = model.noise_m**2 * max(step.path_m, 0.1) + 0.01**2 + step.loose_m**2
-        variance_rad2 = model.noise_rad**2 * step.seconds + 1e-6 + step.loose_rad**2
+        variance_m2 = model.noise_m**2 * max(step.path_m, 0.1) + 0.01**2 + step.extra_std_m**2
+        variance_rad2 = model.noise_rad**2 * step.seconds + 1e-6 + step.extra_std_rad**2
         return jacobians, residual, np.diag([1 / variance_m2, 1 / variance_m2, 1 / variance_rad2])
 
     def _relative(self, i: int, j: int, measured: Floats) -> tuple[list[Floats], Floats]:
@@ -400,7 +400,7 @@ class PoseGraph:
             a, b = jacobians[0][:, :3], jacobians[1][:, :3]
             cross = joint[j]  # covariance of j with i
             found[row] = (
-                a @ own @ a.T + a @ cross.T @ b.T + b @ cross @ a.T + b @ self._own[j] @ b.T
+                a @ own @ a.T + a @ cross.T @ b.T + b @ cross @ a.T + b @ self._marginals[j] @ b.T
             )
         return found
 
@@ -408,10 +408,10 @@ class PoseGraph:
         """Factorize the present graph; return the covariance (N, 3, 3) of every node's pose."""
         count = len(self._states)
         self._factor = splu(self._linearized().matrix())
-        self._own = np.empty((count, 3, 3))
+        self._marginals = np.empty((count, 3, 3))
         for i in range(count):
-            self._own[i] = self._columns(i)[i]
-        return self._own
+            self._marginals[i] = self._columns(i)[i]
+        return self._marginals
 
     def _columns(self, i: int) -> Floats:
         """(N, 3, 3) covariances of all poses with that of node i."""
@@ -422,7 +422,7 @@ class PoseGraph:
         return columns
 
 
-class _Normal:
+class _NormalEquations:
     """Normal equations, collected in blocks."""
 
     def __init__(self, nodes: int) -> None:

@@ -20,7 +20,14 @@ from mapperd.alignment.submaps import (
     inverse,
 )
 
-__all__ = ["LoopFinder", "Pair", "Trial", "usable_information"]
+__all__ = [
+    "LoopFinder",
+    "Pair",
+    "Trial",
+    "joined_submap",
+    "register_dives",
+    "usable_information",
+]
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +35,8 @@ KEPT_SUBMAPS = 64
 """Submaps whose distances are in memory at the same time."""
 
 NEIGHBOURS = (2,)
-"""A fragment is registered to those so many before it: near ones see the same at the same time."""
+"""Each fragment is registered to the one this many before it. Adjacent ones share only echoes of
+their common end, which do not show drift."""
 
 LOOP_S = 25.0
 """Time between the submaps of a revisit, at least."""
@@ -61,9 +69,9 @@ RIVAL_SHARE = 0.9
 APART_M, APART_RAD = 0.3, math.radians(2.0)
 """Alternatives closer than this are the same."""
 
-FLOOR_M, FLOOR_RAD = 0.05, math.radians(0.4)
+MIN_STD_M, MIN_STD_RAD = 0.05, math.radians(0.4)
 FULL_SHARE, UNMATCHED_GROWTH = 0.7, 7.0
-NEIGHBOUR_FLOOR_M, NEIGHBOUR_FLOOR_RAD, NEIGHBOUR_FULL_SHARE = 0.1, math.radians(1.0), 0.3
+MIN_STD_NEIGHBOUR_M, MIN_STD_NEIGHBOUR_RAD, NEIGHBOUR_FULL_SHARE = 0.1, math.radians(1.0), 0.3
 TURN_M, TURN_RAD = 0.1, math.radians(1.2)
 """Standard deviation of every registration, for odometry drifts within a submap. It grows
 exponentially as the matched share falls below `FULL_SHARE`, and by so much for each radian between
@@ -71,11 +79,21 @@ the headings: echoes of unknown elevation are spread over arcs, and submaps that
 different places, or different parts of it, disagree about its middle by some percent."""
 
 PROBE_M, PROBE_POINTS = 0.5, 800
-OPEN_FALL = 0.04
+MIN_SCORE_DROP = 0.04
 """A direction along which the agreement falls by less than this share over `PROBE_M` is open."""
 
-NOTHING = 1e-6
+MIN_INFORMATION = 1e-6
 """Information, 1/m2, below which a direction is open."""
+
+FRAME_HALF_M, FRAME_HALF_RAD = 12.0, math.radians(45.0)
+FRAME_STEP_M, FRAME_STEP_RAD = 0.5, math.radians(3.0)
+FRAME_CANDIDATES = 8
+MAX_VOXELS, MARGIN_M = 3e7, 5.0
+"""Size of the map of a whole dive in voxels, with a margin."""
+
+MIN_FRAME_SCORE, MIN_FRAME_MATCHED, FRAME_RIVAL_SHARE = 0.6, 0.3, 0.9
+"""What the registration of two whole dives must reach, and the share of its score that any other
+place must stay below."""
 
 LEVER_M = 5.0
 """Distance at which a turn counts as a shift, to compare curvatures."""
@@ -227,7 +245,7 @@ class LoopFinder:
             step_yaw_rad=STEP_RAD,
             count=CANDIDATES,
         )
-        prior = np.linalg.inv(covariance + np.diag([FLOOR_M**2, FLOOR_M**2, FLOOR_RAD**2]))
+        prior = np.linalg.inv(covariance + np.diag([MIN_STD_M**2, MIN_STD_M**2, MIN_STD_RAD**2]))
         least = MIN_MATCHED_NEIGHBOUR if pair.neighbours else MIN_MATCHED
         found: list[tuple[float, Registration, Floats]] = []
         reason = "no_overlap"
@@ -299,21 +317,74 @@ def usable_information(
             compare_submaps(target, source, end, scale_m=0.2, points=PROBE_POINTS)[1]
             for end in ends
         ]
-        if here - sum(there) / 2 > OPEN_FALL * here:
+        if here - sum(there) / 2 > MIN_SCORE_DROP * here:
             held += np.outer(direction, direction)
-    least_m, least_rad, full = FLOOR_M, FLOOR_RAD, FULL_SHARE
+    least_m, least_rad, full = MIN_STD_M, MIN_STD_RAD, FULL_SHARE
     if neighbours:
-        least_m, least_rad = NEIGHBOUR_FLOOR_M, NEIGHBOUR_FLOOR_RAD
+        least_m, least_rad = MIN_STD_NEIGHBOUR_M, MIN_STD_NEIGHBOUR_RAD
         full = NEIGHBOUR_FULL_SHARE
     growth = math.exp(UNMATCHED_GROWTH * max(full - result.matched, 0.0))
     turn = abs(float(result.pose[2]))
-    floor_m = math.hypot(least_m * growth, TURN_M * turn)
-    floor_rad = math.hypot(least_rad * growth, TURN_RAD * turn)
-    floor = np.array([floor_m, floor_m, floor_rad * LEVER_M])
+    std_m = math.hypot(least_m * growth, TURN_M * turn)
+    std_rad = math.hypot(least_rad * growth, TURN_RAD * turn)
+    std = np.array([std_m, std_m, std_rad * LEVER_M])
     values, vectors = np.linalg.eigh(held @ (units @ result.information @ units) @ held)
-    floors_m2 = np.einsum("ik,i,ik->k", vectors, floor**2, vectors)
-    known = np.maximum(values, NOTHING)
-    values = np.where(values > NOTHING, 1 / (1 / known + floors_m2), 0.0)
+    variances_m2 = np.einsum("ik,i,ik->k", vectors, std**2, vectors)
+    known = np.maximum(values, MIN_INFORMATION)
+    values = np.where(values > MIN_INFORMATION, 1 / (1 / known + variances_m2), 0.0)
     back = np.linalg.inv(units)
     information: Floats = back @ (vectors * values) @ vectors.T @ back
     return information
+
+
+def joined_submap(submaps: Sequence[SonarSubmap], poses: Floats) -> Submap | None:
+    """Join the submaps of a dive at planar poses (N, 3); None if they hold no echo."""
+    occupied: list[Floats] = []
+    free: list[Floats] = []
+    for submap, pose in zip(submaps, poses, strict=True):
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        for voxels, points in ((submap.occupied, occupied), (submap.free, free)):
+            centres = (voxels + 0.5) * submap.resolution_m
+            points.append(centres @ turn.T + [pose[0], pose[1], 0.0])
+    if not sum(map(len, occupied)):
+        return None
+    resolution_m = submaps[0].resolution_m
+    extent_m = np.ptp(np.vstack(occupied + free), axis=0) + MARGIN_M
+    while (extent_m / resolution_m).prod() > MAX_VOXELS:  # a large site
+        resolution_m *= 1.5
+    solid, empty = (_thinned(np.vstack(points), resolution_m) for points in (occupied, free))
+    return Submap(solid, empty, resolution_m)
+
+
+def _thinned(points_m: Floats, cell_m: float) -> Floats:
+    """One centre for each voxel that holds a point."""
+    voxels = np.unique(np.floor(points_m / cell_m).astype(np.int32), axis=0)
+    return np.ascontiguousarray((voxels + 0.5) * cell_m)
+
+
+def register_dives(target: Submap, source: Submap) -> tuple[Floats | str, float]:
+    """Register two whole dives; return target_T_source, or why not, and the score."""
+    starts = search_poses(
+        target,
+        source,
+        np.zeros(3),
+        half_x_m=FRAME_HALF_M,
+        half_y_m=FRAME_HALF_M,
+        half_yaw_rad=FRAME_HALF_RAD,
+        step_m=FRAME_STEP_M,
+        step_yaw_rad=FRAME_STEP_RAD,
+        count=FRAME_CANDIDATES,
+    )
+    found = [register_submaps(target, source, pose) for pose, *_ in starts]
+    able = [one for one in found if one.matched >= MIN_FRAME_MATCHED]
+    able.sort(key=lambda one: -one.score * one.matched)
+    if not able or able[0].score < MIN_FRAME_SCORE:
+        return "its map fits that of no other dive", 0.0
+    best = able[0]
+    for other in able[1:]:
+        apart_m = float(np.hypot(*(other.pose - best.pose)[:2]))
+        rival = other.score * other.matched > FRAME_RIVAL_SHARE * best.score * best.matched
+        if apart_m > 1.0 and rival:
+            return "its map fits at two places alike", 0.0
+    return best.pose, best.score

@@ -5,8 +5,8 @@ Of each dive the folder gets `NAME.tum` and `NAME.mcap`; those of a single dive 
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,29 +19,24 @@ from mapperd import __version__
 from mapperd.alignment.align import AlignedDive, Alignment, odometry_step
 from mapperd.alignment.pose_graph import DriftModel, Loop, OdometryStep
 from mapperd.alignment.submaps import (
-    Correction,
-    DiveSubmaps,
+    DiveReader,
     SonarSubmap,
     compose,
     inverse,
-    read_submaps,
 )
-from mapperd.config.tree import Config
 from mapperd.errors import ExportError, os_reason
 from mapperd.export.picture import MapProjection, project
 from mapperd.io import atomic_file, make_folder, sync_folder
 from mapperd.mapping.sonar_map import Voxels
 from mapperd.odometry.native import NativeRecord, encode_native
 from mapperd.odometry.trajectory_files import FINISHED, POSES_LINK
-from mapperd.session.recordings import RecordedSession
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording import ODOMETRY_NATIVE, RecordingWriter
 
 __all__ = [
-    "ALIGNMENT",
+    "ALIGNMENT_JSON",
     "AlignedDiveRecord",
     "AlignmentRecord",
-    "DiveReader",
     "LoopRecord",
     "MapPair",
     "maps_of",
@@ -53,7 +48,7 @@ __all__ = [
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
-ALIGNMENT = "alignment.json"
+ALIGNMENT_JSON = "alignment.json"
 TRAJECTORY = "trajectory"
 NS = 10**9
 
@@ -177,65 +172,6 @@ class MapPair:
     resolution_m: float
 
 
-class DiveReader:
-    """Reads a dive for `DiveInput`, and keeps the submaps for the report's maps.
-
-    Args:
-        session: the recording.
-        config: the settings to map with.
-        lift_m: added to heights, so that dives share the zero of z.
-        progress: receives the share that is read.
-
-    Attributes:
-        drifted: submaps that follow the odometry, without their free voxels; empty before reading.
-        submaps: those of the last reading, likewise.
-    """
-
-    def __init__(
-        self,
-        session: RecordedSession,
-        config: Config,
-        lift_m: float = 0.0,
-        progress: Callable[[float], None] = lambda _: None,
-    ) -> None:
-        self._session = session
-        self._config = config
-        self._lift_m = lift_m
-        self._progress = progress
-        self.drifted: list[SonarSubmap] = []
-        self.submaps: list[SonarSubmap] = []
-
-    def __call__(self, correction: Correction | None) -> DiveSubmaps:
-        """Read it; see `Read`.
-
-        Raises:
-            ReplayError: no pose of the vehicle is known.
-            RecordingError: the recording cannot be read.
-        """
-        dive = read_submaps(self._session, self._config, correction, self._progress)
-        if self._lift_m:
-            dive = _lifted(dive, self._lift_m)
-        none = np.zeros((0, 3), dtype=np.int32)
-        self.submaps = [replace(submap, free=none) for submap in dive.submaps]
-        if correction is None:
-            self.drifted = self.submaps
-        return dive
-
-
-def _lifted(dive: DiveSubmaps, lift_m: float) -> DiveSubmaps:
-    """Return a dive with other heights; voxels move by whole edges."""
-    track = replace(dive.track, position_m=dive.track.position_m + np.array([0.0, 0.0, lift_m]))
-    submaps, fragments = (
-        [_lifted_submap(one, lift_m) for one in some] for some in (dive.submaps, dive.fragments)
-    )
-    return replace(dive, track=track, submaps=submaps, fragments=fragments)
-
-
-def _lifted_submap(submap: SonarSubmap, lift_m: float) -> SonarSubmap:
-    up = np.array([0, 0, round(lift_m / submap.resolution_m)], dtype=np.int32)
-    return replace(submap, occupied=submap.occupied + up, free=submap.free + up)
-
-
 def maps_of(alignment: Alignment, readers: Sequence[DiveReader]) -> MapPair | None:
     """Place the submaps of all dives by the odometry and by the aligned poses.
 
@@ -252,18 +188,20 @@ def maps_of(alignment: Alignment, readers: Sequence[DiveReader]) -> MapPair | No
     before, after = [], []
     for dive, reader in zip(alignment.dives, readers, strict=True):
         if reader.submaps:
-            odometry = dive.track.at(_anchors(reader.drifted))
-            before += _placed(reader.drifted, compose(dive.frame, odometry))
-            submaps = reader.submaps if alignment.corrected else reader.drifted
-            after += _placed(submaps, dive.poses_at(_anchors(submaps)))
-    return MapPair(_united(before, resolution_m), _united(after, resolution_m), resolution_m)
+            odometry = dive.track.at(_anchors(reader.uncorrected))
+            before += _voxels_at_poses(reader.uncorrected, compose(dive.frame, odometry))
+            submaps = reader.submaps if alignment.corrected else reader.uncorrected
+            after += _voxels_at_poses(submaps, dive.poses_at(_anchors(submaps)))
+    return MapPair(
+        _merged_voxels(before, resolution_m), _merged_voxels(after, resolution_m), resolution_m
+    )
 
 
 def _anchors(submaps: Sequence[SonarSubmap]) -> Times:
     return np.array([submap.anchor_ns for submap in submaps], dtype=np.int64)
 
 
-def _placed(submaps: Sequence[SonarSubmap], poses: Floats) -> list[NDArray[np.int64]]:
+def _voxels_at_poses(submaps: Sequence[SonarSubmap], poses: Floats) -> list[NDArray[np.int64]]:
     """Voxels (N, 3) of each submap at its planar pose."""
     placed = []
     for submap, (x, y, yaw) in zip(submaps, poses.tolist(), strict=True):
@@ -275,7 +213,7 @@ def _placed(submaps: Sequence[SonarSubmap], poses: Floats) -> list[NDArray[np.in
     return placed
 
 
-def _united(cells: Sequence[NDArray[np.int64]], resolution_m: float) -> Voxels:
+def _merged_voxels(cells: Sequence[NDArray[np.int64]], resolution_m: float) -> Voxels:
     """Voxels that any submap has, with the share and the number of submaps that have them."""
     none = np.zeros((0, 3), dtype=np.int64)
     found, count = np.unique(np.concatenate([none, *cells]), axis=0, return_counts=True)
@@ -324,7 +262,7 @@ def write_alignment(
         "".join(f"{line}\n" for line in _g2o_lines(alignment, model or DriftModel())),
     )
     encoded = msgspec.json.format(msgspec.json.encode(record), indent=1)
-    _write(folder / ALIGNMENT, encoded.decode() + "\n")
+    _write(folder / ALIGNMENT_JSON, encoded.decode() + "\n")
     pictures = _draw(alignment, record, folder, maps)
     _write(folder / "report.md", _page(record, pictures))
     return record
@@ -438,10 +376,14 @@ def _g2o_lines(alignment: Alignment, model: DriftModel) -> Iterator[str]:
 
 def _step_information(step: OdometryStep, model: DriftModel) -> Floats:
     path_m, seconds = step.path_m, step.seconds
-    noise2 = model.noise_m**2 * max(path_m, 0.1) + step.loose_m**2
+    noise2 = model.noise_m**2 * max(path_m, 0.1) + step.extra_std_m**2
     drift2 = (max(model.scale, model.crab_rad) * path_m) ** 2  # whatever the direction of travel
     turn2 = model.noise_rad**2 * seconds + (model.turn_radps * seconds) ** 2 + 1e-6
-    information = (1 / (noise2 + drift2), 1 / (noise2 + drift2), 1 / (turn2 + step.loose_rad**2))
+    information = (
+        1 / (noise2 + drift2),
+        1 / (noise2 + drift2),
+        1 / (turn2 + step.extra_std_rad**2),
+    )
     return np.diag(information)
 
 
@@ -542,7 +484,7 @@ INK, PAPER, WATER = "#1b2733", "#ffffff", "#eef2f5"
 GREY, BLUE, ORANGE, GREEN, VERMILION = "#7d8790", "#0072b2", "#e69f00", "#009e73", "#d55e00"
 PURPLE = "#cc79a7"
 DIVE_COLOURS = (BLUE, ORANGE, GREEN, "#56b4e9", VERMILION)
-"""Of Okabe and Ito, which the colour-blind tell apart."""
+"""Palette of Okabe and Ito, for colour-blind readers."""
 
 DPI = 110
 MANY_LOOPS = 60
@@ -804,7 +746,7 @@ def _show(axes: Any, view: MapProjection, limits: Sequence[float]) -> Any:  # no
     )
 
 
-HEAD = (
+TABLE_HEADER = (
     "dive",
     "duration, min",
     "correction RMS / max, m",
@@ -830,7 +772,7 @@ def _page(record: AlignmentRecord, pictures: Sequence[tuple[str, str]]) -> str:
     if record.pairs_rejected:
         rejected = ", ".join(f"{why} {count}" for why, count in record.pairs_rejected.items())
         lines += [f"Pairs without a registration: {rejected}.", ""]
-    lines += [f"| {' | '.join(HEAD)} |", f"|{'---|' * len(HEAD)}"]
+    lines += [f"| {' | '.join(TABLE_HEADER)} |", f"|{'---|' * len(TABLE_HEADER)}"]
     lines += [*(_row(dive) for dive in record.dives), "", TABLE_TEXT, ""]
     if record.figures:
         lines += ["| figure | value |", "|---|---|"]

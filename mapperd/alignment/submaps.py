@@ -29,6 +29,7 @@ from oculus_driver.recording import Chunk
 
 __all__ = [
     "Correction",
+    "DiveReader",
     "DiveSubmaps",
     "OdometryTrack",
     "SonarSubmap",
@@ -40,11 +41,11 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 MIN_RESOLUTION_M = 0.2
-MAX_S, MAX_M, MAX_TURN = 8.0, 5.0, math.radians(60.0)
+MAX_SUBMAP_S, MAX_SUBMAP_M, MAX_SUBMAP_TURN_RAD = 8.0, 5.0, math.radians(60.0)
 """Ends of a submap: the first that is reached."""
 
 MAX_PAUSE_S = 2.0
-"""A longer pause between pings ends a submap: odometry alone connects what follows."""
+"""A longer pause between pings ends a submap."""
 
 POSE_STEP_NS = 100_000_000
 
@@ -57,7 +58,7 @@ MIN_PINGS = 3
 RETURN_VOXELS, RETURN_GAP_M = 1.5, 0.5
 """Thickness of the front of a return in edges of a voxel, and the gap between two returns."""
 
-FIRST_ONLY_M = 15.0
+FIRST_RETURN_MAX_RANGE_M = 15.0
 """Up to this range only the first return of a beam is kept: what lies behind is mostly the floor,
 whose near edge moves with the vehicle."""
 
@@ -87,12 +88,12 @@ def front_of_returns(
     Walls and piles echo at many elevations, the nearest first. What follows is put too near or too
     far, by how much depends on the range, and registrations of submaps that see a thing at
     different ranges become too short or too long by percents. A floor is one return. Of images up
-    to `FIRST_ONLY_M` only the first return is kept.
+    to `FIRST_RETURN_MAX_RANGE_M` only the first return is kept.
 
     Args:
         image: of a ping.
         threshold: samples above it are returns; they are separate if `RETURN_GAP_M` apart.
-        min_range_m: nearer samples are none: the transmitter rings down, and the vehicle is there.
+        min_range_m: nearer samples are ignored: ring-down of the transmitter, or the vehicle.
         depth_m: that is kept from the first sample of a return.
     """
     intensity, edge_m = image.intensity, image.range_resolution_m
@@ -103,7 +104,7 @@ def front_of_returns(
     before = np.vstack([np.full_like(seen[:1], far), np.maximum.accumulate(seen[:-1], axis=0)])
     begins = (seen == row) & (row - before > RETURN_GAP_M / edge_m)
     front = np.maximum.accumulate(np.where(begins, row, far), axis=0)
-    if image.max_range_m <= FIRST_ONLY_M:
+    if image.max_range_m <= FIRST_RETURN_MAX_RANGE_M:
         front = np.where(begins.any(axis=0), begins.argmax(axis=0), far)
     kept = np.where(row - front <= depth_m / edge_m, intensity, np.float32(0.0))
     kept.setflags(write=False)
@@ -277,9 +278,9 @@ class _SubmapMapper(SonarMap):
         return (
             ping.segment != last.segment
             or not 0 <= step_s <= MAX_PAUSE_S
-            or (ping.t_ns - first.t_ns) / 1e9 > MAX_S
-            or self._path_m > MAX_M
-            or turn > MAX_TURN
+            or (ping.t_ns - first.t_ns) / 1e9 > MAX_SUBMAP_S
+            or self._path_m > MAX_SUBMAP_M
+            or turn > MAX_SUBMAP_TURN_RAD
         )
 
     def finish(self) -> None:
@@ -288,18 +289,20 @@ class _SubmapMapper(SonarMap):
         if len(held) < MIN_PINGS:
             return
         times = np.array([ping.t_ns for ping in held], dtype=np.int64)
-        bends = np.zeros((len(held), 3)) if self._correction is None else self._correction(times)
-        self.submaps.append(self._mapped(held, bends))
+        corrections = (
+            np.zeros((len(held), 3)) if self._correction is None else self._correction(times)
+        )
+        self.submaps.append(self._mapped(held, corrections))
         ends = np.linspace(0, len(held), FRAGMENTS + 1).round().astype(int).tolist()
         for begin, end in itertools.pairwise(ends):
             if end - begin >= MIN_PINGS:
-                self.fragments.append(self._mapped(held[begin:end], bends[begin:end]))
+                self.fragments.append(self._mapped(held[begin:end], corrections[begin:end]))
 
-    def _mapped(self, held: Sequence[_HeldPing], bends: Floats) -> SonarSubmap:
+    def _mapped(self, held: Sequence[_HeldPing], corrections: Floats) -> SonarSubmap:
         anchor = held[len(held) // 2]
-        corrected_T_anchor = compose(bends[len(held) // 2], anchor.base)  # noqa: N806 frames
-        for ping, bend in zip(held, bends, strict=True):
-            anchor_T_map = matrix_of(compose(inverse(corrected_T_anchor), bend))  # noqa: N806
+        corrected_T_anchor = compose(corrections[len(held) // 2], anchor.base)  # noqa: N806 frames
+        for ping, correction in zip(held, corrections, strict=True):
+            anchor_T_map = matrix_of(compose(inverse(corrected_T_anchor), correction))  # noqa: N806
             motion = ping.motion
             if motion is not None:
                 turned_mps = anchor_T_map[:3, :3] @ motion.linear_mps
@@ -392,3 +395,62 @@ def _read_along(
         path.advance(chunk.arrival_ns)
         yield chunk
         progress(session.bytes_read / max(session.size_bytes, 1))
+
+
+class DiveReader:
+    """Reads a dive for `DiveInput`, and keeps the submaps for the report's maps.
+
+    Args:
+        session: the recording.
+        config: the settings to map with.
+        lift_m: added to heights, so that dives share the zero of z.
+        progress: receives the share that is read.
+
+    Attributes:
+        uncorrected: submaps that follow the odometry, without free voxels; empty before reading.
+        submaps: those of the last reading, likewise.
+    """
+
+    def __init__(
+        self,
+        session: RecordedSession,
+        config: Config,
+        lift_m: float = 0.0,
+        progress: Callable[[float], None] = lambda _: None,
+    ) -> None:
+        self._session = session
+        self._config = config
+        self._lift_m = lift_m
+        self._progress = progress
+        self.uncorrected: list[SonarSubmap] = []
+        self.submaps: list[SonarSubmap] = []
+
+    def __call__(self, correction: Correction | None) -> DiveSubmaps:
+        """Read it along a correction of its odometry; None trusts it.
+
+        Raises:
+            ReplayError: no pose of the vehicle is known.
+            RecordingError: the recording cannot be read.
+        """
+        dive = read_submaps(self._session, self._config, correction, self._progress)
+        if self._lift_m:
+            dive = _lifted(dive, self._lift_m)
+        none = np.zeros((0, 3), dtype=np.int32)
+        self.submaps = [replace(submap, free=none) for submap in dive.submaps]
+        if correction is None:
+            self.uncorrected = self.submaps
+        return dive
+
+
+def _lifted(dive: DiveSubmaps, lift_m: float) -> DiveSubmaps:
+    """Return a dive with other heights; voxels move by whole edges."""
+    track = replace(dive.track, position_m=dive.track.position_m + np.array([0.0, 0.0, lift_m]))
+    submaps, fragments = (
+        [_lifted_submap(one, lift_m) for one in some] for some in (dive.submaps, dive.fragments)
+    )
+    return replace(dive, track=track, submaps=submaps, fragments=fragments)
+
+
+def _lifted_submap(submap: SonarSubmap, lift_m: float) -> SonarSubmap:
+    up = np.array([0, 0, round(lift_m / submap.resolution_m)], dtype=np.int32)
+    return replace(submap, occupied=submap.occupied + up, free=submap.free + up)

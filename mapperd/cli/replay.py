@@ -182,7 +182,8 @@ def _aligned(
 ) -> tuple[OdometryFiles | None, dict[str, Any]]:
     """Align a session and write the results; return the odometry to map with, and the verdict."""
     from mapperd.alignment.align import DiveInput, align  # noqa: PLC0415 needs an extra
-    from mapperd.alignment.report import DiveReader, maps_of, write_alignment  # noqa: PLC0415
+    from mapperd.alignment.report import maps_of, write_alignment  # noqa: PLC0415
+    from mapperd.alignment.submaps import DiveReader  # noqa: PLC0415
 
     bar = ProgressBar(sys.stderr, time.perf_counter, "mapperd: aligning", unit="submaps")
     reader = DiveReader(session, config)

@@ -123,7 +123,8 @@ def align_survey(
     if missing is not None:
         raise ExportExtraError(missing_extra(missing, "align"))
     from mapperd.alignment.align import AlignOptions, DiveInput, align  # noqa: PLC0415 an extra
-    from mapperd.alignment.report import DiveReader, maps_of, write_alignment  # noqa: PLC0415
+    from mapperd.alignment.report import maps_of, write_alignment  # noqa: PLC0415
+    from mapperd.alignment.submaps import DiveReader  # noqa: PLC0415
 
     make_folder(out)
     readers, inputs = [], []

@@ -37,8 +37,7 @@ __all__ = [
 ]
 
 SIX = 6
-LEVELS = range(4)
-MAX = 1e6
+MAX, MAX_M, MAX_S, MAX_DEG = 1e6, 1e6, 1e9, 3600.0
 HELP_FORMATS = "the suffix selects the format (docs/guides/export.md)"
 
 
@@ -63,7 +62,7 @@ def add_diff(command: argparse.ArgumentParser) -> None:
     add(
         "--tolerance",
         metavar="M",
-        type=_positive_metres,
+        type=_metres,
         help="voxels within this distance are the same; default: two of the coarser map",
     )
     add("--out", metavar="FILE", type=Path, help="write a coloured cloud, .ply")
@@ -85,7 +84,7 @@ def add_export(command: argparse.ArgumentParser) -> None:
     add(
         "--level",
         type=int,
-        choices=LEVELS,
+        choices=range(MAX_LEVEL + 1),
         default=0,
         help="cells are cubes of 2**level voxels; default: 0",
     )
@@ -98,14 +97,14 @@ def add_export(command: argparse.ArgumentParser) -> None:
     add(
         "--radius",
         metavar="M",
-        type=_positive_metres,
+        type=_metres,
         default=0.0,
         help="only within this radius of the vehicle; default: no limit",
     )
     add(
         "--timeout",
         metavar="S",
-        type=_positive_seconds,
+        type=_seconds,
         default=0.0,
         help="fail if the map is not complete by then; default: never",
     )
@@ -133,7 +132,7 @@ def add_bag(command: argparse.ArgumentParser) -> None:
     add(
         "--every",
         metavar="S",
-        type=_positive_seconds,
+        type=_seconds,
         default=0.0,
         help="period of the map's cloud; default: only at the end",
     )
@@ -217,21 +216,23 @@ def _positive_count(text: str) -> int:
     return int(text)
 
 
-def _positive_metres(text: str) -> float:
-    return _positive(text, "metres")
+def _metres(text: str) -> float:
+    return _number(text, 0.0, MAX_M, "metres")
 
 
-def _positive_seconds(text: str) -> float:
-    return _positive(text, "seconds")
+def _seconds(text: str) -> float:
+    return _number(text, 0.0, MAX_S, "seconds")
 
 
-def _positive(text: str, unit: str) -> float:
+def _number(text: str, minimum: float, maximum: float, unit: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not 0 <= value <= MAX:
-        raise argparse.ArgumentTypeError(f"{text!r}: {unit} were expected")
+    if not minimum <= value <= maximum:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: {minimum:g} to {maximum:g} {unit} were expected"
+        )
     return value
 
 
@@ -243,10 +244,6 @@ def _probability(text: str) -> float:
     if not 0 < value < 1:
         raise argparse.ArgumentTypeError(f"{text!r}: a probability between 0 and 1 was expected")
     return value
-
-
-MAX_S = 1e9
-MAX_M = 1e6
 
 
 def add_foxglove(command: argparse.ArgumentParser) -> None:
@@ -355,7 +352,7 @@ def _add_radius(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--radius",
         metavar="M",
-        type=_radius,
+        type=_metres,
         default=0.0,
         help="only the map within this radius of the vehicle",
     )
@@ -405,25 +402,8 @@ def _page_origin(text: str) -> str:
 
 
 def _duration(text: str) -> float:
-    return _number_between(text, 0.001, MAX_S, "seconds were")
+    return _number(text, 0.001, MAX_S, "seconds")
 
-
-def _radius(text: str) -> float:
-    return _number_between(text, 0.0, MAX_M, "metres were")
-
-
-def _number_between(text: str, minimum: float, maximum: float, what: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not minimum <= value <= maximum:
-        raise argparse.ArgumentTypeError(f"{text!r}: {what} expected")
-    return value
-
-
-MAX_DEG = 3600.0
-ENTRIES = 6
 
 Add = Callable[..., argparse.ArgumentParser]
 
@@ -484,7 +464,7 @@ def _add_pose(command: argparse.ArgumentParser, nargs: Literal["?"] | None = Non
     add(
         "--std-xy",
         metavar="M",
-        type=_deviation_m,
+        type=_metres,
         help=f"standard deviation of x and y; default: {STD_XY_M:g} m",
     )
     default_deg = math.degrees(STD_YAW_RAD)
@@ -516,24 +496,8 @@ def _degrees(text: str) -> float:
     return _number(text, -MAX_DEG, MAX_DEG, "degrees")
 
 
-def _deviation_m(text: str) -> float:
-    return _number(text, 0.0, MAX_M, "m")
-
-
 def _deviation_deg(text: str) -> float:
     return _number(text, 0.0, MAX_DEG, "degrees")
-
-
-def _number(text: str, minimum: float, maximum: float, unit: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not minimum <= value <= maximum:
-        raise argparse.ArgumentTypeError(
-            f"{text!r}: {minimum:g} to {maximum:g} {unit} were expected"
-        )
-    return value
 
 
 def _covariance(text: str) -> list[float]:
@@ -541,7 +505,7 @@ def _covariance(text: str) -> list[float]:
         values = [float(part) for part in text.split(",")]
     except ValueError:
         values = []
-    if len(values) != ENTRIES or not all(map(math.isfinite, values)):
+    if len(values) != SIX or not all(map(math.isfinite, values)):
         raise argparse.ArgumentTypeError(f"{text!r}: six numbers with commas were expected")
     return values
 
@@ -574,21 +538,7 @@ def add_view(command: argparse.ArgumentParser) -> None:
         action="store_true",
         help="browsers on other computers may change settings",
     )
-    add(
-        "--level",
-        metavar="N",
-        type=int,
-        choices=range(MAX_LEVEL + 1),
-        default=0,
-        help="cells of 2**N voxels along an edge, 0 to 3: less data",
-    )
-    add(
-        "--radius",
-        metavar="M",
-        type=_radius,
-        default=0.0,
-        help="only the map within this radius of the vehicle",
-    )
+    _add_interest(command)
     add("--open", action="store_true", help="open the page in a browser")
 
 
@@ -609,7 +559,15 @@ EPILOG = f"""examples:
 
 GROUPS = MappingProxyType(
     {
-        "look": ("status", "view", "events", "foxglove", "mavlink", "ros2", "changes"),
+        "observe": (
+            "status",
+            "view",
+            "events",
+            "foxglove",
+            "mavlink",
+            "ros2",
+            "changes",
+        ),
         "settings": ("params", "get", "set", "reload", "sonar"),
         "map": ("save", "export", "record", "snapshot", "reset"),
         "localization": (

@@ -217,9 +217,9 @@ def test_a_step_is_loose_where_the_odometry_says_so_and_at_jumps() -> None:
     sure, doubtful, jump = (
         odometry_step(track, int(t_ns[a]), int(t_ns[b])) for a, b in ((0, 30), (30, 60), (60, 90))
     )
-    assert sure.loose_m == 0
-    assert 1.5 < doubtful.loose_m <= 2.0
-    assert jump.loose_m > 5
-    assert jump.loose_rad > 0.5
+    assert sure.extra_std_m == 0
+    assert 1.5 < doubtful.extra_std_m <= 2.0
+    assert jump.extra_std_m > 5
+    assert jump.extra_std_rad > 0.5
     assert sure.motion == pytest.approx([3.0, 0.0, 0.0])
     assert sure.path_m == pytest.approx(3.0)

@@ -168,4 +168,4 @@ def test_missing_velocity_counts_whatever_was_unsure_before(before_m: float) -> 
     # Variances add: an outage of 2 m late in a dive adds little to the standard deviation.
     grown = np.where(np.arange(COUNT) > 500, math.hypot(before_m, 2.0), before_m)
     step = odometry_step(track_of(line(), grown), int(T_NS[490]), int(T_NS[510]))
-    assert 1.0 < step.loose_m <= 2.0
+    assert 1.0 < step.extra_std_m <= 2.0

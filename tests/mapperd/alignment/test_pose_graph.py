@@ -203,7 +203,7 @@ def test_jacobians_of_steps_are_their_differences() -> None:
     graph._states = graph._states + 0.05 * rng.standard_normal(graph._states.shape)
     step = graph.steps[4]
     assert step is not None
-    jacobians, _, _ = graph._of_step(4, step)
+    jacobians, _, _ = graph._step_factor(4, step)
     saved = graph._states.copy()
     for node, jacobian in zip((3, 4), jacobians, strict=True):
         for k in range(6):
@@ -211,7 +211,7 @@ def test_jacobians_of_steps_are_their_differences() -> None:
             for sign in (1.0, -1.0):
                 graph._states = saved.copy()
                 graph._states[node, k] += sign * 1e-6
-                ends.append(graph._of_step(4, step)[1])
+                ends.append(graph._step_factor(4, step)[1])
             assert np.allclose((ends[0] - ends[1]) / 2e-6, jacobian[:, k], atol=1e-5)
 
 

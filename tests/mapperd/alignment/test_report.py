@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +12,8 @@ from numpy.typing import NDArray
 
 from mapperd.alignment.align import AlignedDive, Alignment
 from mapperd.alignment.pose_graph import Loop
-from mapperd.alignment.report import DiveReader, maps_of, record_of, write_alignment
-from mapperd.alignment.submaps import OdometryTrack, SonarSubmap
+from mapperd.alignment.report import maps_of, record_of, write_alignment
+from mapperd.alignment.submaps import DiveReader, OdometryTrack, SonarSubmap
 from mapperd.config.tree import Config
 from mapperd.odometry.native import decode_native
 from mapperd.odometry.odometry_files import OdometryOptions, read_odometry
@@ -89,7 +90,9 @@ def loop(i: int, j: int, pose: tuple[float, float, float], weight: float) -> Loo
 def alignment_of(*dives: AlignedDive, corrected: bool = True) -> Alignment:
     loops = [loop(0, 2, (8.9, 0.0, 0.1), 1.0), loop(0, 1, (7.0, 0.0, 0.0), 0.1)]
     reason = "" if corrected else "nothing was seen twice"
-    return Alignment(list(dives), loops, corrected, reason, 7, {"poor_fit": 2}, {"split_m": 0.1})
+    return Alignment(
+        list(dives), loops, corrected, reason, 7, Counter(poor_fit=2), {"split_m": 0.1}
+    )
 
 
 @pytest.fixture
@@ -233,7 +236,7 @@ def test_maps_lie_where_the_poses_put_the_submaps() -> None:
     session = RecordedSession([], None)
     reader = DiveReader(session, Config())
     assert maps_of(alignment_of(dive), [reader]) is None
-    reader.drifted = reader.submaps = [submap]
+    reader.uncorrected = reader.submaps = [submap]
     maps = maps_of(alignment_of(dive), [reader])
     assert maps is not None
     for voxels, x, yaw in ((maps.before, 10.0, 0.2), (maps.after, 9.0, 0.3)):

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mapperd.alignment.submaps import (
-    FIRST_ONLY_M,
+    FIRST_RETURN_MAX_RANGE_M,
     _HeldPing,
     _SubmapMapper,
     front_of_returns,
@@ -34,8 +34,8 @@ def rows_kept(image: PingImage, beam: int, depth_m: float = 0.35) -> NDArray[np.
     return np.flatnonzero(kept[:, beam] > THRESHOLD)
 
 
-LONG = int(FIRST_ONLY_M / EDGE_M) + 50
-SHORT = int(FIRST_ONLY_M / EDGE_M) - 50
+LONG = int(FIRST_RETURN_MAX_RANGE_M / EDGE_M) + 50
+SHORT = int(FIRST_RETURN_MAX_RANGE_M / EDGE_M) - 50
 
 
 def test_the_front_of_each_return_is_kept() -> None:
