@@ -19,7 +19,7 @@ from sonar_sim import Simulator, load_scenario
 from sonar_sim.effects.rule_check import measured_costs_ms
 from sonar_sim.engine import PingEngine
 from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
-from sonar_sim.simulator import PINGS_A_TASK
+from sonar_sim.simulator import PINGS_PER_TASK
 from studies.report import PAGES, write_section
 
 if TYPE_CHECKING:
@@ -202,7 +202,7 @@ def _work(
     start_s = time.process_time()
     place, workers = share
     for number in range(len(times_s)):
-        if number // PINGS_A_TASK % workers == place:
+        if number // PINGS_PER_TASK % workers == place:
             used.update(ping(number))
     results.put((used, time.process_time() - start_s))
 

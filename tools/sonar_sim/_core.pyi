@@ -487,7 +487,7 @@ def refined_rays(
         meshes: what may have an outline.
         pairs: rays whose upper neighbour met something else, in order; where no outline is between
             them, rays are laid there.
-        reach_m: what lies farther is not seen.
+        reach_m: maximum range of an outline.
         layers: depth in m and speed of sound in m/s, in order of depth, (L, 2); of none, rays are
             straight.
         up: the upward direction in the sonar's frame, and the sonar's height over the sea, (4,).

@@ -49,11 +49,13 @@ Cells = NDArray[np.complex64] | NDArray[np.float32]
 NODES_PER_BEAM = 9.0
 """Scatterers in a row of a beam's -3 dB width, about: the coefficient of variation of an even floor
 is then within 0.005 of Rayleigh's."""
-REACH = 1.3
-"""Rays go on so many times the last row's range: a patch met beyond it may begin before it."""
+CAST_RANGE_FACTOR = 1.3
+"""Rays are cast to this multiple of the last row's range: a patch hit beyond it may begin before
+it."""
 VERTICAL_STEPS = 2048
-MEMORY_KEPT_BYTES = 31 << 20
-"""Size of an array that glibc learns from: it then keeps twice as much free memory."""
+MALLOC_WARMUP_BYTES = 31 << 20
+"""Freeing an array of this size raises glibc's mmap threshold to it, and its trim threshold to
+twice as much; 32 MiB is the limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +127,8 @@ class PingEngine:
             tuple[tuple[object, ...], tuple[NDArray[np.float32], NDArray[np.float32]]] | None
         ) = None
         self._former: tuple[tuple[object, ...], BeamFormer] | None = None
-        # The first pings would teach it less: small scenes got 10 MB of new pages in every ping.
-        np.empty(MEMORY_KEPT_BYTES, dtype=np.uint8)
+        # Otherwise each ping of a small scene returns 10 MB to the system, and needs it again.
+        np.empty(MALLOC_WARMUP_BYTES, dtype=np.uint8)
 
     @property
     def meshes(self) -> Meshes:
@@ -134,7 +136,7 @@ class PingEngine:
         return self._meshes
 
     def reseeded(self, seed: int) -> "PingEngine":
-        """The same sonar in the same scene, with other grain: shares all that is slow to make."""
+        """The same engine with another seed; meshes, fan and caches are shared."""
         other = copy.copy(self)
         other._seed = seed  # noqa: SLF001 one of ours
         return other
@@ -208,8 +210,8 @@ class PingEngine:
 
     def _ways(self, here: PingGeometry) -> tuple[Trace, list[_core.Rays]]:
         """Where the rays go, and the ways of the sound from there."""
-        physics, reach_m = here.physics, REACH * here.range_m
-        fan = self._all_around if physics.all_elevations else self._fan
+        physics, reach_m = here.physics, CAST_RANGE_FACTOR * here.range_m
+        fan = self._steep_fan if physics.all_elevations else self._fan
         if physics.layers is not None:
             speed = self.scene.water.speed_of_sound_mps
             rays, ways = refracted_paths(here, physics.layers, fan, reach_m, speed)
@@ -229,9 +231,9 @@ class PingEngine:
         return rays, ways
 
     @cached_property
-    def _all_around(self) -> RayFan:
-        """The fan with rays in all directions ahead; of the same columns."""
-        return ray_fan(self.sonar, self._elevations, all_around=True)
+    def _steep_fan(self) -> RayFan:
+        """The fan with rays at all elevations ahead, over the same columns."""
+        return ray_fan(self.sonar, self._elevations, all_elevations=True)
 
     def _surfaces(self, here: PingGeometry, ways: list[_core.Rays]) -> Cells:
         """What surfaces and targets send back, by all ways, (rows, columns)."""

@@ -45,8 +45,8 @@ class Simulator:
     """A sonar in a scene. Equal seed, pose, number and time give equal bytes.
 
     Args:
-        scene: what is there.
-        sonar: what looks.
+        scene: the scene.
+        sonar: its settings.
         seed: of speckle and noise.
         effects: "auto" lets each ping's own rules decide; see `EffectSelection.read`.
         tolerance: by which they decide.
@@ -77,8 +77,8 @@ class Simulator:
         self._engine = PingEngine(
             scene, sonar, seed, threads, elevations=elevations, nodes_per_beam=nodes_per_beam
         )
-        look = Previewer(scene, sonar, self._engine.meshes)
-        self._planner = Planner(look, EffectSelection.read(effects), self.tolerance)
+        previewer = Previewer(scene, sonar, self._engine.meshes)
+        self._planner = Planner(previewer, EffectSelection.read(effects), self.tolerance)
         self._warned: set[str] = set()
 
     def plan(
@@ -155,7 +155,7 @@ def simulate(
     return simulator.ping(pose, 0, time_s, motion, truth=truth)
 
 
-PINGS_A_TASK = 16
+PINGS_PER_TASK = 16
 """Successive pings that one process makes: they share what is decided about effects."""
 
 
@@ -195,7 +195,7 @@ _worker: list[Simulator] = []
 def simulate_pings(
     recipe: SimulatorSpec, shots: Iterable[PingRequest], processes: int
 ) -> Iterator[SimulatedPing]:
-    """Simulate one ping a shot, numbered from 0.
+    """Simulate one ping per request; ping numbers start at 0.
 
     A ping depends on seed, shot and number alone, so the number of processes changes nothing.
 
@@ -212,7 +212,7 @@ def simulate_pings(
     # Forking would copy the threads' locks of whatever runs here; spawning does not.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, context, _start, (recipe,)) as pool:
-        yield from pool.map(_work, enumerate(shots), chunksize=PINGS_A_TASK)
+        yield from pool.map(_work, enumerate(shots), chunksize=PINGS_PER_TASK)
 
 
 def _start(recipe: SimulatorSpec) -> None:

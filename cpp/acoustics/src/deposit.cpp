@@ -126,7 +126,7 @@ MAPPERD_VECTORISED void spread(const float* real, const float* imaginary, const 
 
 }  // namespace
 
-Deposit::Deposit(const Hearing& response, const EchoGrid& grid, std::ptrdiff_t first_column,
+Deposit::Deposit(const EchoResponse& response, const EchoGrid& grid, std::ptrdiff_t first_column,
                  std::ptrdiff_t columns, std::complex<float>* field)
     : response_(response),
       rows_(static_cast<std::int32_t>(grid.rows)),

@@ -54,7 +54,7 @@ MAPPERD_VECTORISED void face(const SeenCells& seen, const Footprints& patches,
   MAPPERD_INDEPENDENT
   for (std::size_t i = 0; i < kPatches; ++i) {
     const double w = 0.5 * (seen.from_w[i] + seen.to_w[i]);
-    const Reals reals = reals_of(seen.from_s[i], seen.to_s[i], w);
+    const ValidSines reals = valid_sines(seen.from_s[i], seen.to_s[i], w);
     const double s = 0.5 * (reals.from_s + reals.to_s);
     const double ahead = std::sqrt(std::max(1.0 - s * s - w * w, 1e-9));
     const auto& m = seen.rotation;

@@ -12,8 +12,8 @@ namespace {
 constexpr float kAtSameHeight = 1e-6F;  // sine of elevation
 
 // Whether two hits of the standing scene are of different surfaces, or far apart on a round one.
-bool differ(const Traced& rays, std::size_t low, const float* normals, const std::int32_t* smooth,
-            const Sameness& same) {
+bool differ(const TracedRays& rays, std::size_t low, const float* normals,
+            const std::int32_t* smooth, const SurfaceCriteria& same) {
   const std::size_t high = low + 1;
   if (rays.face[low] == rays.face[high] && smooth[rays.face[low]] < 0) {
     return false;
@@ -32,8 +32,8 @@ bool differ(const Traced& rays, std::size_t low, const float* normals, const std
   return smooth[rays.face[high]] >= 0 && dot3(below, above) < same.min_cosine;
 }
 
-bool is_edge(const Traced& rays, std::size_t low, const float* normals, const std::int32_t* smooth,
-             const Sameness& same) {
+bool is_edge(const TracedRays& rays, std::size_t low, const float* normals,
+             const std::int32_t* smooth, const SurfaceCriteria& same) {
   const std::size_t high = low + 1;
   if (rays.column[low] != rays.column[high]) {
     return false;
@@ -50,7 +50,7 @@ bool is_edge(const Traced& rays, std::size_t low, const float* normals, const st
 // Ranges between which neighbours met what a ray met.
 class Spans {
  public:
-  Spans(const Traced& rays, const std::int32_t* surface, float* span_m)
+  Spans(const TracedRays& rays, const std::int32_t* surface, float* span_m)
       : rays_(rays), surface_(surface), span_m_(span_m) {
     for (std::size_t i = 0; i < rays.count; ++i) {
       span_m[2 * i] = span_m[2 * i + 1] = rays.face[i] < 0 ? 0.0F : rays.range_m[i];
@@ -84,12 +84,12 @@ class Spans {
     span_m_[2 * ray + 1] = std::max(span_m_[2 * ray + 1], range_m);
   }
 
-  const Traced& rays_;
+  const TracedRays& rays_;
   const std::int32_t* surface_;
   float* span_m_;
 };
 
-std::size_t column_end(const Traced& rays, std::size_t first) {
+std::size_t column_end(const TracedRays& rays, std::size_t first) {
   std::size_t end = first;
   while (end < rays.count && rays.column[end] == rays.column[first]) {
     ++end;
@@ -99,8 +99,8 @@ std::size_t column_end(const Traced& rays, std::size_t first) {
 
 }  // namespace
 
-std::vector<std::int64_t> edges(const Traced& rays, const float* normals,
-                                const std::int32_t* smooth, const Sameness& same) {
+std::vector<std::int64_t> edges(const TracedRays& rays, const float* normals,
+                                const std::int32_t* smooth, const SurfaceCriteria& same) {
   std::vector<std::int64_t> found;
   for (std::size_t i = 0; i + 1 < rays.count; ++i) {
     if (is_edge(rays, i, normals, smooth, same)) {
@@ -110,8 +110,8 @@ std::vector<std::int64_t> edges(const Traced& rays, const float* normals,
   return found;
 }
 
-void spans(const Traced& rays, const float* up, const std::int32_t* surface, const float* size_m,
-           float* span_m) {
+void spans(const TracedRays& rays, const float* up, const std::int32_t* surface,
+           const float* size_m, float* span_m) {
   Spans spans(rays, surface, span_m);
   for (std::size_t i = 0; i + 1 < rays.count; ++i) {
     if (rays.column[i] == rays.column[i + 1]) {

@@ -88,7 +88,8 @@ MAPPERD_INLINE void repeat(float value, std::size_t count, float* to) {
 }
 
 // Points relative to a leg that lie at `shift_m` from the nodes' own.
-MAPPERD_VECTORISED void look(const Leg& leg, const Nodes& nodes, const Vec3& shift_m, Sights& to) {
+MAPPERD_VECTORISED void look(const Leg& leg, const Nodes& nodes, const Vec3& shift_m,
+                             PolarPoints& to) {
   const float o[3] = {static_cast<float>(shift_m.x), static_cast<float>(shift_m.y),
                       static_cast<float>(shift_m.z)};
   float m[9];
@@ -132,9 +133,9 @@ MAPPERD_VECTORISED void flat_cosines(const float* __restrict height_m,
 }
 
 // Cosines on the round surface that the plane stands for, and the area seen over the plane's.
-MAPPERD_VECTORISED void round_cosines(const Nodes& nodes, const Sights& out, const Sights& back,
-                                      float* __restrict to_out, float* __restrict to_back,
-                                      float* __restrict area) {
+MAPPERD_VECTORISED void round_cosines(const Nodes& nodes, const PolarPoints& out,
+                                      const PolarPoints& back, float* __restrict to_out,
+                                      float* __restrict to_back, float* __restrict area) {
   constexpr auto kLeast = static_cast<float>(kMinCosine);
   for (std::size_t i = 0; i < nodes.count; ++i) {
     const float nx = nodes.normal[0][i];
@@ -151,8 +152,8 @@ MAPPERD_VECTORISED void round_cosines(const Nodes& nodes, const Sights& out, con
 }
 
 // Cosine of the half-way direction with the surface's normal.
-MAPPERD_VECTORISED void half_cosines(const Nodes& nodes, const Sights& out, const Sights& back,
-                                     float* __restrict cosine) {
+MAPPERD_VECTORISED void half_cosines(const Nodes& nodes, const PolarPoints& out,
+                                     const PolarPoints& back, float* __restrict cosine) {
   for (std::size_t i = 0; i < nodes.count; ++i) {
     const float nx = nodes.normal[0][i];
     const float ny = nodes.normal[1][i];
@@ -243,7 +244,7 @@ MAPPERD_VECTORISED void spreading_loss(bool spreading, const float* __restrict o
 }
 
 // One-way pressure of the vertical pattern.
-MAPPERD_VECTORISED void pattern(const Hearing& response, const float* __restrict w,
+MAPPERD_VECTORISED void pattern(const EchoResponse& response, const float* __restrict w,
                                 std::size_t count, float* __restrict to) {
   const float* __restrict vertical = response.vertical;
   const auto last = static_cast<float>(response.vertical_count - 1);
@@ -302,7 +303,7 @@ void place(const Footprints& footprints, const Patches& patches, std::size_t pat
 }
 
 void ScattererKernel::strengths(const SharedTraits& traits, const Nodes& nodes,
-                                const Sights& back) {
+                                const PolarPoints& back) {
   const float* receive = cosine_[1];
   if (traits.round) {
     round_cosines(nodes, out_, back, cosine_[0], cosine_[1], area_);
@@ -334,7 +335,7 @@ const HeardNodes& ScattererKernel::heard(const SharedTraits& traits, const Nodes
   if (!same) {
     look(*traits.receive, nodes, traits.transmit->origin_m - traits.receive->origin_m, back_);
   }
-  const Sights& back = same ? out_ : back_;
+  const PolarPoints& back = same ? out_ : back_;
   strengths(traits, nodes, back);
   arrive(e_, traits.receive->drift_m, out_.range_m, back.range_m, out_.way[0], out_.way[1],
          out_.way[2], nodes.count, heard_.turns, heard_.row);

@@ -53,7 +53,7 @@ void place(const Footprints& footprints, const Patches& patches, std::size_t pat
            Nodes& nodes);
 
 // Nodes relative to a leg.
-struct Sights {
+struct PolarPoints {
   Each<float> range_m;
   Each<float> way[3];  // unit vectors in the object's frame
   Each<float> s, w;
@@ -75,10 +75,10 @@ class ScattererKernel {
   const HeardNodes& heard(const SharedTraits& traits, const Nodes& nodes);
 
  private:
-  void strengths(const SharedTraits& traits, const Nodes& nodes, const Sights& back);
+  void strengths(const SharedTraits& traits, const Nodes& nodes, const PolarPoints& back);
 
   const ScatterInput& e_;
-  Sights out_, back_;
+  PolarPoints out_, back_;
   HeardNodes heard_;
   Each<float> cosine_[3];  // to the transmitter, to the receiver, half-way
   Each<float> area_;       // that is seen, over the plane's

@@ -17,7 +17,7 @@ constexpr double kRowsApart = 0.5;      // rows between nodes along the range, a
 
 // The lattices' properties, before their origins are known.
 struct Lattices {
-  PerHit<double> shadow_m2;          // of the patch on its coordinate plane; 0 beyond the rows
+  PerHit<double> projected_m2;       // of the patch on its coordinate plane; 0 beyond the rows
   PerHit<std::int64_t> normal_axis;  // of the coordinate plane most parallel to the patch
   PerHit<double> cosine, sine;       // of the turn
   PerHit<double> along_m, across_m;  // steps
@@ -73,17 +73,17 @@ MAPPERD_VECTORISED void choose(const ScatterInput& echoes, const Footprints& f,
     }
     const double u1 = corner[2].u - corner[0].u, v1 = corner[2].v - corner[0].v;
     const double u2 = corner[3].u - corner[1].u, v2 = corner[3].v - corner[1].v;
-    const double shadow_m2 = 0.5 * std::fabs(u1 * v2 - v1 * u2);
+    const double projected_m2 = 0.5 * std::fabs(u1 * v2 - v1 * u2);
     const double covered = (std::min(f.far_m[i], end_m) - f.near_m[i]) / row_m;
-    to.shadow_m2[i] = covered < -1.0 ? 0.0 : shadow_m2;
+    to.projected_m2[i] = covered < -1.0 ? 0.0 : projected_m2;
     const double cells =
         std::max((f.far_m[i] - f.near_m[i]) / row_m, 1.0) * std::max(traits.wide[i], 1.0);
     const double wanted = nodes_per_cell * cells;
     // Few patches may be all that there is of a small object: its surface turns within one.
-    const bool small =
-        (traits.wide[i] < kWholeCell) | (traits.turn_per_m[i] * std::sqrt(shadow_m2) > kSmallTurn);
+    const bool small = (traits.wide[i] < kWholeCell) |
+                       (traits.turn_per_m[i] * std::sqrt(projected_m2) > kSmallTurn);
     const double nodes = small ? std::max(wanted, kMinSmallNodes) : wanted;
-    const double node_m2 = shadow_m2 / nodes;
+    const double node_m2 = projected_m2 / nodes;
     double d[3];
     for (std::size_t k = 0; k < 3; ++k) {
       const auto& at = f.corner_m[k];
@@ -255,7 +255,8 @@ void lay(const ScatterInput& echoes, const Footprints& footprints, Patches& patc
   Lattices lattices{};
   choose(echoes, footprints, traits, lattices, patches);
   for (std::size_t i = 0; i < kPatches; ++i) {
-    patches.exists[i] = i < footprints.count && footprints.exists[i] && lattices.shadow_m2[i] > 0.0;
+    patches.exists[i] =
+        i < footprints.count && footprints.exists[i] && lattices.projected_m2[i] > 0.0;
     if (patches.exists[i]) {
       const Face& face = echoes.faces.table[hits.face[footprints.hit[i]]];
       const LatticeOrigin origin = origin_of(echoes.model.key, face.object,

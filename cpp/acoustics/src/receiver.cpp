@@ -88,8 +88,8 @@ void amplitudes(const float* beams, std::size_t parts, std::size_t rows, std::si
   });
 }
 
-void curved(const float* amplitude, std::size_t count, const Receiver& receiver, float* out,
-            unsigned threads) {
+void apply_gamma(const float* amplitude, std::size_t count, const Receiver& receiver, float* out,
+                 unsigned threads) {
   constexpr std::size_t kBlock = 1024;
   const float top = receiver.clip ? 1.0F : kMaxPressure;
   const float gamma = receiver.gamma;

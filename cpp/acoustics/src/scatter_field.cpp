@@ -17,9 +17,9 @@ using Indices = std::int32_t __attribute__((vector_size(kLanes * sizeof(std::int
 constexpr Indices kEach = {0, 1, 2, 3, 4, 5, 6, 7};
 
 // The scatterers of one hit after another, into a band of the field.
-class Speckler {
+class SpeckleKernel {
  public:
-  Speckler(const ScatterInput& echoes, const Band& band, std::complex<float>* field)
+  SpeckleKernel(const ScatterInput& echoes, const Band& band, std::complex<float>* field)
       : e_(echoes),
         deposit_(echoes.response, echoes.grid, band.column, band.columns, field),
         kernel_(echoes) {}
@@ -139,7 +139,7 @@ void scatter_field(const ScatterInput& echoes, std::complex<float>* field, int t
     if (band.columns < static_cast<std::ptrdiff_t>(echoes.response.tap_count)) {
       return;
     }
-    const auto speckler = std::make_unique<Speckler>(echoes, band, field);
+    const auto speckler = std::make_unique<SpeckleKernel>(echoes, band, field);
     for (std::size_t hit = band.first; hit < band.last;) {
       hit = speckler->add(hit, band.last);
     }

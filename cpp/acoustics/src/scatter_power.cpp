@@ -13,12 +13,12 @@ constexpr double kMaxPieces = 512.0;
 constexpr double kRowsPerPiece = 1.0;
 constexpr double kMinAhead = 1e-6;
 // Widths in s that are less than this part of x² are angles of width / x, to 0.03 %.
-constexpr double kEven = 0.05;
+constexpr double kMaxFlatCell = 0.05;
 
 // Mean powers of one hit after another, into a band of the picture.
-class Averager {
+class MeanPowerKernel {
  public:
-  Averager(const ScatterInput& echoes, const Band& band, float* power)
+  MeanPowerKernel(const ScatterInput& echoes, const Band& band, float* power)
       : e_(echoes), band_(band), power_(power) {}
 
   // Takes the hits of a batch; returns the next one.
@@ -110,11 +110,11 @@ class Averager {
   // A width ds is ds / x of an angle, which grows beyond all bounds where the directions end.
   static Bearing bearing_of(double s, double w, double s_width) {
     const double square = 1.0 - s * s - w * w;
-    if (s_width < kEven * square) {
+    if (s_width < kMaxFlatCell * square) {
       const double ahead = std::sqrt(square);
       return {s, ahead, s_width / ahead};
     }
-    const Reals reals = reals_of(s - 0.5 * s_width, s + 0.5 * s_width, w);
+    const ValidSines reals = valid_sines(s - 0.5 * s_width, s + 0.5 * s_width, w);
     const double from_rad = std::asin(reals.from_s / reals.max_s);
     const double to_rad = std::asin(reals.to_s / reals.max_s);
     const double middle_rad = 0.5 * (from_rad + to_rad);
@@ -143,9 +143,9 @@ class Averager {
     const double cosine =
         std::max(std::fabs(dot(normal, d)), curved_normal_ != nullptr ? kMinCosine : 0.0);
     const double area_m2 = range_m * range_m * bearing.angle_rad * w_width / cosine;
-    const Sight seen{range_m, s, w, d};
-    const Sight out = transmit_ == seen_ ? seen : sight_of(*transmit_, point_m);
-    const Sight back = receive_ == seen_ ? seen : sight_of(*receive_, point_m);
+    const PolarPoint seen{range_m, s, w, d};
+    const PolarPoint out = transmit_ == seen_ ? seen : polar_point(*transmit_, point_m);
+    const PolarPoint back = receive_ == seen_ ? seen : polar_point(*receive_, point_m);
     const Extent extent = extent_of(s, w, bearing.angle_rad * bearing.ahead, w_width);
     const double section_m2 = area_m2 * cross_section(out, back, normal);
     const double extent_m = std::min(extent.across_m + extent.along_m, far_m_ - near_m_);
@@ -155,12 +155,13 @@ class Averager {
     }
   }
 
-  [[nodiscard]] double cross_section(const Sight& out, const Sight& back, const Vec3& n) const {
+  [[nodiscard]] double cross_section(const PolarPoint& out, const PolarPoint& back,
+                                     const Vec3& n) const {
     return strength_.at(std::fabs(dot(n, out.direction)), std::fabs(dot(n, back.direction)),
                         half_cosine(n, out.direction, back.direction));
   }
 
-  void heard(const Sight& out, const Sight& back, double section_m2, double extent_m) {
+  void heard(const PolarPoint& out, const PolarPoint& back, double section_m2, double extent_m) {
     const EchoGrid& grid = e_.grid;
     const double way_m = 0.5 * (out.range_m + back.range_m);
     const double apparent_m = grid.range_scale * way_m + dot(receive_->drift_m, out.direction);
@@ -219,7 +220,7 @@ class Averager {
 
 void scatter_power(const ScatterInput& echoes, float* power, int threads) {
   in_bands(bands_of(echoes, threads), threads, [&](const Band& band) {
-    Averager averager(echoes, band, power);
+    MeanPowerKernel averager(echoes, band, power);
     for (std::size_t hit = band.first; hit < band.last;) {
       hit = averager.add(hit, band.last);
     }

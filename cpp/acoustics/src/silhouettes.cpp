@@ -22,8 +22,8 @@ constexpr double kRimPart = 1.0 - 1e-5;
 struct Segment {
   std::int32_t cell;
   float s[2], w[2];
-  float turn;    // sign: on which side of the way from the first end the face is; 0: on both
-  bool outline;  // otherwise a crease of what is seen
+  float face_side;  // sign: on which side of the way from the first end the face is; 0: on both
+  bool outline;     // otherwise a crease of what is seen
   bool round;
 };
 
@@ -32,7 +32,7 @@ Segment transposed(const Segment& segment) {
   Segment other = segment;
   std::copy_n(segment.s, 2, other.w);
   std::copy_n(segment.w, 2, other.s);
-  other.turn = -segment.turn;
+  other.face_side = -segment.face_side;
   return other;
 }
 
@@ -144,7 +144,7 @@ class Rasteriser {
     if (!(near_m <= reach_m_) || near_m < 1e-6) return;
     proto_.outline = outline;
     proto_.round = outline && edge.round;
-    proto_.turn = outline ? turn_of(a, b, seen(mesh, edge.inner_m)) : 0.0F;
+    proto_.face_side = outline ? side_of_face(a, b, seen(mesh, edge.inner_m)) : 0.0F;
     const double angle = std::sqrt(length2) / near_m;
     const auto pieces = static_cast<std::size_t>(std::clamp(angle / kPiece, 0.0, 4000.0)) + 1;
     SinePoint from = sine_point(by_departure(view_, a));
@@ -157,7 +157,7 @@ class Rasteriser {
   }
 
   // Sign of the triangle a, b, c in s and w.
-  static float turn_of(const Vec3& a, const Vec3& b, const Vec3& c) {
+  static float side_of_face(const Vec3& a, const Vec3& b, const Vec3& c) {
     // Of the plane through the origin, a and b: its normal's side does not depend on ranges.
     const double side = dot(cross(a, b), c);
     return side > 0.0 ? -1.0F : 1.0F;
@@ -360,7 +360,7 @@ class Cutter {
       const double a = static_cast<double>(g.w[0]), b = static_cast<double>(g.w[1]);
       if ((a <= w) == (b <= w)) continue;
       const double s0 = static_cast<double>(g.s[0]), s1 = static_cast<double>(g.s[1]);
-      const float upwards = b > a ? g.turn : -g.turn;  // positive: towards smaller s
+      const float upwards = b > a ? g.face_side : -g.face_side;  // positive: towards smaller s
       cuts_.push_back(
           {s0 + (w - a) / (b - a) * (s1 - s0), upwards > 0.0F, upwards < 0.0F, g.round});
     }

@@ -36,15 +36,15 @@ double turn_ray(const SoundLayers& layers, const double* point, double step_m, d
 
 double speed_gradient(const SoundLayers& layers, double depth_m, double& speed_mps) {
   const auto& depths = layers.depth_m;
-  const auto above = static_cast<std::size_t>(
+  const auto deeper = static_cast<std::size_t>(
       std::upper_bound(depths.begin(), depths.end(), depth_m) - depths.begin());
-  if (above == 0 || above == depths.size()) {
-    speed_mps = layers.speed_mps[above == 0 ? 0 : above - 1];
+  if (deeper == 0 || deeper == depths.size()) {
+    speed_mps = layers.speed_mps[deeper == 0 ? 0 : deeper - 1];
     return 0.0;
   }
-  const double slope =
-      (layers.speed_mps[above] - layers.speed_mps[above - 1]) / (depths[above] - depths[above - 1]);
-  speed_mps = layers.speed_mps[above - 1] + slope * (depth_m - depths[above - 1]);
+  const double slope = (layers.speed_mps[deeper] - layers.speed_mps[deeper - 1]) /
+                       (depths[deeper] - depths[deeper - 1]);
+  speed_mps = layers.speed_mps[deeper - 1] + slope * (depth_m - depths[deeper - 1]);
   return -slope;
 }
 

@@ -8,7 +8,7 @@ namespace acoustics = mapperd::acoustics;
 namespace {
 
 const float kVertical[] = {1.0F, 0.5F, 0.0F};
-const acoustics::Hearing kHearing{nullptr, kVertical, 3, nullptr, 8, 4};
+const acoustics::EchoResponse kHearing{nullptr, kVertical, 3, nullptr, 8, 4};
 
 TEST_CASE("a beam is heard alike above and below its axis, and no farther than its pattern goes") {
   for (const double w : {0.0, 0.25, 0.5, 0.75, 1.0}) {
@@ -22,10 +22,10 @@ TEST_CASE("a beam is heard alike above and below its axis, and no farther than i
 
 TEST_CASE("a point where the sonar is has a direction of numbers") {
   const acoustics::Leg leg{{4, 5, 6}, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1.0};
-  const acoustics::Sight at = acoustics::sight_of(leg, {4, 5, 6});
+  const acoustics::PolarPoint at = acoustics::polar_point(leg, {4, 5, 6});
   CHECK((at.range_m > 0.0 && at.s == 0.0 && at.w == 0.0));
   CHECK((at.direction.x == 0.0 && at.direction.y == 0.0 && at.direction.z == 0.0));
-  const acoustics::Sight beside = acoustics::sight_of(leg, {4, 2, 10});
+  const acoustics::PolarPoint beside = acoustics::polar_point(leg, {4, 2, 10});
   CHECK(beside.range_m == near(5.0, 1e-12));
   CHECK(beside.s == near(0.6, 1e-12));
   CHECK(beside.w == near(0.8, 1e-12));

@@ -73,9 +73,9 @@ TEST_CASE("every width ends at its greatest integer and does not wrap") {
 TEST_CASE("floats keep what exceeds full scale unless the receiver clips") {
   const std::vector<float> amplitude{0.25F, 4.0F};
   std::vector<float> out(2);
-  acoustics::curved(amplitude.data(), 2, {nullptr, 1.0F, true}, out.data(), 1);
+  acoustics::apply_gamma(amplitude.data(), 2, {nullptr, 1.0F, true}, out.data(), 1);
   CHECK((out[0] == 0.25F && out[1] == 1.0F));
-  acoustics::curved(amplitude.data(), 2, {nullptr, 0.5F, false}, out.data(), 1);
+  acoustics::apply_gamma(amplitude.data(), 2, {nullptr, 0.5F, false}, out.data(), 1);
   CHECK(static_cast<double>(out[1]) == near(2.0, 1e-6));
 }
 

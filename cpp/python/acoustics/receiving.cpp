@@ -198,7 +198,7 @@ py::array quantised(const Floats& amplitude, const acoustics::Receiver& receiver
   const py::gil_scoped_release unlocked;
   const auto count = static_cast<std::size_t>(amplitude.size());
   if constexpr (std::is_same_v<Pixel, float>) {
-    acoustics::curved(amplitude.data(), count, receiver, out, threads);
+    acoustics::apply_gamma(amplitude.data(), count, receiver, out, threads);
   } else {
     acoustics::quantised(amplitude.data(), count, receiver, out, threads);
   }

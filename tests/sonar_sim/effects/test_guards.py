@@ -89,9 +89,12 @@ def test_an_echo_at_the_transducer_is_finite_and_absorbed_there_and_back() -> No
     near, far = (
         SimpleNamespace(range_m=np.array([r, r]), point_m=np.zeros((2, 3))) for r in (0.0, 40.0)
     )
-    assert np.isfinite(view.travelled(cast("Echoes", near))).all()
+    assert np.isfinite(view.on_axis_power_per_m2(cast("Echoes", near))).all()
     twice = SimpleNamespace(range_m=np.array([80.0]), point_m=np.zeros((1, 3)))
-    fall = view.travelled(cast("Echoes", far))[0] / view.travelled(cast("Echoes", twice))[0]
+    fall = (
+        view.on_axis_power_per_m2(cast("Echoes", far))[0]
+        / view.on_axis_power_per_m2(cast("Echoes", twice))[0]
+    )
     db_per_m = view.water_db_per_m + view.sediment_db_per_m
     assert 10 * np.log10(fall) == pytest.approx(40 * np.log10(2) + 2 * 40 * db_per_m)
 

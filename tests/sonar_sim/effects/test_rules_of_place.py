@@ -104,7 +104,8 @@ def test_paths_are_as_long_as_their_time_requires() -> None:
     water = Water(profile=((0.0, 1510.0), (4.999, 1510.0), (5.001, 1490.0), (10.0, 1490.0)))
     view = view_of(scene=Scene((floor(8.0),), water=water), at=pose(2.0))
     assert path_bending(view).stretch == pytest.approx(
-        np.full(len(view.echoes.range_m), view.speed_mps * (0.5 / 1510.0 + 0.5 / 1490.0)), rel=1e-6
+        np.full(len(view.echoes.range_m), view.speed_of_sound_mps * (0.5 / 1510.0 + 0.5 / 1490.0)),
+        rel=1e-6,
     )
 
 

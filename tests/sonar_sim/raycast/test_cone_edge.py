@@ -97,13 +97,13 @@ def test_what_is_straight_above_or_below_is_heard_by_the_pattern_s_far_lobe(up: 
 
 
 @pytest.mark.parametrize("all_around", [False, True])
-def test_the_fan_covers_all_directions_ahead(*, all_around: bool) -> None:
+def test_the_fan_covers_all_directions_ahead(*, all_elevations: bool) -> None:
     sonar = replace(SONAR, half_aperture_rad=math.radians(85.0), beams=180)
-    fan = ray_fan(sonar, all_around=all_around)
+    fan = ray_fan(sonar, all_elevations=all_elevations)
     top, left = float(fan.cell[:, 3].max()), float(fan.cell[:, 0].min())
     up = (np.arange(100_000) + 0.5) / 100_000 * 2.0 * top - top
     most = np.sqrt(1.0 - up**2)
-    assert top == pytest.approx(1.0 if all_around else math.sin(math.radians(40.0)))
+    assert top == pytest.approx(1.0 if all_elevations else math.sin(math.radians(40.0)))
     expected = np.mean(2.0 * np.arcsin(np.minimum(-left / most, 1.0))) * 2.0 * top
     assert fan.solid_angle_sr.sum() == pytest.approx(expected, rel=1e-3)
 

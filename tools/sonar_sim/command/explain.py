@@ -58,12 +58,12 @@ def run(args: argparse.Namespace) -> int:
     tolerance = Tolerance(args.tolerance_db, args.tolerance_cells)
     path = scenario.trajectory
     time_s = path.duration_s / 2.0 if args.time is None else time_on(path, args.time)
-    wish = EffectSelection.read(args.effects)
+    selection = EffectSelection.read(args.effects)
     engine = PingEngine(scenario.scene, scenario.sonar)
-    look = Previewer(scenario.scene, scenario.sonar, engine.meshes)
+    previewer = Previewer(scenario.scene, scenario.sonar, engine.meshes)
     pose, motion = sonar_pose(scenario, time_s), sonar_motion(scenario, time_s)
     # As in the simulator, so that both give the same result.
-    planned = Planner(look, wish, tolerance).at(pose, 0, time_s, motion)
+    planned = Planner(previewer, selection, tolerance).at(pose, 0, time_s, motion)
     plan = planned.plan
     costs_ms = measured_costs_ms(engine, plan, planned.view, args.repeats)
     _print(plan, costs_ms, as_json=args.json)

@@ -98,18 +98,18 @@ class Gains:
     """From power at the receiver to amplitude of full scale.
 
     Attributes:
-        varied_db: time-varied gain of each coarse row, (rows,).
+        tvg_db: time-varied gain of each coarse row, (rows,).
         operator_db: the operator's gain.
         full_scale_db: level after gains that fills the scale.
     """
 
-    varied_db: NDArray[np.float64]
+    tvg_db: NDArray[np.float64]
     operator_db: float
     full_scale_db: float
 
     def amplitude(self, power: NDArray[np.float64]) -> NDArray[np.float64]:
         """Amplitude of full scale, not clipped, (rows, COLUMNS)."""
-        gain_db = np.minimum(self.varied_db + self.operator_db - self.full_scale_db, MAX_DB)
+        gain_db = np.minimum(self.tvg_db + self.operator_db - self.full_scale_db, MAX_DB)
         shown: NDArray[np.float64] = np.sqrt(power) * (10.0 ** (gain_db / 20.0))[:, None]
         return shown
 
@@ -186,7 +186,7 @@ def cloud_filling(
     map_T_sonar: FramePose,  # noqa: N803 frames in the name
     end_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Part of each cell's listened water that a cloud fills, as bright as it is, (rows, COLUMNS).
+    """Fraction of each cell's insonified water that a cloud fills, attenuated, (rows, COLUMNS).
 
     Each ray fills its cone between entry and exit; the cloud swallows on the way what it does.
 

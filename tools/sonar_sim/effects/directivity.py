@@ -181,8 +181,8 @@ BEARING_TABLE = Effect(
 
 def decide_range_spread(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the resolution of the pulse is not much finer than a row."""
-    bandwidth_hz = view.sonar.bandwidth_hz(view.speed_mps)
-    resolution_rows = view.speed_mps / (2.0 * bandwidth_hz) / view.sonar.range_resolution_m
+    bandwidth_hz = view.sonar.bandwidth_hz(view.speed_of_sound_mps)
+    resolution_rows = view.speed_of_sound_mps / (2.0 * bandwidth_hz) / view.sonar.range_resolution_m
     on = resolution_rows >= 0.5 and tolerance.texture < ROW_CORRELATION  # noqa: PLR2004 half a row
     reason = f"the pulse resolves {resolution_rows:.1f} rows; rows correlate {ROW_CORRELATION}"
     leak_db = LEVEL_SPREAD_DB * (2.0 * ROW_CORRELATION) ** 0.5
@@ -214,7 +214,7 @@ RANGE_SPREAD = Effect(
 def decide_near_field(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the beams are not focused and something lies nearer than where they are sharp."""
     del tolerance
-    focus_m = view.sonar.focus_m(view.speed_mps)
+    focus_m = view.sonar.focus_m(view.speed_of_sound_mps)
     if view.sonar.dynamic_focus:
         return RuleResult(on=False, reason="beams are focused at every range", predicted_db=0.0)
     nearest_m = max(float(view.echoes.range_m.min(initial=np.inf)), view.sonar.range_resolution_m)
@@ -225,7 +225,9 @@ def decide_near_field(view: PingPreview, tolerance: Tolerance) -> RuleResult:
 
 def configure_near_field(physics: Physics, view: PingPreview) -> None:
     """Give the range from which beams are sharp."""
-    physics.focus_m = None if view.sonar.dynamic_focus else view.sonar.focus_m(view.speed_mps)
+    physics.focus_m = (
+        None if view.sonar.dynamic_focus else view.sonar.focus_m(view.speed_of_sound_mps)
+    )
 
 
 NEAR_FIELD_DB = 0.5

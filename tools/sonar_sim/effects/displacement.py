@@ -1,12 +1,8 @@
-"""Displacement of the picture by motion and by the profile of sound speed.
+"""Displacement of the picture by sound speed, motion, Doppler shift and refraction.
 
-Motion is small while a ping listens, so displacements are linear in velocity and turn rate: what
-they are multiplied with is worked out once a look.
-
-Effects that move the picture: how far each does, and which can be left out together.
-
-Displacements add up, so what is left out is judged by its sum: the farthest mover is called for
-first, until the rest together stay within the tolerance.
+Displacements are linear in velocity and turn rate while a ping listens, so their factors are
+computed once per preview. They add up: effects are called for in descending order of displacement,
+until the remaining ones together stay within the tolerance.
 """
 
 from collections.abc import Iterable
@@ -43,12 +39,12 @@ def object_velocity_mps(view: PingPreview) -> NDArray[np.float64]:
     return velocity
 
 
-def speed_mps(view: PingPreview) -> float:
+def sonar_speed_mps(view: PingPreview) -> float:
     """Speed of the sonar."""
     return 0.0 if view.motion is None else float(np.linalg.norm(view.motion.linear_mps))
 
 
-def turn_rps(view: PingPreview) -> float:
+def sonar_turn_rate_rps(view: PingPreview) -> float:
     """Rate of turn, rad/s."""
     return 0.0 if view.motion is None else float(np.linalg.norm(view.motion.angular_rps))
 
@@ -93,7 +89,8 @@ def path_bending(view: PingPreview) -> PathBending:
     level_m = np.hypot(*(echoes.point_m - view.map_T_sonar.position_m)[:, :2].T)
     speed = np.interp(along_m, depths_m, speeds_mps)
     return PathBending(
-        -mean * level_m / (2.0 * view.speed_mps), (view.speed_mps / speed).mean(axis=1)
+        -mean * level_m / (2.0 * view.speed_of_sound_mps),
+        (view.speed_of_sound_mps / speed).mean(axis=1),
     )
 
 
@@ -115,9 +112,9 @@ class VisibleParts:
         away_m: R u, (P, 3).
         leaving_mps: speed at which moving objects leave, along u, (P,).
         leaving_m2ps: the same times R, (P,).
-        turned_m: what turns the echo's starboard sine, times R, (P, 3).
-        passed: what moves it by passing, (P, 3).
-        passing_mps: the same of moving objects, (P,).
+        turned_m: R times the starboard sine's rate per rad/s of the sonar's turn, (P, 3).
+        passed: R times its rate per m/s of the sonar's velocity, (P, 3).
+        passing_mps: R times its rate by the objects' own motion, (P,).
     """
 
     range_m: NDArray[np.float64]
@@ -131,14 +128,14 @@ class VisibleParts:
     passing_mps: NDArray[np.float64]
 
 
-_PARTS_KNOWN: WeakKeyDictionary[Echoes, VisibleParts] = WeakKeyDictionary()
+_PARTS_CACHE: WeakKeyDictionary[Echoes, VisibleParts] = WeakKeyDictionary()
 
 
 def visible_parts(view: PingPreview) -> VisibleParts:
     """The parts of what a look saw, whatever the motion."""
-    known = _PARTS_KNOWN.get(view.echoes)
+    known = _PARTS_CACHE.get(view.echoes)
     if known is None:
-        known = _PARTS_KNOWN[view.echoes] = _parts_of(view)
+        known = _PARTS_CACHE[view.echoes] = _parts_of(view)
     return known
 
 
@@ -219,7 +216,7 @@ def displacement(view: PingPreview) -> dict[str, Displacement]:
     Sound that comes back from range R after 2 R / c meets a sonar that has come v R / c nearer, on
     the way there and back together, and has turned by omega 2 R / c.
     """
-    sonar, speed_mps, parts = view.sonar, view.speed_mps, visible_parts(view)
+    sonar, speed_mps, parts = view.sonar, view.speed_of_sound_mps, visible_parts(view)
     row_m, none = sonar.range_resolution_m, np.zeros(len(parts.range_m))
     velocity_mps, turn_rps = np.zeros(3), np.zeros(3)
     if view.motion is not None:
@@ -241,7 +238,7 @@ def displacement(view: PingPreview) -> dict[str, Displacement]:
 def range_scale(view: PingPreview) -> float:
     """Apparent range over true range, by the speed of sound that the sonar assumes."""
     assumed_mps = view.sonar.told_speed_mps
-    return 1.0 if assumed_mps is None else assumed_mps / view.speed_mps
+    return 1.0 if assumed_mps is None else assumed_mps / view.speed_of_sound_mps
 
 
 def doppler_shift_s(sonar: SonarSettings, speed_mps: float) -> float:
@@ -264,19 +261,19 @@ class Displacements:
     left_out: dict[float, frozenset[str]]
 
 
-_MOVERS_KNOWN: WeakKeyDictionary[PingPreview, Displacements] = WeakKeyDictionary()
+_DISPLACEMENTS_CACHE: WeakKeyDictionary[PingPreview, Displacements] = WeakKeyDictionary()
 
 
 def displaced_cells(view: PingPreview, name: str) -> float:
     """How far one mover takes all but a few of the picture's parts."""
-    return _movers(view).cells[name]
+    return _displacements(view).cells[name]
 
 
 def displacement_result(
     name: str, view: PingPreview, tolerance: Tolerance, reason: str
 ) -> RuleResult:
     """On if the picture would be displaced too far without this one of the movers."""
-    movers = _movers(view)
+    movers = _displacements(view)
     left = movers.left_out.get(tolerance.cells)
     if left is None:
         left = movers.left_out[tolerance.cells] = _left_out(movers, tolerance.cells)
@@ -284,12 +281,12 @@ def displacement_result(
     return RuleResult(name not in left, f"{reason}: {cells:.2g} cells", displaced_db(cells))
 
 
-def _movers(view: PingPreview) -> Displacements:
-    known = _MOVERS_KNOWN.get(view)
+def _displacements(view: PingPreview) -> Displacements:
+    known = _DISPLACEMENTS_CACHE.get(view)
     if known is None:
         found = displacement(view)
         known = Displacements(found, {name: move.cells for name, move in found.items()}, {})
-        _MOVERS_KNOWN[view] = known
+        _DISPLACEMENTS_CACHE[view] = known
     return known
 
 

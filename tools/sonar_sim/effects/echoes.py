@@ -13,9 +13,9 @@ from sonar_sim.scene.material import specular_lobe
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
 
-SEA = -1
-"""Surface number of the sea's surface."""
-NOTHING = -2
+SEA_SURFACE = -1
+"""Surface number of the sea's surface: the last row of the material table."""
+NO_SURFACE = -2
 SKIP_M = 1e-3
 """A second cast starts this far behind the first hit, so as not to meet the same face again."""
 
@@ -27,7 +27,7 @@ class CoarseHits:
     Attributes:
         range_m: along the ray, inf for nothing, (N,).
         normal: unit, map frame; its side means nothing, (N, 3).
-        surface: place in the scene's surfaces, or `SEA`, or `NOTHING`, (N,).
+        surface: place in the scene's surfaces, or `SEA_SURFACE`, or `NO_SURFACE`, (N,).
         turn: of the curvatures: sum of squares, 1/m²; square of the product, 1/m⁴; square of how
             fast the normal turns along the ray's own part in the tangent plane, 1/m², (N, 3).
     """
@@ -52,7 +52,7 @@ def cast(
         origin_m: map frame, (3,) or (N, 3).
         direction: unit vectors, map frame, (N, 3).
         time_s: at which moving objects are met.
-        reach_m: what lies farther is not met.
+        reach_m: maximum range of a hit.
     """
     found = scene.cast(origin_m, direction.astype(np.float32), time_s, reach_m, threads=1)
     met = found.face >= 0
@@ -64,9 +64,9 @@ def cast(
     facing = _normals(scene, face, group, point_m, time_s)
     normal = np.zeros((len(met), 3))
     normal[hit] = facing
-    surface = np.full(len(met), NOTHING, dtype=np.int64)
+    surface = np.full(len(met), NO_SURFACE, dtype=np.int64)
     number = scene.surface[face]
-    surface[hit] = np.where(number == meshes.SEA, SEA, number)
+    surface[hit] = np.where(number == meshes.SEA, SEA_SURFACE, number)
     turn = np.zeros((len(met), 3))
     tangent = way - np.sum(way * facing, axis=1)[:, None] * facing
     turn[hit] = _turn(scene, face, group, tangent, time_s)
@@ -137,8 +137,8 @@ def _normals(
 
 
 COLUMNS = 96
-ELEVATIONS = 100
-"""Of a column, evenly in the sine from straight below to straight above."""
+COARSE_ELEVATIONS = 100
+"""Rays of a column, evenly spaced in the sine of elevation from -1 to 1."""
 TOP = 1.0
 MIN_AHEAD = 1e-3
 """Sine of the angle to the plane across the sonar below which a ray is ignored."""
@@ -177,10 +177,10 @@ class Echoes:
         normal: map frame, (N, 3); zero for points.
         range_m: slant range, (N,).
         extent_m: how far the patch reaches in range, (N,).
-        surface: place in the scene's surfaces, `SEA`, or NOTHING for points, (N,).
+        surface: place in the scene's surfaces, `SEA_SURFACE`, or NO_SURFACE for points, (N,).
         cos_incidence: 1 for points, (N,).
         lambert_m2: scattering cross section by Lambert's law, (N,); of points, all of it.
-        even_m2: the same if the surface scattered alike in all directions, (N,).
+        isotropic_m2: the same for isotropic scattering, (N,).
         lobe_m2: cross section of the mirror's lobe, (N,).
     """
 
@@ -193,7 +193,7 @@ class Echoes:
     surface: NDArray[np.int64]
     cos_incidence: NDArray[np.float64]
     lambert_m2: NDArray[np.float64]
-    even_m2: NDArray[np.float64]
+    isotropic_m2: NDArray[np.float64]
     lobe_m2: NDArray[np.float64]
 
     @property
@@ -214,9 +214,9 @@ class Echoes:
 def coarse_fan(sonar: SonarSettings) -> CoarseFan:
     """Lay the coarse rays over the fan, from straight below to straight above."""
     edge = math.sin(sonar.half_aperture_rad) + sonar.sine_pitch / 2.0
-    sine_step, up_step = 2.0 * edge / COLUMNS, 2.0 * TOP / ELEVATIONS
+    sine_step, up_step = 2.0 * edge / COLUMNS, 2.0 * TOP / COARSE_ELEVATIONS
     s = (np.arange(COLUMNS) + 0.5) * sine_step - edge
-    w = (np.arange(ELEVATIONS) + 0.5) * up_step - TOP
+    w = (np.arange(COARSE_ELEVATIONS) + 0.5) * up_step - TOP
     ss, ww = np.meshgrid(s, w, indexing="ij")
     column = np.broadcast_to(np.arange(COLUMNS)[:, None], ss.shape)
     half_s, half_w = sine_step / 2.0, up_step / 2.0
@@ -260,7 +260,7 @@ def coarse_echoes(
         surface=surface,
         cos_incidence=cos_incidence,
         lambert_m2=mu * np.square(cos_incidence) * area_m2,
-        even_m2=mu * area_m2,
+        isotropic_m2=mu * area_m2,
         lobe_m2=lobe * area_m2,
     )
 
@@ -323,5 +323,5 @@ def _extent_m(
 
 def is_sea(echoes: Echoes) -> NDArray[np.bool_]:
     """Which echoes are the sea's surface, (N,)."""
-    sea: NDArray[np.bool_] = echoes.surface == SEA
+    sea: NDArray[np.bool_] = echoes.surface == SEA_SURFACE
     return sea

@@ -31,9 +31,9 @@ DARK_ENTRIES, DARK_LEVELS = 1024, 16
 DARK_WEIGHT = 0.5
 """Of a change of the dark's mean against one of a pixel: 1 dB of less than two steps is a quarter
 of a step at most."""
-CLEARLY_DB = 6.0
+CLEAR_CHANGE_DB = 6.0
 """Where single pixels differ by more, the mean of the dark is not looked at."""
-LOUDEST = 1e18
+MAX_AMPLITUDE = 1e18
 """Limit of amplitude, of full scale: keeps pixels of 32 bits within single precision."""
 
 
@@ -44,7 +44,7 @@ def level_change_db(
     share: float,
     cells: tuple[float, float] = (0.0, 0.0),
     *,
-    in_the_dark: bool = False,
+    ignore_dark_shift: bool = False,
 ) -> float:
     """Difference of level that no more than a share of the pixels exceeds.
 
@@ -54,20 +54,20 @@ def level_change_db(
         sonar: its gamma and bits set the step of the quantiser.
         share: of the pixels.
         cells: displacement that does not count, in rows and in columns.
-        in_the_dark: whether it does not count in the mean of what is dark, either.
+        ignore_dark_shift: whether that displacement is also ignored in the mean of dark pixels.
 
     Returns:
         dB, at least 0.
     """
-    a, b = (np.minimum(picture, LOUDEST).astype(np.float32) for picture in (first, second))
+    a, b = (np.minimum(picture, MAX_AMPLITUDE).astype(np.float32) for picture in (first, second))
     change_db = _change_of_pixels_db(a, b, sonar, share, cells)
-    if change_db > CLEARLY_DB:
+    if change_db > CLEAR_CHANGE_DB:
         return change_db
     dark_db = dark_change_db(a, b, sonar)
-    if in_the_dark:
+    if ignore_dark_shift:
         # Either picture may be the one that is displaced.
-        there = dark_change_db(a, np.clip(a, *_hull(b, cells)), sonar)
-        dark_db = min(there, dark_change_db(np.clip(b, *_hull(a, cells)), b, sonar))
+        there = dark_change_db(a, np.clip(a, *_displaced_bounds(b, cells)), sonar)
+        dark_db = min(there, dark_change_db(np.clip(b, *_displaced_bounds(a, cells)), b, sonar))
     return max(change_db, DARK_WEIGHT * dark_db)
 
 
@@ -166,7 +166,7 @@ def _beyond(
     Returns:
         Which differ by more than a step of the quantiser, (rows, beams), and by how much.
     """
-    nearest = np.clip(amplitude, *_hull(other, cells)) if any(cells) else other
+    nearest = np.clip(amplitude, *_displaced_bounds(other, cells)) if any(cells) else other
     gamma, scale = gamma_of(sonar), full_scale(sonar)
     step = _to_pixel(amplitude, gamma) - _to_pixel(nearest, gamma)
     seen = np.abs(step) * np.float32(scale) > 1.0
@@ -182,7 +182,7 @@ def _to_pixel(amplitude: NDArray[np.float32], gamma: float) -> NDArray[np.float3
     return amplitude if gamma == 1.0 else amplitude ** np.float32(gamma)
 
 
-def _hull(
+def _displaced_bounds(
     picture: NDArray[np.float32], cells: tuple[float, float]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Smallest and largest amplitude that a displacement up to `cells` brings to each pixel."""
@@ -199,13 +199,13 @@ def _fall(power: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     """How far the lower of both neighbours lies under each pixel, 0 or less."""
     step = np.diff(power, axis=axis)
     fall = np.zeros_like(power)
-    here, there = _but_one(fall, axis, last=True), _but_one(fall, axis, last=False)
+    here, there = _without_end(fall, axis, last=True), _without_end(fall, axis, last=False)
     np.minimum(here, step, out=here)
     np.minimum(there, -step, out=there)
     return fall
 
 
-def _but_one(picture: NDArray[np.float32], axis: int, *, last: bool) -> NDArray[np.float32]:
+def _without_end(picture: NDArray[np.float32], axis: int, *, last: bool) -> NDArray[np.float32]:
     """All rows or columns but the last or the first: a view."""
     part = slice(None, -1) if last else slice(1, None)
     return picture[part] if axis == 0 else picture[:, part]
@@ -258,7 +258,7 @@ class Tolerance:
     brighter_db: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what decides nothing."""
+        """Check that each tolerance is positive, and the share in [0, 1)."""
         if not (self.level_db > 0.0 and self.cells > 0.0 and self.texture > 0.0):
             raise ValueError(f"a tolerance above zero is needed, not {self}")
         if not 0.0 <= self.share < 1.0:

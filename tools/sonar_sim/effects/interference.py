@@ -19,7 +19,7 @@ def arrivals(view: PingPreview) -> tuple[InterferencePulse, ...]:
 
 
 def _arrivals_of(emitter: Emitter, view: PingPreview) -> list[InterferencePulse]:
-    band_hz = (emitter.bandwidth_hz + view.sonar.bandwidth_hz(view.speed_mps)) / 2.0
+    band_hz = (emitter.bandwidth_hz + view.sonar.bandwidth_hz(view.speed_of_sound_mps)) / 2.0
     if abs(emitter.frequency_hz - view.sonar.frequency_hz) > band_hz:
         return []
     away_m = np.asarray(emitter.position_m, dtype=np.float64) - view.own_pose.position_m
@@ -31,13 +31,15 @@ def _arrivals_of(emitter: Emitter, view: PingPreview) -> list[InterferencePulse]
     loss_db = 20.0 * math.log10(range_m) + (view.water_db_per_m + view.sediment_db_per_m) * range_m
     level_db = emitter.source_level_db - loss_db + 10.0 * math.log10(max(one_way, 1e-12))
     # The first transmission of the emitter that is still heard at or after ours.
-    since_s = view.own_time_s - range_m / view.speed_mps - emitter.offset_s - emitter.pulse_s
+    since_s = (
+        view.own_time_s - range_m / view.speed_of_sound_mps - emitter.offset_s - emitter.pulse_s
+    )
     number = max(math.ceil(since_s / emitter.period_s), 0)
     heard: list[InterferencePulse] = []
-    end_s = 2.0 * view.sonar.range_m / view.speed_mps
+    end_s = 2.0 * view.sonar.range_m / view.speed_of_sound_mps
     while True:
         sent_s = emitter.offset_s + number * emitter.period_s
-        time_s = sent_s + range_m / view.speed_mps - view.own_time_s
+        time_s = sent_s + range_m / view.speed_of_sound_mps - view.own_time_s
         if time_s > end_s:
             return heard
         heard.append(InterferencePulse(time_s, emitter.pulse_s, -float(y), level_db))
@@ -62,8 +64,8 @@ def decide(view: PingPreview, tolerance: Tolerance) -> RuleResult:
 def _picture(
     arrival: InterferencePulse, view: PingPreview
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    start_m = arrival.time_s * view.speed_mps / 2.0
-    end_m = start_m + arrival.duration_s * view.speed_mps / 2.0
+    start_m = arrival.time_s * view.speed_of_sound_mps / 2.0
+    end_m = start_m + arrival.duration_s * view.speed_of_sound_mps / 2.0
     half = view.grid.row_m / 2.0
     rows = (view.grid.range_m + half > start_m) & (view.grid.range_m - half < end_m)
     pattern = azimuth_amplitude(view.sonar.beam_width_rad, view.sonar.side_lobe_db)

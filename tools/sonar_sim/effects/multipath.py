@@ -40,7 +40,7 @@ def mirror_ghosts(view: PingPreview, plane: MirrorPlane) -> Ghosts | None:
     """Compute the ghosts; None if no ghost is in range."""
     sonar_m, echoes = view.map_T_sonar.position_m, view.echoes
     sonar_height = float((sonar_m - plane.point_m) @ plane.normal)
-    k = 2.0 * math.pi * view.sonar.frequency_hz / view.speed_mps
+    k = 2.0 * math.pi * view.sonar.frequency_hz / view.speed_of_sound_mps
     # A bounce is no farther off than half of the whole way there and back.
     away_m = np.clip(sonar_m, plane.low_m, plane.high_m) - sonar_m
     if np.linalg.norm(away_m) > view.sonar.range_m:
@@ -160,7 +160,7 @@ def _free(
     return free
 
 
-_KNOWN: WeakKeyDictionary[Echoes, list[Ghosts]] = WeakKeyDictionary()
+_GHOSTS_CACHE: WeakKeyDictionary[Echoes, list[Ghosts]] = WeakKeyDictionary()
 
 
 def decide_multipath(view: PingPreview, tolerance: Tolerance) -> RuleResult:
@@ -180,10 +180,10 @@ def ghost_picture(view: PingPreview) -> NDArray[np.float64]:
 
 
 def _ghosts(view: PingPreview) -> list[Ghosts]:
-    known = _KNOWN.get(view.echoes)
+    known = _GHOSTS_CACHE.get(view.echoes)
     if known is None:
         found = (mirror_ghosts(view, plane) for plane in view.planes)
-        known = _KNOWN[view.echoes] = [ghosts for ghosts in found if ghosts is not None]
+        known = _GHOSTS_CACHE[view.echoes] = [ghosts for ghosts in found if ghosts is not None]
     return known
 
 

@@ -95,17 +95,17 @@ class EffectPlan:
     def make(
         cls,
         view: PingPreview,
-        wish: EffectSelection,
+        selection: EffectSelection,
         tolerance: Tolerance,
         names: Collection[str] = frozenset(EFFECTS),
     ) -> "EffectPlan":
-        """Ask the rules of all effects or of some, then obey the wish."""
+        """Evaluate the rules of all or some effects, then apply the selection."""
         decisions = []
         for effect in EFFECTS.values():
             if effect.name in names:
                 verdict = effect.decide(view, tolerance)
-                decisions.append(Decision(effect, verdict, wish.on(effect.name, verdict)))
-        return cls(tuple(decisions), wish.ground == AUTO)
+                decisions.append(Decision(effect, verdict, selection.on(effect.name, verdict)))
+        return cls(tuple(decisions), selection.ground == AUTO)
 
     def without(self, names: Collection[str]) -> "EffectPlan":
         """The decisions on other effects."""

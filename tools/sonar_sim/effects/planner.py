@@ -1,16 +1,14 @@
 """Choose the effects of each ping in a sequence.
 
-Looking and asking all rules costs more than a ping can spare, and their answers hardly change from
-one ping to the next. So poses and times are rounded before they are looked from, and what came out
-is kept for the next pings of the same cell. What motion displaces and what other sonars send is
-asked of every ping, by its own motion and time. A decision thus depends on the ping alone, never on
-which pings went before: that would make the bytes depend on who computes which ping.
+Previews and rules cost more than one ping can spare, and their results change little between pings.
+So poses and times are rounded to cells, and the results of a cell are reused. Motion and other
+sonars are evaluated for every ping. A decision depends on the ping alone, never on earlier pings:
+otherwise the bytes would depend on which process computes a ping.
 
-From the middle of a cell of poses a ping is seen a little brighter or dimmer than it is, and most
-changes show or not by a step of the quantiser. So a rule is asked for a brighter ping, and an
-effect is computed from half of the tolerated change on: in doubt it is. What costs next to nothing
-is decided by bounds, without a look: a thin object's few pixels would not call for it, and are
-right only with it. A cloud is computed wherever a ping of the cell may have it in its fan.
+A ping may be brighter or dimmer than its cell's centre shows. So the rules assume a brighter ping,
+and an effect is computed from half of the tolerated change on. Effects that cost next to nothing
+are decided by bounds, without a preview: a thin object's few pixels do not call for them, and are
+right only with them. A cloud is computed if any ping of the cell may have it in its fan.
 """
 
 import math
@@ -39,12 +37,12 @@ from sonar_sim.scene.scene import Bubbles, Sediment
 MARGIN_DB = 1.5
 """How much brighter or dimmer a ping may be than its cell's middle."""
 DOUBT = 0.5
-"""Part of the tolerated level from which on an effect is computed."""
+"""An effect is computed from this fraction of the tolerated level on."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Bound:
-    """A decision that needs no look: whether an effect that costs next to nothing can show."""
+    """A decision that needs no previewer: whether an effect that costs next to nothing can show."""
 
     may_show: Callable[[PingPreview, Tolerance], bool]
     reason: str
@@ -70,31 +68,31 @@ BY_BOUNDS = frozenset(_BOUNDS)
 
 
 def decide_cell(
-    view: PingPreview, wish: EffectSelection, tolerance: Tolerance, names: Collection[str]
+    view: PingPreview, selection: EffectSelection, tolerance: Tolerance, names: Collection[str]
 ) -> EffectPlan:
     """Decide on some effects for a cell of poses, in doubt for them."""
     bright = replace(tolerance, brighter_db=MARGIN_DB)
-    if wish.ground != AUTO:
-        return EffectPlan.make(view, wish, bright, names)
-    plan = EffectPlan.make(view, wish, bright, frozenset(names) - frozenset(_BOUNDS))
-    decisions = [_in_doubt_on(decision, view, wish, tolerance) for decision in plan.decisions]
+    if selection.ground != AUTO:
+        return EffectPlan.make(view, selection, bright, names)
+    plan = EffectPlan.make(view, selection, bright, frozenset(names) - frozenset(_BOUNDS))
+    decisions = [_in_doubt_on(decision, view, selection, tolerance) for decision in plan.decisions]
     for name, bound in _BOUNDS.items():
         if name in names:
             on = bound.may_show(view, tolerance)
             verdict = RuleResult(on, f"costs next to nothing; {bound.reason}", math.inf)
-            decisions.append(Decision(EFFECTS[name], verdict, wish.on(name, verdict)))
+            decisions.append(Decision(EFFECTS[name], verdict, selection.on(name, verdict)))
     return EffectPlan((), auto=True).with_more(EffectPlan(tuple(decisions), auto=True))
 
 
 def _in_doubt_on(
-    decision: Decision, view: PingPreview, wish: EffectSelection, tolerance: Tolerance
+    decision: Decision, view: PingPreview, selection: EffectSelection, tolerance: Tolerance
 ) -> Decision:
     verdict, name = decision.verdict, decision.effect.name
     cloudy = name in CLOUD_EFFECTS and _clouds_in_fan(view, CLOUD_EFFECTS[name])
     if verdict.on or not (cloudy or verdict.predicted_db > DOUBT * tolerance.level_db):
         return decision
     doubt = replace(verdict, on=True, reason=f"{verdict.reason}; in doubt")
-    return Decision(decision.effect, doubt, wish.on(name, doubt))
+    return Decision(decision.effect, doubt, selection.on(name, doubt))
 
 
 def _clouds_in_fan(view: PingPreview, kind: type[Bubbles] | type[Sediment]) -> bool:
@@ -107,7 +105,7 @@ def _clouds_in_fan(view: PingPreview, kind: type[Bubbles] | type[Sediment]) -> b
         reach_m = float(np.linalg.norm(high_m - low_m)) / 2.0 + slack_m
         if range_m <= reach_m:
             return True
-        slack_rad = math.asin(reach_m / range_m) + ANGLE_RAD
+        slack_rad = math.asin(reach_m / range_m) + ANGLE_STEP_RAD
         bearing_rad = abs(math.atan2(away_m[1], away_m[0]))
         up_rad = abs(math.asin(away_m[2] / range_m))
         if (
@@ -122,9 +120,9 @@ def _clouds_in_fan(view: PingPreview, kind: type[Bubbles] | type[Sediment]) -> b
 CELLS_IN_RANGE = (16, 48)
 """Cells of position in the sonar's range; the finer ones where the larger one's middle lies behind
 a wall."""
-ANGLE_RAD = math.radians(6.0)
+ANGLE_STEP_RAD = math.radians(6.0)
 """Steps of the rotation vector, which has no direction in which it turns about wildly."""
-TIME_S = 0.5
+TIME_STEP_S = 0.5
 """How long moving objects are taken to stand."""
 MAX_PREVIEWS = 8
 """Views at a time; each holds a few MB."""
@@ -152,7 +150,7 @@ class PlannedPing:
 
 
 @dataclass(frozen=True, slots=True)
-class _Cell:
+class _PoseCell:
     """Rounded pose and time: what pings looked at as one have in common."""
 
     position: tuple[int, ...]
@@ -168,7 +166,7 @@ class _Cell:
     @property
     def pose(self) -> FramePose:
         """Pose from which all its pings are seen."""
-        turned = Rotation.from_rotvec(np.array(self.turned) * ANGLE_RAD)
+        turned = Rotation.from_rotvec(np.array(self.turned) * ANGLE_STEP_RAD)
         return FramePose(self.middle_m, turned.as_matrix())
 
 
@@ -191,16 +189,18 @@ class Planner:
     """Decides for pings; may be asked from several threads at once.
 
     Args:
-        look: at the scene.
-        wish: what is asked for.
+        previewer: of the scene.
+        selection: of effects.
         tolerance: by which the rules decide.
     """
 
-    def __init__(self, look: Previewer, wish: EffectSelection, tolerance: Tolerance) -> None:
-        self._look = look
-        self._wish = wish
+    def __init__(
+        self, previewer: Previewer, selection: EffectSelection, tolerance: Tolerance
+    ) -> None:
+        self._previewer = previewer
+        self._selection = selection
         self._tolerance = tolerance
-        self._known: OrderedDict[_Cell, _Shared] = OrderedDict()
+        self._cache: OrderedDict[_PoseCell, _Shared] = OrderedDict()
         self._lock = Lock()
 
     def at(
@@ -212,50 +212,50 @@ class Planner:
     ) -> PlannedPing:
         """Decide for one ping."""
         ping = PingInstance(map_T_sonar, ping_id, time_s, motion)
-        cell = self._near(map_T_sonar, time_s)
+        cell = self._cell_near(map_T_sonar, time_s)
         if cell is not None:
-            return self._own(self._of(cell), ping)
-        view = self._look.at(map_T_sonar, ping_id, time_s)
-        return self._own(self._judged(view), ping)
+            return self._for_ping(self._shared_of(cell), ping)
+        view = self._previewer.at(map_T_sonar, ping_id, time_s)
+        return self._for_ping(self._decide_shared(view), ping)
 
-    def _near(self, map_T_sonar: FramePose, time_s: float) -> _Cell | None:  # noqa: N803
+    def _cell_near(self, map_T_sonar: FramePose, time_s: float) -> _PoseCell | None:  # noqa: N803
         """The ping's cell, unless its middle is behind a wall."""
         for parts in CELLS_IN_RANGE:
-            cell = self._cell(map_T_sonar, time_s, self._look.sonar.range_m / parts)
-            if self._look.clear(map_T_sonar.position_m, cell.middle_m, time_s):
+            cell = self._cell(map_T_sonar, time_s, self._previewer.sonar.range_m / parts)
+            if self._previewer.clear(map_T_sonar.position_m, cell.middle_m, time_s):
                 return cell
         return None
 
-    def _of(self, cell: _Cell) -> _Shared:
+    def _shared_of(self, cell: _PoseCell) -> _Shared:
         with self._lock:
-            shared = self._known.get(cell)
+            shared = self._cache.get(cell)
         if shared is None:
-            shared = self._judged(self._look.at(cell.pose, 0, cell.time * TIME_S))
+            shared = self._decide_shared(self._previewer.at(cell.pose, 0, cell.time * TIME_STEP_S))
             with self._lock:
-                self._known[cell] = shared
-                while len(self._known) > MAX_PREVIEWS:
-                    self._known.popitem(last=False)
+                self._cache[cell] = shared
+                while len(self._cache) > MAX_PREVIEWS:
+                    self._cache.popitem(last=False)
         return shared
 
-    def _judged(self, view: PingPreview) -> _Shared:
+    def _decide_shared(self, view: PingPreview) -> _Shared:
         """What does not depend on motion."""
-        plan = decide_cell(view, self._wish, self._tolerance, SHARED)
+        plan = decide_cell(view, self._selection, self._tolerance, SHARED)
         return _Shared(plan, plan.physics(view), view)
 
-    def _own(self, shared: _Shared, ping: PingInstance) -> PlannedPing:
+    def _for_ping(self, shared: _Shared, ping: PingInstance) -> PlannedPing:
         """Add the effects that are decided for each ping."""
-        view = shared.view.of_ping(ping)
-        own = EffectPlan.make(view, self._wish, self._tolerance, PER_PING)
+        view = shared.view.for_ping(ping)
+        own = EffectPlan.make(view, self._selection, self._tolerance, PER_PING)
         physics = replace(shared.physics)
         own.configure(physics, view)
         return PlannedPing(shared.plan.with_more(own), physics, view)
 
-    def _cell(self, pose: FramePose, time_s: float, step_m: float) -> _Cell:
-        return _Cell(
+    def _cell(self, pose: FramePose, time_s: float, step_m: float) -> _PoseCell:
+        return _PoseCell(
             position=_rounded(pose.position_m, step_m),
             step_m=step_m,
-            turned=_rounded(Rotation.from_matrix(pose.rotation).as_rotvec(), ANGLE_RAD),
-            time=round(time_s / TIME_S) if self._look.changes else 0,
+            turned=_rounded(Rotation.from_matrix(pose.rotation).as_rotvec(), ANGLE_STEP_RAD),
+            time=round(time_s / TIME_STEP_S) if self._previewer.changes else 0,
         )
 
 

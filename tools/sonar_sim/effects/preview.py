@@ -18,7 +18,7 @@ from sonar_sim.effects.coarse_picture import (
     equivalent_beams,
     transmitted_power,
 )
-from sonar_sim.effects.echoes import COLUMNS, NOTHING, CoarseFan, Echoes
+from sonar_sim.effects.echoes import COLUMNS, NO_SURFACE, CoarseFan, Echoes
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.planes import MirrorPlane
 from sonar_sim.geometry.pose import FramePose, SonarMotion
@@ -62,7 +62,7 @@ class VisibleCloud:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PingInstance:
-    """What a ping has of its own when several are decided by one look."""
+    """Pose, time and motion of one ping that shares a preview with others."""
 
     map_T_sonar: FramePose  # noqa: N815 frames in the name
     ping_id: int
@@ -85,7 +85,7 @@ class PingPreview:
         fan: the coarse rays.
         end_m: where each met something, infinite for nothing, (N,).
         echoes: what they met in range, points included.
-        look_behind: casts once more, from behind the first hits.
+        cast_hidden: casts once more, from behind the first hits.
         max_rows: of the coarse picture.
         ping: if it was looked from near the ping's own pose and time; None: from there.
     """
@@ -102,11 +102,11 @@ class PingPreview:
     fan: CoarseFan
     end_m: NDArray[np.float64]
     echoes: Echoes
-    look_behind: Callable[[], Echoes]
+    cast_hidden: Callable[[], Echoes]
     max_rows: int = MAX_ROWS
     ping: "PingInstance | None" = None
 
-    def of_ping(self, ping: "PingInstance") -> "PingPreview":
+    def for_ping(self, ping: "PingInstance") -> "PingPreview":
         """The same, for a ping of its own motion; what is already worked out is kept."""
         own = copy.copy(self)
         vars(own).update(ping=ping, motion=ping.motion, ping_id=ping.ping_id)
@@ -125,7 +125,7 @@ class PingPreview:
     @cached_property
     def hidden(self) -> Echoes:
         """What lies behind the first hits."""
-        return self.look_behind()
+        return self.cast_hidden()
 
     @cached_property
     def fine(self) -> "PingPreview":
@@ -138,7 +138,7 @@ class PingPreview:
         return CoarseGrid(self.sonar, self.max_rows)
 
     @property
-    def speed_mps(self) -> float:
+    def speed_of_sound_mps(self) -> float:
         """True speed of sound."""
         return self.scene.water.speed_of_sound_mps
 
@@ -157,7 +157,7 @@ class PingPreview:
             self.sonar.frequency_hz,
             water.sediment_kg_per_m3,
             water.sediment_radius_m,
-            self.speed_mps,
+            self.speed_of_sound_mps,
         )
 
     @cached_property
@@ -176,12 +176,12 @@ class PingPreview:
         return vertical_two_way_power(self.echoes.up, self.sonar.vertical_width_rad)
 
     @cached_property
-    def unscattered(self) -> NDArray[np.float64]:
+    def power_per_m2(self) -> NDArray[np.float64]:
         """Received power of each echo over its cross section, (N,)."""
-        return self.travelled(self.echoes) * self.pattern
+        return self.on_axis_power_per_m2(self.echoes) * self.pattern
 
-    def travelled(self, echoes: Echoes) -> NDArray[np.float64]:
-        """Source, spreading, absorption, sediment and clouds, (N,)."""
+    def on_axis_power_per_m2(self, echoes: Echoes) -> NDArray[np.float64]:
+        """Received power per m² on the fan's plane: after spreading, absorption, clouds, (N,)."""
         range_m = np.maximum(echoes.range_m, MIN_RANGE_M)
         loss_db = 2.0 * (self.water_db_per_m + self.sediment_db_per_m) * range_m
         loss_db += self.two_way_cloud_db(self.clouds, echoes)
@@ -192,7 +192,7 @@ class PingPreview:
     def clouds(self) -> tuple[VisibleCloud, ...]:
         """The scene's clouds and what they do at this frequency."""
         return tuple(
-            VisibleCloud(spec, cloud_matter(spec, self.sonar, self.speed_mps))
+            VisibleCloud(spec, cloud_matter(spec, self.sonar, self.speed_of_sound_mps))
             for spec in self.scene.clouds
         )
 
@@ -217,15 +217,15 @@ class PingPreview:
         left = tuple(cloud for cloud in self.clouds if cloud not in gone)
         power = self.echo_power / transmitted_power(self.two_way_cloud_db(gone, self.echoes))
         picture = self.grid.picture(self.echoes, power) + self.tail_picture
-        return picture + self._of_the_water(left)
+        return picture + self._water_picture(left)
 
-    def _of_the_water(self, clouds: tuple[VisibleCloud, ...]) -> NDArray[np.float64]:
+    def _water_picture(self, clouds: tuple[VisibleCloud, ...]) -> NDArray[np.float64]:
         return self.volume_picture + self.picture_of_clouds(clouds)
 
     @cached_property
     def echo_power(self) -> NDArray[np.float64]:
         """Received power of each echo, (N,)."""
-        return self.echoes.section_m2 * self.unscattered
+        return self.echoes.section_m2 * self.power_per_m2
 
     @cached_property
     def echo_picture(self) -> NDArray[np.float64]:
@@ -238,7 +238,7 @@ class PingPreview:
         return float(10.0 ** (noise_level_db(self.sonar, self.scene.water) / 10.0))
 
     @cached_property
-    def listened_sr(self) -> float:
+    def beam_solid_angle_sr(self) -> float:
         """Solid angle that a beam hears, two-way vertical pattern and azimuth beam together."""
         w = np.linspace(-1.0, 1.0, 401)
         up = float(np.trapezoid(vertical_two_way_power(w, self.sonar.vertical_width_rad), w))
@@ -249,7 +249,7 @@ class PingPreview:
         """Power that scatterers of 0 dB re 1/m in all the water would send, (rows, 1)."""
         range_m = np.maximum(self.grid.range_m, MIN_RANGE_M)
         loss_db = 2.0 * (self.water_db_per_m + self.sediment_db_per_m) * range_m
-        cell_m3 = self.listened_sr * range_m**2 * self.sonar.range_resolution_m
+        cell_m3 = self.beam_solid_angle_sr * range_m**2 * self.sonar.range_resolution_m
         power = self.source_power * cell_m3 * transmitted_power(loss_db) / range_m**4
         column: NDArray[np.float64] = power[:, None]
         return column
@@ -262,7 +262,7 @@ class PingPreview:
             self.sonar.frequency_hz,
             water.sediment_kg_per_m3,
             water.sediment_radius_m,
-            self.speed_mps,
+            self.speed_of_sound_mps,
         )
         return float(10.0 ** (water.volume_strength_db / 10.0) + grains)
 
@@ -292,7 +292,7 @@ class PingPreview:
     def tail_picture(self) -> NDArray[np.float64]:
         """Expected power of a pixel by the tail behind echoes, (rows, COLUMNS)."""
         echoes = self.echoes
-        surfaces = np.where(echoes.surface == NOTHING, 0.0, self.unscattered)  # points are few
+        surfaces = np.where(echoes.surface == NO_SURFACE, 0.0, self.power_per_m2)  # points are few
         picture = self.grid.main_lobes(echoes, echoes.lambert_m2 * surfaces)
         if echoes.lobe_m2.any():
             picture += self.grid.main_lobes(echoes, echoes.lobe_m2 * surfaces)
@@ -318,7 +318,7 @@ class PingPreview:
     @cached_property
     def heard(self) -> NDArray[np.float64]:
         """Expected power of a pixel before the noise, beside which the faint is lost."""
-        return self.echo_picture + self.tail_picture + self._of_the_water(self.clouds)
+        return self.echo_picture + self.tail_picture + self._water_picture(self.clouds)
 
     @cached_property
     def picture(self) -> NDArray[np.float64]:
@@ -329,10 +329,10 @@ class PingPreview:
     def gains(self) -> Gains:
         """The receiver's gains; the time-varied gain compensates the water's absorption."""
         range_m = self.grid.range_m
-        varied_db = self.sonar.tvg_spreading_log * np.log10(range_m)
-        varied_db += 2.0 * self.water_db_per_m * range_m
+        tvg_db = self.sonar.tvg_spreading_log * np.log10(range_m)
+        tvg_db += 2.0 * self.water_db_per_m * range_m
         operator_db = GAIN_DB_PER_PERCENT * self.sonar.gain_percent
-        return Gains(varied_db, operator_db, FULL_SCALE_DB)
+        return Gains(tvg_db, operator_db, FULL_SCALE_DB)
 
     @cached_property
     def amplitude(self) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sonar_sim.effects.echoes import (
     COLUMNS,
-    NOTHING,
+    NO_SURFACE,
     SKIP_M,
     CoarseHits,
     Echoes,
@@ -25,8 +25,8 @@ from sonar_sim.scene.sonar import SonarSettings
 
 LEVEL = 0.7
 """A floor's mean |vertical part of the normal|, at least."""
-BEHIND = 3
-"""One ray in this many continues behind its hit: hidden objects are wide, or barely hidden."""
+HIDDEN_RAY_STRIDE = 3
+"""Every n-th ray is followed behind its hit: hidden objects are wide, or barely hidden."""
 FOOT_M = 0.5
 """How far above the scene's lowest point a floor's lowest point may lie."""
 
@@ -76,14 +76,14 @@ class Previewer:
         echoes = coarse_echoes(self._scene, self._sonar, self._fan, map_T_sonar, met)
 
         def hidden() -> Echoes:
-            some = slice(None, None, BEHIND)
+            some = slice(None, None, HIDDEN_RAY_STRIDE)
             behind = self._behind(origin_m, turned[some], time_s, met.range_m[some])
             fan = replace(
                 self._fan,
                 directions=self._fan.directions[some],
                 column=self._fan.column[some],
-                up_step=BEHIND * self._fan.up_step,
-                solid_angle_sr=BEHIND * self._fan.solid_angle_sr[some],
+                up_step=HIDDEN_RAY_STRIDE * self._fan.up_step,
+                solid_angle_sr=HIDDEN_RAY_STRIDE * self._fan.solid_angle_sr[some],
             )
             return coarse_echoes(self._scene, self._sonar, fan, map_T_sonar, behind)
 
@@ -101,7 +101,7 @@ class Previewer:
             fan=self._fan,
             end_m=met.range_m,
             echoes=_joined(echoes, points),
-            look_behind=hidden,
+            cast_hidden=hidden,
         )
 
     def _behind(
@@ -114,7 +114,7 @@ class Previewer:
         behind = CoarseHits(
             np.full(len(range_m), np.inf),
             np.zeros((len(range_m), 3)),
-            np.full(len(range_m), NOTHING, dtype=np.int64),
+            np.full(len(range_m), NO_SURFACE, dtype=np.int64),
             np.zeros((len(range_m), 3)),
         )
         hit = np.flatnonzero(range_m < self._sonar.range_m)
@@ -149,10 +149,10 @@ class Previewer:
             normal=np.zeros((len(none), 3)),
             range_m=range_m[kept],
             extent_m=none,
-            surface=np.full(len(none), NOTHING, dtype=np.int64),
+            surface=np.full(len(none), NO_SURFACE, dtype=np.int64),
             cos_incidence=one,
             lambert_m2=section_m2[kept],
-            even_m2=section_m2[kept],
+            isotropic_m2=section_m2[kept],
             lobe_m2=none,
         )
 

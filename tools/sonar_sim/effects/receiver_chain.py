@@ -102,9 +102,9 @@ RING_DOWN = Effect(
 def decide_tvg(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the picture without it differs."""
     gains = view.gains
-    flat = Gains(np.zeros_like(gains.varied_db), gains.operator_db, gains.full_scale_db)
+    flat = Gains(np.zeros_like(gains.tvg_db), gains.operator_db, gains.full_scale_db)
     predicted_db = change_db(view.amplitude, flat.amplitude(view.picture), view.sonar, tolerance)
-    reason = f"{gains.varied_db[0]:.0f} to {gains.varied_db[-1]:.0f} dB over the rows"
+    reason = f"{gains.tvg_db[0]:.0f} to {gains.tvg_db[-1]:.0f} dB over the rows"
     return by_level(predicted_db, tolerance, reason)
 
 
@@ -130,7 +130,7 @@ TVG = Effect(
 
 def decide_gain(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the picture without it differs."""
-    none = Gains(view.gains.varied_db, 0.0, view.gains.full_scale_db)
+    none = Gains(view.gains.tvg_db, 0.0, view.gains.full_scale_db)
     predicted_db = change_db(view.amplitude, none.amplitude(view.picture), view.sonar, tolerance)
     reason = f"{view.sonar.gain_percent:.0f} % are {view.gains.operator_db:.0f} dB"
     return by_level(predicted_db, tolerance, reason)
@@ -158,7 +158,7 @@ GAIN = Effect(
 
 UNCLIPPED = 0.5
 """Amplitude of full scale, rms, below which clipping takes less than 0.05 dB."""
-ROW_LEAK = 0.24
+NEIGHBOUR_ROW_WEIGHT = 0.24
 """Part of a row's amplitude in each neighbour (see `range_spread`)."""
 
 
@@ -188,8 +188,8 @@ def decide_saturation(view: PingPreview, tolerance: Tolerance) -> RuleResult:
 def _spread(picture: NDArray[np.float64]) -> NDArray[np.float64]:
     """With what a loud row leaks into its neighbours."""
     spread = picture.copy()
-    spread[1:] += ROW_LEAK**2 * picture[:-1]
-    spread[:-1] += ROW_LEAK**2 * picture[1:]
+    spread[1:] += NEIGHBOUR_ROW_WEIGHT**2 * picture[:-1]
+    spread[:-1] += NEIGHBOUR_ROW_WEIGHT**2 * picture[1:]
     return spread
 
 

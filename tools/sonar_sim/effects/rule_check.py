@@ -138,7 +138,7 @@ class RuleChecker:
         chosen = self._pictures(planned.physics, view)
         all_on = EffectPlan.make(view, EffectSelection.read("all"), self._tolerance)
         everything = self._pictures(all_on.physics(view), view)
-        left_out = self._change(chosen, everything, self._tolerance.share, in_the_dark=True)
+        left_out = self._change(chosen, everything, self._tolerance.share, ignore_dark_shift=True)
         without = {name: self._change_without(name, chosen, plan, view) for name in plan.names}
         own = self._previewer.at(pose, 0, time_s, motion)
         return RuleCheck(plan, left_out, without, self._tolerance, self._excused(plan, own))
@@ -171,10 +171,15 @@ class RuleChecker:
         return self._change(everything, other, share)
 
     def _change(
-        self, first: RenderedPing, second: RenderedPing, share: float, *, in_the_dark: bool = False
+        self,
+        first: RenderedPing,
+        second: RenderedPing,
+        share: float,
+        *,
+        ignore_dark_shift: bool = False,
     ) -> PictureDifference:
         return PictureDifference(
-            self._level_db(first, second, share, in_the_dark=in_the_dark),
+            self._level_db(first, second, share, ignore_dark_shift=ignore_dark_shift),
             displacement_cells(first.grain, second.grain),
             texture_change(first.grain, second.grain),
         )
@@ -186,12 +191,17 @@ class RuleChecker:
         share: float,
         brighter: float = 1.0,
         *,
-        in_the_dark: bool = False,
+        ignore_dark_shift: bool = False,
     ) -> float:
         cells = self._tolerance.cells
         one, other = (np.float32(brighter) * ping.expected for ping in (first, second))
         return level_change_db(
-            one, other, self._scenario.sonar, share, (cells, cells), in_the_dark=in_the_dark
+            one,
+            other,
+            self._scenario.sonar,
+            share,
+            (cells, cells),
+            ignore_dark_shift=ignore_dark_shift,
         )
 
     def _pictures(self, physics: Physics, view: PingPreview) -> RenderedPing:

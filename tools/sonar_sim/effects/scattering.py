@@ -25,7 +25,7 @@ from sonar_sim.propagation.physics import Physics
 def decide_lambert(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if surfaces are not all seen head on."""
     echoes = view.echoes
-    power = (echoes.even_m2 + echoes.lobe_m2) * view.unscattered
+    power = (echoes.isotropic_m2 + echoes.lobe_m2) * view.power_per_m2
     steepest = math.degrees(math.acos(min(float(echoes.cos_incidence.min(initial=1.0)), 1.0)))
     reason = f"incidence up to {steepest:.0f}° from the normal"
     return by_level(view.change_of_echoes_db(power, tolerance), tolerance, reason)
@@ -56,7 +56,7 @@ def decide_specular(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     echoes = view.echoes
     # A ball's flash or a distant plate's fills few pixels, but those are what one looks for.
     anywhere = replace(tolerance, share=0.0)
-    predicted_db = view.change_of_echoes_db(echoes.lambert_m2 * view.unscattered, anywhere)
+    predicted_db = view.change_of_echoes_db(echoes.lambert_m2 * view.power_per_m2, anywhere)
     flashing = {
         view.scene.surfaces[i].name
         for i in set(echoes.surface[echoes.lobe_m2 > echoes.lambert_m2].tolist())
@@ -97,7 +97,9 @@ def decide_shadows(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     if len(hidden.range_m) == 0:
         return RuleResult(on=False, reason="nothing lies behind anything", predicted_db=0.0)
     pattern = vertical_two_way_power(hidden.up, view.sonar.vertical_width_rad)
-    behind = view.grid.picture(hidden, hidden.section_m2 * view.travelled(hidden) * pattern)
+    behind = view.grid.picture(
+        hidden, hidden.section_m2 * view.on_axis_power_per_m2(hidden) * pattern
+    )
     share = len(hidden.range_m) / len(view.echoes.range_m)
     reason = f"behind {share:.0%} of what is hit lies something else in range"
     # Without shadows a rod's far side shows behind its near one: few pixels, but the only target.

@@ -11,8 +11,8 @@ from sonar_sim.effects.displacement import (
     doppler_shift_s,
     path_bending,
     range_scale,
-    speed_mps,
-    turn_rps,
+    sonar_speed_mps,
+    sonar_turn_rate_rps,
 )
 from sonar_sim.effects.echoes import GRAZING
 from sonar_sim.effects.effect import (
@@ -32,8 +32,8 @@ from sonar_sim.raycast.fan import CENTRE_SINE, ELEVATIONS
 
 def decide_sound_speed(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the farthest echo moves by more than the tolerated part of a row."""
-    assumed_mps = view.sonar.told_speed_mps or view.speed_mps
-    speeds = f"assumed {assumed_mps:.1f} m/s, true {view.speed_mps:.1f} m/s"
+    assumed_mps = view.sonar.told_speed_mps or view.speed_of_sound_mps
+    speeds = f"assumed {assumed_mps:.1f} m/s, true {view.speed_of_sound_mps:.1f} m/s"
     reason = f"{speeds}, echoes to {view.far_m:.1f} m"
     return displacement_result("sound_speed", view, tolerance, reason)
 
@@ -145,7 +145,7 @@ BLOCK_CELLS = 0.25
 
 def decide_motion(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if range shifts or the picture turns by more than the tolerated part of a cell."""
-    speed, turn = speed_mps(view), math.degrees(turn_rps(view))
+    speed, turn = sonar_speed_mps(view), math.degrees(sonar_turn_rate_rps(view))
     reason = f"{speed:.2f} m/s, {turn:.1f}°/s, echoes to {view.far_m:.0f} m"
     return displacement_result("motion", view, tolerance, reason)
 
@@ -176,13 +176,13 @@ MOTION = Effect(
 def decide_doppler(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the chirp's coupling shifts echoes by more than the tolerated part of a row."""
     chirp_ms = view.sonar.pulse_s * 1e3
-    reason = f"{speed_mps(view):.2f} m/s with a chirp of {chirp_ms:.1f} ms"
+    reason = f"{sonar_speed_mps(view):.2f} m/s with a chirp of {chirp_ms:.1f} ms"
     return displacement_result("doppler", view, tolerance, reason)
 
 
 def configure_doppler(physics: Physics, view: PingPreview) -> None:
     """Give the coupling."""
-    physics.doppler_shift_s = doppler_shift_s(view.sonar, view.speed_mps)
+    physics.doppler_shift_s = doppler_shift_s(view.sonar, view.speed_of_sound_mps)
 
 
 DOPPLER = Effect(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mirror:
-    """A plane that throws sound on: the sea surface, a wall, a smooth floor.
+    """A plane that reflects sound specularly: the sea surface, a wall, a smooth floor.
 
     Attributes:
         point_m, normal: of the plane, map frame; the normal points into the water.
@@ -92,14 +92,14 @@ class Physics:
     Attributes:
         spreading: amplitude falls as 1/range each way.
         attenuation_db_per_m: one way, absorption and suspended sediment together.
-        layers: for bent paths; None is straight.
+        layers: sound speed profile for refraction; None is straight paths.
         range_scale: apparent range over true range (assumed over true speed of sound).
         pose_blocks: poses a ping, spread evenly over its listening time; 1 stands still.
         doppler_shift_s: apparent range grows by this times the closing speed, metres per m/s.
         lambert: back scattering falls as cos² of incidence; else each surface scatters alike.
         specular: smooth materials add their lobe.
         sea_surface: the sea's surface scatters; else it only ends the water.
-        silent: names of surfaces that hide what is behind but send nothing back.
+        silent: names of surfaces that cast shadows but do not scatter.
         all_elevations: surfaces steeply above and below are looked for; else those up to 40°.
         shadows: what is hit first hides the rest. Off: surfaces behind are heard too.
         mirrors: planes of multipath.

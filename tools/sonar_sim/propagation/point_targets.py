@@ -12,7 +12,7 @@ from sonar_sim.propagation.propagation_path import (
     OBJECT_STEP_S,
     PingGeometry,
     mirrored,
-    pair_gain,
+    single_bounce_gain,
 )
 from sonar_sim.propagation.refraction import EigenRay, eigenrays
 from sonar_sim.scene.scene import PointTarget
@@ -91,18 +91,18 @@ class _TargetPath:
 def _ways(
     here: PingGeometry, position_m: NDArray[np.float64], speed_mps: float
 ) -> list[tuple[FramePose, FramePose, float]]:
-    """Pairs of poses there and back, with the mirrors' gain."""
+    """Transmit pose, receive pose and pressure gain of each path."""
     ways: list[tuple[FramePose, FramePose, float]] = []
     direct = _direct(here, position_m, speed_mps)
     if direct:
-        gain = _swallowed(here, position_m)
+        gain = _cloud_gain(here, position_m)
         ways += [(there, back, gain) for there, back in direct]
     for mirror in here.physics.mirrors:
         image = mirrored(here.pose, mirror)
-        if image is None or not _bounced(here, mirror, image, position_m):
+        if image is None or not _sees_via_mirror(here, mirror, image, position_m):
             continue
         if direct:
-            once = mirror.reflection * pair_gain(here, mirror)
+            once = mirror.reflection * single_bounce_gain(here, mirror)
             ways += [(here.pose, image, once), (image, here.pose, once)]
         ways.append((image, image, mirror.reflection**2))
     return ways
@@ -119,9 +119,9 @@ def _direct(
     """
     layers = here.physics.layers
     if layers is None:
-        if here.physics.shadows and not _free(here, here.pose.position_m, position_m):
+        if here.physics.shadows and not _unobstructed(here, here.pose.position_m, position_m):
             return []
-        return [(here.pose, _later(here, position_m))]
+        return [(here.pose, _receive_pose(here, position_m))]
     paths = [
         FramePose(position_m - ray.range_m * ray.direction, here.pose.rotation)
         for ray in eigenrays(layers, here.pose.position_m, position_m, speed_mps)
@@ -147,7 +147,7 @@ def _free_along(here: PingGeometry, ray: EigenRay) -> bool:
     return not hidden.any()
 
 
-def _bounced(
+def _sees_via_mirror(
     here: PingGeometry, mirror: Mirror, image: FramePose, position_m: NDArray[np.float64]
 ) -> bool:
     """Whether sound gets to a target by a mirror, unhindered on both parts of the way."""
@@ -164,10 +164,12 @@ def _bounced(
     met = here.meshes.cast(here.pose.position_m, direction, here.time_s, reach_m, 1)
     if not reaches_mirror(here.meshes, mirror, met.face, met.range_m, range_m)[0]:
         return False
-    return not here.physics.shadows or _free(here, foot + RELATIVE_GAP * mirror.normal, position_m)
+    return not here.physics.shadows or _unobstructed(
+        here, foot + RELATIVE_GAP * mirror.normal, position_m
+    )
 
 
-def _free(
+def _unobstructed(
     here: PingGeometry, start_m: NDArray[np.float64], position_m: NDArray[np.float64]
 ) -> bool:
     """Whether nothing stands between a point and a target."""
@@ -191,7 +193,7 @@ def _struck(
     return target.position_at_m(here.time_s + _echo_s(here, start_m) / 2.0), velocity_mps
 
 
-def _later(here: PingGeometry, position_m: NDArray[np.float64]) -> FramePose:
+def _receive_pose(here: PingGeometry, position_m: NDArray[np.float64]) -> FramePose:
     """The sonar's pose when the echo arrives."""
     if here.motion is None or here.physics.pose_blocks == 1:
         return here.pose
@@ -204,7 +206,7 @@ def _echo_s(here: PingGeometry, position_m: NDArray[np.float64]) -> float:
     return here.listening_s * range_m / here.range_m
 
 
-def _swallowed(here: PingGeometry, position_m: NDArray[np.float64]) -> float:
+def _cloud_gain(here: PingGeometry, position_m: NDArray[np.float64]) -> float:
     way = position_m - here.pose.position_m
     range_m = np.array([max(float(np.linalg.norm(way)), 1e-9)])
     direction = (way / range_m).astype(np.float32)[None, :]

@@ -49,7 +49,7 @@ SAME_COLUMN = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PingGeometry:
-    """What the ways of one ping share.
+    """Scene, pose, motion and settings that all propagation paths of one ping share.
 
     Attributes:
         meshes: of the scene.
@@ -167,7 +167,7 @@ def _drift(here: PingGeometry, group: int) -> NDArray[np.float64]:
 def mirror_paths(
     here: PingGeometry, fan: RayFan, mirror: Mirror, reach_m: float
 ) -> list[_core.Rays]:
-    """By a mirror there or back or both; the sonar is taken to stand still.
+    """Paths with a mirror on the way out, back, or both; the sonar is taken to stand still.
 
     The mirror's image of the sonar sees what the sonar sees in the mirror. Its rays begin on the
     mirror, where the sonar's own ray got there unhindered.
@@ -219,11 +219,11 @@ def mirror_paths(
         )
 
     both = range_m < here.range_m
-    pair = pair_gain(here, mirror)
+    pair = single_bounce_gain(here, mirror)
     return [way(once, twice, group, pair, both_ways=True), way(both, twice, twice)]
 
 
-def pair_gain(here: PingGeometry, mirror: Mirror) -> float:
+def single_bounce_gain(here: PingGeometry, mirror: Mirror) -> float:
     """Gain of the two ways that use a mirror once: there or back.
 
     They are equally long, so their pressures add: where both are heard in one column, the sum of
@@ -289,7 +289,7 @@ def _seen_in_mirror(
         2.0 * here.range_m,
         threads=here.threads,
         cast=cast,
-        framed_by=here.pose,
+        real_sonar=here.pose,
     )
 
 

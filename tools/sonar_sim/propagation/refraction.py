@@ -18,7 +18,7 @@ from sonar_sim.propagation.physics import SoundSpeedProfile
 from sonar_sim.propagation.propagation_path import LEG_SIZE, PingGeometry
 from sonar_sim.raycast.fan import RayFan
 from sonar_sim.raycast.meshes import NOTHING, Hits
-from sonar_sim.raycast.tracing import BEHIND, Trace, edges_of, merged, refined_fan, spans
+from sonar_sim.raycast.tracing import MAX_HIDDEN_HITS, Trace, edges_of, merged, refined_fan, spans
 
 SEGMENTS = (2, 16)
 """Straight pieces of a bent ray: as few as keep each within `SAGITTA_M` of its arc."""
@@ -53,7 +53,7 @@ def refracted_paths(
     Returns:
         The rays, with ranges by time along the directions in which they left; and the ways.
     """
-    start, found = _followed(here, layers, fan.directions, reach_m, speed_mps)
+    start, found = _trace_refracted(here, layers, fan.directions, reach_m, speed_mps)
     met = found[0].met
     edges = edges_of(here.meshes, fan, start.astype(np.float32), met)
     fan, source = refined_fan(
@@ -61,14 +61,14 @@ def refracted_paths(
         fan,
         met,
         edges,
-        eyes=(here.pose,),
+        viewpoints=(here.pose,),
         time_s=here.time_s,
         reach_m=reach_m,
         layers=_table(layers),
     )
     new = source < 0
     if new.any():
-        more_start, more = _followed(here, layers, fan.directions[new], reach_m, speed_mps)
+        more_start, more = _trace_refracted(here, layers, fan.directions[new], reach_m, speed_mps)
         start = merged(start, source, more_start)
         found = [a.with_more(source, b) for a, b in zip(found, more, strict=True)]
     mets = tuple(layer.met for layer in found)
@@ -76,16 +76,19 @@ def refracted_paths(
     return trace, [_ways(here, fan, start, layer) for layer in found]
 
 
-def _followed(
+def _trace_refracted(
     here: PingGeometry,
     layers: SoundSpeedProfile,
     directions: NDArray[np.float32],
     reach_m: float,
     speed_mps: float,
-) -> tuple[NDArray[np.float64], list["_Found"]]:
+) -> tuple[NDArray[np.float64], list["_RefractedHits"]]:
     """Directions in which rays leave, map frame, (N, 3), and what they meet, first and behind."""
     start = directions.astype(np.float64) @ here.pose.rotation.T
-    found = [_Found.nothing(start) for _ in range(1 if here.physics.shadows else 1 + BEHIND)]
+    found = [
+        _RefractedHits.nothing(start)
+        for _ in range(1 if here.physics.shadows else 1 + MAX_HIDDEN_HITS)
+    ]
     # Without shadows, each piece shows one layer of what lies behind.
     segments = _segments(layers, reach_m) if here.physics.shadows else SEGMENTS[1]
     step_m = reach_m / segments
@@ -238,7 +241,7 @@ def _launched(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Found:
+class _RefractedHits:
     """What each bent ray met first, or next, (N,) and (N, 3); filled segment by segment."""
 
     range_m: NDArray[np.float64]
@@ -248,15 +251,15 @@ class _Found:
     place_m: NDArray[np.float64]
 
     @classmethod
-    def nothing(cls, start: NDArray[np.float64]) -> "_Found":
+    def nothing(cls, start: NDArray[np.float64]) -> "_RefractedHits":
         count = len(start)
         face = np.full(count, NOTHING, dtype=np.int32)
         group = np.zeros(count, dtype=np.int32)
         return cls(np.full(count, np.inf), face, group, start.copy(), np.zeros_like(start))
 
-    def with_more(self, source: NDArray[np.int32], more: "_Found") -> "_Found":
+    def with_more(self, source: NDArray[np.int32], more: "_RefractedHits") -> "_RefractedHits":
         """Of a finer fan's rays; see `merged`."""
-        return _Found(
+        return _RefractedHits(
             merged(self.range_m, source, more.range_m),
             merged(self.face, source, more.face),
             merged(self.group, source, more.group),
@@ -269,7 +272,9 @@ class _Found:
         return Hits(self.range_m.astype(np.float32), self.face, self.group)
 
 
-def _ways(here: PingGeometry, fan: RayFan, start: NDArray[np.float64], found: _Found) -> _core.Rays:
+def _ways(
+    here: PingGeometry, fan: RayFan, start: NDArray[np.float64], found: _RefractedHits
+) -> _core.Rays:
     """The sound's ways to what was met and back."""
     hit = np.flatnonzero(here.echoes(found.face))
     legs = _virtual_legs(
@@ -301,7 +306,7 @@ def _ways(here: PingGeometry, fan: RayFan, start: NDArray[np.float64], found: _F
 
 
 def _stretched(
-    here: PingGeometry, fan: RayFan, start: NDArray[np.float64], found: _Found
+    here: PingGeometry, fan: RayFan, start: NDArray[np.float64], found: _RefractedHits
 ) -> NDArray[np.float32]:
     """Cells that cover what bent rays stand for, (N, 4).
 

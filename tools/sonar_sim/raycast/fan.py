@@ -23,7 +23,7 @@ CENTRE_SINE = 0.3
 MARGIN_BEAMS = 12
 """Columns traced beyond each outermost beam: their main lobes reach out there."""
 STRIPS = 4
-FLAT = 0.05
+MAX_FLAT_CELL = 0.05
 """A cell neither wider nor higher than this part of x² has the solid angle ds dw / x, to 0.03 %."""
 MIN_CELL_SINE = 1e-5
 """A cell whose part of directions is narrower than this is left out."""
@@ -82,13 +82,13 @@ def solid_angle_sr(
     """Solid angle of cells, that part of them where s² + w² < 1, (N,).
 
     ds dw / x integrates to an arc sine over s, which stays right where x becomes 0; over w it is
-    taken at the middles of `STRIPS`. Most cells are small and far from there: see `FLAT`.
+    taken at the middles of `STRIPS`. Most cells are small and far from there: see `MAX_FLAT_CELL`.
     """
     wide, high = s_to - s_from, w_to - w_from
     s, w = (s_from + s_to) / 2.0, (w_from + w_to) / 2.0
     square = 1.0 - np.square(s) - np.square(w)
     angle = wide / np.sqrt(np.maximum(square, 1e-12))
-    curved = np.maximum(wide, high) > FLAT * square
+    curved = np.maximum(wide, high) > MAX_FLAT_CELL * square
     if curved.any():
         angle[curved] = _swept_rad(s_from[curved], s_to[curved], w_from[curved], w_to[curved])
     whole: NDArray[np.float64] = angle * high
@@ -112,20 +112,20 @@ def _swept_rad(
 
 
 def ray_fan(
-    sonar: SonarSettings, elevations: int = ELEVATIONS, *, all_around: bool = False
+    sonar: SonarSettings, elevations: int = ELEVATIONS, *, all_elevations: bool = False
 ) -> RayFan:
     """Lay the rays: one a beam pitch across, closest in the vertical pattern's main lobe.
 
     Args:
         sonar: its beams.
         elevations: rays of a column up to `MAX_ELEVATION_RAD` on both sides of the fan's plane.
-        all_around: whether more rays look on from there to straight up and down.
+        all_elevations: whether rays also cover elevations from there to straight up and down.
     """
     columns = sonar.beams + 2 * MARGIN_BEAMS
     column = np.arange(columns, dtype=np.int32)
     s = (column - (columns - 1) / 2.0) * sonar.sine_pitch
     edges = _up_sines(elevations)
-    if all_around:
+    if all_elevations:
         beyond = round((math.pi / 2.0 - MAX_ELEVATION_RAD) / STEEP_STEP_RAD)
         steep = np.sin(np.linspace(MAX_ELEVATION_RAD, math.pi / 2.0, beyond + 1)[1:])
         edges = np.concatenate([-steep[::-1], edges, steep])

@@ -164,7 +164,7 @@ class Meshes:
             origin_m: map frame, (3,) or, much slower, (N, 3).
             direction: unit vectors, map frame, (N, 3).
             time_s: at which moving objects are met.
-            reach_m: what lies farther is not met.
+            reach_m: maximum range of a hit.
             threads: that share the rays.
             near_m: minimum range, (N,); only for rays of one origin.
 

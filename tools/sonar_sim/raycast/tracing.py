@@ -5,11 +5,9 @@ tell, the cell is cut along it, and each part gets a ray of its own: no object i
 met. Where surfaces pass into each other without an outline, rays are laid between neighbours that
 met different ones.
 
-How far a face's plane stands for the surface about a hit.
-
-A ray's cell may reach far beyond the face that it met: over a floor of small triangles at grazing
-incidence it has to, around a ball it must not. What the neighbouring rays met on the same surface
-distinguishes the two.
+`spans` gives the ranges between which a hit's plane stands for its surface. A cell may reach far
+beyond the face that its ray hit: on a floor of small triangles at grazing incidence it must, on a
+ball it must not. Hits of neighbouring rays on the same surface tell the two apart.
 """
 
 from collections.abc import Callable
@@ -33,8 +31,8 @@ MIN_STEP_M = 0.02
 MIN_COSINE = 0.995
 """Neighbours on a round surface stand for each other up to this cosine between their normals: a
 mirror's glint on it is found by its normals."""
-BEHIND = 3
-"""Surfaces seen behind the first where nothing casts a shadow."""
+MAX_HIDDEN_HITS = 3
+"""Further hits followed behind the first one if shadows are off."""
 PAST_M = 1e-3
 
 
@@ -65,7 +63,7 @@ def trace(
     shadows: bool = True,
     threads: int = 2,
     cast: Callable[[NDArray[np.float32]], Hits] | None = None,
-    framed_by: FramePose | None = None,
+    real_sonar: FramePose | None = None,
 ) -> Trace:
     """Cast a fan from a pose.
 
@@ -74,12 +72,12 @@ def trace(
         fan: of rays, in the sonar's frame.
         map_T_sonar: the sonar.
         time_s: at which moving objects are met.
-        reach_m: what lies farther is not met.
+        reach_m: maximum range of a hit.
         shadows: whether only the first thing on a ray is met.
         threads: that share the rays.
         cast: what directions of the map frame, (N, 3), meet; by default the nearest mesh.
-        framed_by: the sonar whose image in a mirror the pose is: outlines that it sees, as those of
-            the mirror, cut cells too.
+        real_sonar: pose of the real sonar if `map_T_sonar` is its mirror image; outlines seen from
+            it, such as the mirror's own, also cut cells.
     """
     origin = map_T_sonar.position_m
     turn = map_T_sonar.rotation.T.astype(np.float32)
@@ -91,8 +89,10 @@ def trace(
     direction = chunked_matmul(fan.directions, turn)
     met = cast(direction)
     edges = edges_of(meshes, fan, direction, met)
-    eyes = (map_T_sonar,) if framed_by is None else (map_T_sonar, framed_by)
-    fan, source = refined_fan(meshes, fan, met, edges, eyes=eyes, time_s=time_s, reach_m=reach_m)
+    viewpoints = (map_T_sonar,) if real_sonar is None else (map_T_sonar, real_sonar)
+    fan, source = refined_fan(
+        meshes, fan, met, edges, viewpoints=viewpoints, time_s=time_s, reach_m=reach_m
+    )
     new = np.flatnonzero(source < 0)
     if len(new):
         direction = chunked_matmul(fan.directions, turn)
@@ -135,7 +135,7 @@ def refined_fan(
     met: Hits,
     edges: NDArray[np.int64],
     *,
-    eyes: tuple[FramePose, ...],
+    viewpoints: tuple[FramePose, ...],
     time_s: float,
     reach_m: float,
     layers: NDArray[np.float64] | None = None,
@@ -147,9 +147,9 @@ def refined_fan(
         fan: that was cast.
         met: by its rays.
         edges: rays whose upper neighbour met something else.
-        eyes: poses of the sonar, and of its image, from which outlines are seen.
+        viewpoints: poses of the sonar, and of its image, from which outlines are seen.
         time_s: at which moving objects are met.
-        reach_m: what lies farther is not seen.
+        reach_m: maximum range of an outline.
         layers: depths and speeds of sound that bend the rays, (L, 2).
 
     Returns:
@@ -163,11 +163,11 @@ def refined_fan(
         fan.grid.rays,
         fan.first_sine - fan.sine_pitch / 2.0,
         fan.sine_pitch,
-        [group.seen_from(eye, time_s) for eye in eyes for group in meshes.groups],
+        [group.seen_from(eye, time_s) for eye in viewpoints for group in meshes.groups],
         edges,
         reach_m,
         np.empty((0, 2)) if layers is None else layers,
-        np.append(eyes[0].rotation[2], eyes[0].position_m[2]),
+        np.append(viewpoints[0].rotation[2], viewpoints[0].position_m[2]),
     )
     return RayFan(directions, cell, column, fan.columns, fan.sine_pitch, fan.grid), source
 
@@ -194,7 +194,7 @@ def _behind(
     """What the rays meet behind what they met."""
     layers: list[Hits] = []
     past = first.range_m + np.float32(PAST_M)
-    for _ in range(BEHIND):
+    for _ in range(MAX_HIDDEN_HITS):
         met = meshes.cast(origin_m, direction, time_s, reach_m, threads, near_m=past)
         layers.append(met)
         past = met.range_m + np.float32(PAST_M)

@@ -16,7 +16,7 @@ from sonar_sim.scene.sonar import SonarSettings
 
 CELL_M = 0.05
 """At most one point a cell of this edge is kept: the points stand for about equal areas."""
-PINGS_A_MERGE = 16
+PINGS_PER_MERGE = 16
 KEY_OFFSET = 1 << 20
 """Makes indices positive; 20 bits of 5 cm cells reach 52 km either way."""
 
@@ -32,7 +32,7 @@ class VisibleSurface:
     def add(self, points_m: NDArray[np.float64]) -> None:
         """Take in the points (N, 3) that one ping saw."""
         self._new.append(points_m)
-        if len(self._new) >= PINGS_A_MERGE:
+        if len(self._new) >= PINGS_PER_MERGE:
             self._merge()
 
     @property

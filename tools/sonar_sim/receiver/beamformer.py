@@ -79,7 +79,7 @@ def beam_former(sonar: SonarSettings, physics: Physics, margin: int) -> BeamForm
         physics: beam width, side lobes, range spread and bearing table are taken from it.
         margin: columns of the grid before the first beam, at the beams' mean pitch in the sine.
     """
-    former = _designed(sonar, physics, margin)
+    former = _design(sonar, physics, margin)
     if physics.focus_m is None or physics.beam_width_rad is None:
         return former
     # From the focus inwards, in bands of much the same width.
@@ -89,14 +89,14 @@ def beam_former(sonar: SonarSettings, physics: Physics, margin: int) -> BeamForm
         rows = np.flatnonzero((sonar.row_centres_m <= outer_m) & (sonar.row_centres_m > inner_m))
         if len(rows):
             part = math.sqrt(inner_m * outer_m) / physics.focus_m
-            wide = _designed(sonar, physics, margin, part)
+            wide = _design(sonar, physics, margin, part)
             near.append((int(rows[0]), int(rows[-1]) + 1, wide))
         outer_m = inner_m
     return replace(former, near=tuple(near))
 
 
-def _designed(sonar: SonarSettings, physics: Physics, margin: int, part: float = 1.0) -> BeamFormer:
-    """The beam former whose pattern is 1 / part as wide as the sonar's, and as deaf to noise."""
+def _design(sonar: SonarSettings, physics: Physics, margin: int, part: float = 1.0) -> BeamFormer:
+    """Design a beam former with a pattern 1 / part times as wide and the same noise gain."""
     range_taps = range_response() if physics.range_spread else np.ones(1, dtype=np.float32)
     reach = _reach(sonar, physics, margin)
     if physics.side_lobe_db is None:
@@ -160,7 +160,7 @@ def _weights(
 
 FRACTIONS = 128
 TAPS = 6
-REACH = 24
+FIT_HALF_WIDTH = 24
 """Pitches on each side over which the beams' pattern is matched."""
 NEAREST = np.array([[1.0, 0.0], [0.0, 1.0]], dtype=np.float32)
 
@@ -198,7 +198,7 @@ def _fitted(
             amplitude = np.where(np.abs(sine) > null, 0.0, amplitude)
         return np.square(amplitude) if power else amplitude
 
-    place = np.linspace(-REACH, REACH, 16 * REACH + 1)
+    place = np.linspace(-FIT_HALF_WIDTH, FIT_HALF_WIDTH, 16 * FIT_HALF_WIDTH + 1)
     whole = np.arange(TAPS) - (TAPS // 2 - 1)
     fraction = (np.arange(FRACTIONS) + 0.5) / FRACTIONS
     basis = heard(place[:, None] - whole)

@@ -38,7 +38,7 @@ def gain_db(sonar: SonarSettings, absorption_db_per_m: float) -> NDArray[np.floa
 def ring_down_power_db(
     sonar: SonarSettings, ring_down_db: float, absorption_db_per_m: float
 ) -> NDArray[np.float64]:
-    """Level of what rings after the transmission, in the beams before gains, dB, (rows,).
+    """Level of the transducer's ring-down, in the beams before gains, dB, (rows,).
 
     Args:
         sonar: its time-varied gain; the ring is known by what the gain makes of it.

@@ -1,4 +1,4 @@
-"""What fills the cells besides surfaces, and is seen through the beams like them.
+"""Contributions other than surface echoes: noise, reverberation, other sonars, crosstalk.
 
 Cells are a field, complex64 (rows, columns), or mean powers, float32 of that shape; columns lie at
 the beams' mean pitch in the sine of the bearing. Levels are dB re 1 µPa of a cell's amplitude.
@@ -26,7 +26,7 @@ TAIL_STEP_SINE = 0.03
 """Width of the blocks of columns whose mean power is taken together."""
 TURN_STEPS = 400
 """Steps of the rotation matrix's entries in which the tail's speckle is the same."""
-ELEVATIONS = 512
+INTEGRATION_STEPS = 512
 """Steps of the integral over the vertical pattern."""
 
 
@@ -50,7 +50,7 @@ def add_random(
     key: int,
     threads: int = 2,
 ) -> None:
-    """Add independent scatterers to every cell, in place.
+    """Add an independent complex Gaussian number, or its mean power, to every cell, in place.
 
     Args:
         cells: field or mean power.
@@ -103,12 +103,14 @@ def _solid_angle_sr(sonar: SonarSettings, physics: Physics, columns: int) -> NDA
     """
     s = column_sines(columns, sonar)[:, None]
     # With w = sqrt(1 - s²) sin(turn) the integrand has no pole at the cone's top.
-    turn = (np.arange(ELEVATIONS) + 0.5) * (math.pi / ELEVATIONS) - math.pi / 2.0
+    turn = (np.arange(INTEGRATION_STEPS) + 0.5) * (math.pi / INTEGRATION_STEPS) - math.pi / 2.0
     w = np.sqrt(np.maximum(1.0 - s**2, 0.0)) * np.sin(turn)
     heard = np.ones_like(w)
     if physics.vertical_width_rad is not None:
         heard = vertical_two_way_power(w, physics.vertical_width_rad)
-    total: NDArray[np.float64] = heard.sum(axis=1) * (math.pi / ELEVATIONS) * sonar.sine_pitch
+    total: NDArray[np.float64] = (
+        heard.sum(axis=1) * (math.pi / INTEGRATION_STEPS) * sonar.sine_pitch
+    )
     return total
 
 
@@ -189,7 +191,7 @@ def add_tail(
 
 
 def pose_key(seed: int, pose: FramePose, wavelength_m: float) -> int:
-    """Key of what stays while the sonar stands still, and is new an eighth of a wave farther on."""
+    """Key that is constant while the sonar stands still, and changes after an eighth of a wave."""
     place = np.rint(pose.position_m * (8.0 / wavelength_m)).astype(np.int64)
     turned = np.rint(pose.rotation * TURN_STEPS).astype(np.int64)
     return stream_key(seed, "tail", *place.tolist(), *turned.ravel().tolist())

@@ -167,7 +167,7 @@ def beyond_tolerance(
     least = half_step(sonar)
     beyond = np.ones(int(visible.sum()), dtype=np.bool_)
     for still, moved in ((shown, truth), (truth, shown)):
-        nearest = np.clip(still, *_hull(moved, tolerance.cells))
+        nearest = np.clip(still, *_displaced_bounds(moved, tolerance.cells))
         ratio = np.maximum(still[visible], least) / np.maximum(nearest[visible], least)
         beyond &= np.abs(20.0 * np.log10(ratio)) > tolerance.level_db
     return beyond
@@ -184,7 +184,7 @@ def first_returns_m(picture: Picture, row_m: float) -> Picture:
     return np.where(above.any(axis=0), (row - 0.5 + part) * row_m, np.nan)
 
 
-def _hull(picture: Picture, cells: float) -> tuple[Picture, Picture]:
+def _displaced_bounds(picture: Picture, cells: float) -> tuple[Picture, Picture]:
     """Least and greatest amplitude that a displacement of up to so many cells brings to a pixel."""
     low = high = np.square(picture)
     for axis in (0, 1):

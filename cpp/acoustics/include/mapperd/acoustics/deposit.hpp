@@ -33,14 +33,14 @@ class Deposit {
  public:
   /// Writes to `columns` columns of the grid's field from `first_column` on, at least as many as an
   /// echo spreads over, and to no others.
-  Deposit(const Hearing& response, const EchoGrid& grid, std::ptrdiff_t first_column,
+  Deposit(const EchoResponse& response, const EchoGrid& grid, std::ptrdiff_t first_column,
           std::ptrdiff_t columns, std::complex<float>* field);
 
   /// Adds their echoes, except those outside of these columns.
   void add(const Scatterers& nodes);
 
  private:
-  const Hearing& response_;
+  const EchoResponse& response_;
   std::int32_t rows_, stride_, first_column_, columns_;
   std::complex<float>* field_;
   std::vector<float> taps_;  ///< each twice, for the real and the imaginary part

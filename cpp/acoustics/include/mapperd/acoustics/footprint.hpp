@@ -23,11 +23,11 @@ inline Vec3 direction(const Leg& leg, double s, double w) {
 }
 
 /// The part of a cell's width in s that contains directions: s² + w² is at most 1.
-struct Reals {
+struct ValidSines {
   double max_s, from_s, to_s;
 };
 
-inline Reals reals_of(double from_s, double to_s, double w) {
+inline ValidSines valid_sines(double from_s, double to_s, double w) {
   const double most = std::sqrt(std::max(1.0 - w * w, 1e-12));
   return {most, std::min(std::max(from_s, -most), most), std::min(std::max(to_s, -most), most)};
 }

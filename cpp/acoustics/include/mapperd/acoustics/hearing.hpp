@@ -15,7 +15,7 @@
 namespace mapperd::acoustics {
 
 /// One-way pressure of the vertical pattern.
-inline float vertical_at(const Hearing& response, double w) {
+inline float vertical_at(const EchoResponse& response, double w) {
   const auto last = static_cast<double>(response.vertical_count - 1);
   const double at = std::min(std::fabs(w), 1.0) * last;
   const auto below = std::min(static_cast<std::size_t>(at), response.vertical_count - 2);
@@ -25,12 +25,12 @@ inline float vertical_at(const Hearing& response, double w) {
 }
 
 /// A point relative to a leg.
-struct Sight {
+struct PolarPoint {
   double range_m, s, w;
   Vec3 direction;  ///< object's frame
 };
 
-inline Sight sight_of(const Leg& leg, const Vec3& point_m) {
+inline PolarPoint polar_point(const Leg& leg, const Vec3& point_m) {
   const Vec3 d = point_m - leg.origin_m;
   const double range_m = std::sqrt(std::max(dot(d, d), 1e-12));
   const double part = 1.0 / range_m;
@@ -45,7 +45,7 @@ struct Spread {
   std::size_t fraction;
 };
 
-inline Spread spread_at(const Hearing& response, double column) {
+inline Spread spread_at(const EchoResponse& response, double column) {
   const double whole = std::floor(column);
   const auto fractions = static_cast<double>(response.fractions);
   const auto fraction =

@@ -40,7 +40,7 @@ MAPPERD_INLINE double step_of(std::int64_t level) {
 /// Identity of a lattice on a plane: nodes at (i + i0) steps along and (j + j0) steps across,
 /// turned in the coordinate plane most parallel to it. Rotations are in eighths of a half turn:
 /// long before a sonar has moved that far around a patch its speckle has changed anyway.
-struct LatticeName {
+struct LatticeId {
   std::int64_t normal_axis;
   std::int64_t along_level, across_level;
   std::int64_t turn;
@@ -77,7 +77,7 @@ struct LatticeOrigin {
   double i0, j0;
 };
 
-inline LatticeOrigin origin_of(std::uint64_t key, std::uint32_t object, const LatticeName& name) {
+inline LatticeOrigin origin_of(std::uint64_t key, std::uint32_t object, const LatticeId& name) {
   const auto word = [](std::int64_t value) { return static_cast<std::uint64_t>(value) & 0xFFFFU; };
   const std::uint64_t names = word(name.along_level) << 32 | word(name.across_level) << 16 |
                               word(name.turn) << 2 | word(name.normal_axis);
@@ -93,7 +93,7 @@ struct NodeBits {
 };
 
 /// Mixes all bits of a number (Wellons 2018, "Prospecting for hash functions", lowbias32).
-MAPPERD_INLINE std::uint32_t stirred(std::uint32_t number) {
+MAPPERD_INLINE std::uint32_t mix32(std::uint32_t number) {
   number = (number ^ (number >> 16)) * 0x7FEB352DU;
   number = (number ^ (number >> 15)) * 0x846CA68BU;
   return number ^ (number >> 16);
@@ -103,8 +103,8 @@ MAPPERD_INLINE std::uint32_t stirred(std::uint32_t number) {
 /// thousands of steps apart.
 MAPPERD_INLINE NodeBits node_bits(std::uint32_t low, std::uint32_t high, std::uint32_t i,
                                   std::uint32_t j) {
-  const std::uint32_t place = stirred(low + i * 0xD192ED03U + j * 0x2F3D8DD7U);
-  return {place, stirred(place ^ high)};
+  const std::uint32_t place = mix32(low + i * 0xD192ED03U + j * 0x2F3D8DD7U);
+  return {place, mix32(place ^ high)};
 }
 
 }  // namespace mapperd::acoustics

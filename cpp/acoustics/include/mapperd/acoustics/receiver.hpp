@@ -23,8 +23,8 @@ void amplitudes(const float* beams, std::size_t parts, std::size_t rows, std::si
                 const Receiver& receiver, float* out, unsigned threads);
 
 /// amplitude^gamma, clipped if the receiver clips; in place is allowed.
-void curved(const float* amplitude, std::size_t count, const Receiver& receiver, float* out,
-            unsigned threads);
+void apply_gamma(const float* amplitude, std::size_t count, const Receiver& receiver, float* out,
+                 unsigned threads);
 
 /// Nearest integer to the maximum value times amplitude^gamma, limited to that maximum.
 void quantised(const float* amplitude, std::size_t count, const Receiver& receiver,

@@ -72,7 +72,7 @@ struct EchoGrid {
 };
 
 /// Weights of the receiver.
-struct Hearing {
+struct EchoResponse {
   const float* loss;      ///< (rows,): pressure that the way to a row and back leaves
   const float* vertical;  ///< (vertical_count,): one-way pressure over |w| from 0 to 1
   std::size_t vertical_count;
@@ -96,7 +96,7 @@ struct ScatterInput {
   Faces faces;
   RayHits hits;
   EchoGrid grid;
-  Hearing response;
+  EchoResponse response;
   ScatterModel model;
 };
 

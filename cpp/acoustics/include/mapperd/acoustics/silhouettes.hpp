@@ -64,7 +64,7 @@ struct FanHits {
 /// \param pairs rays whose upper neighbour met another surface, ascending: where no outline is
 ///     between the two, as between a pile and the floor that it stands in, rays are laid between
 ///     them. Of many pairs, those farthest apart in range are taken.
-/// \param reach_m what lies farther is not met
+/// \param reach_m maximum range of an outline
 /// \param view layers that bend the rays: edges are seen where their rays leave, to the first order
 ///     of the bending
 RefinedRays refined_rays(const FanGrid& grid, const FanHits& hits,
