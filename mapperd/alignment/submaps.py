@@ -20,7 +20,7 @@ from mapperd.errors import MapError, Reject, ReplayError
 from mapperd.geometry.motion import PingMotion
 from mapperd.imaging.ping_image import PingImage
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.odometry.fusion import PathReader
+from mapperd.odometry.fusion import PoseSampler
 from mapperd.pipeline.decoder import PosedPing
 from mapperd.pipeline.pose_lookup import OdometryPoses
 from mapperd.session.recordings import RecordedSession
@@ -356,7 +356,7 @@ def read_submaps(
     replay = run.replay(mapper, Window())
     poses = run.poses
     assert isinstance(poses, OdometryPoses)  # noqa: S101 no fixed pose was given
-    path = PathReader(poses.odometry.fusion, POSE_STEP_NS)
+    path = PoseSampler(poses.odometry.fusion, POSE_STEP_NS)
 
     def note(posed: PosedPing) -> None:
         mapper.posed = posed
@@ -388,7 +388,7 @@ def _submap_settings(config: Config) -> Config:
 
 
 def _read_along(
-    session: RecordedSession, path: PathReader, progress: Callable[[float], None]
+    session: RecordedSession, path: PoseSampler, progress: Callable[[float], None]
 ) -> Iterator[Chunk]:
     """Yield the chunks of a session, and read the path of what was decoded before each."""
     for chunk in session:

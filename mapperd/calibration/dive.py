@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from mapperd.config.tree import Config
 from mapperd.errors import MapError, Reject, ReplayError
 from mapperd.imaging.ping_image import PingImage, ping_image_of
-from mapperd.odometry.fusion import PathReader
+from mapperd.odometry.fusion import PoseSampler
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import PosedPing, SessionDecoder, Work
 from mapperd.pipeline.pose_lookup import OdometryPoses
@@ -190,7 +190,7 @@ def read_dive(
     """
     poses = OdometryPoses(config)
     decoder = SessionDecoder(config, poses, PipelineCounters(), confirm=True, obey=False)
-    path = PathReader(poses.odometry.fusion, POSE_STEP_NS)
+    path = PoseSampler(poses.odometry.fusion, POSE_STEP_NS)
     alike: dict[object, _Thinned] = {}
     for work, arrival_ns in _works(session, decoder):
         path.advance(arrival_ns)
@@ -234,7 +234,7 @@ def _kept(image: PingImage, t_ns: int, sound_mps: float) -> _KeptImage:
     return _KeptImage(t_ns, small.astype(np.float32), row_m, float(sines[0]), step, sound_mps)
 
 
-def _dive(kept: list[_KeptImage], path: PathReader) -> CalibrationDive:
+def _dive(kept: list[_KeptImage], path: PoseSampler) -> CalibrationDive:
     zero_ns = path.t_ns[0] if path.t_ns else 0
     path_s = (np.array(path.t_ns) - zero_ns) / 1e9
     t_s = np.array([(one.t_ns - zero_ns) / 1e9 for one in kept])

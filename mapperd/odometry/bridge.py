@@ -122,7 +122,7 @@ class OdometryBridge:
 
     def awaits_attitude(self, t_ns: int) -> bool:
         """Whether a ping of that time cannot be registered yet."""
-        return not (self._sonar_heads or self.fusion.has_attitude(t_ns))
+        return not (self._sonar_heads or self.fusion.attitude_is_settled(t_ns))
 
     def register(self, ping: Ping, t_ns: int) -> None:
         """Measure the motion up to a ping, and fuse it as a record of the source `sonar`.

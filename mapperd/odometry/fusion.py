@@ -28,7 +28,13 @@ from mapperd.odometry.gate import ConfidenceGate, GateState, bad_record
 from mapperd.odometry.intake import Intake, IntakeState
 from mapperd.odometry.levelling import Levelling, LevellingState, levelled
 from mapperd.odometry.records import Odometry
-from mapperd.odometry.series import Reach, enclosing, is_settled, stretch, value_at
+from mapperd.odometry.series import (
+    InterpolationLimits,
+    enclosing,
+    is_settled,
+    value_at,
+    velocity_samples,
+)
 from mapperd.odometry.states import (
     ATTITUDE,
     HEIGHT,
@@ -41,7 +47,7 @@ from mapperd.odometry.states import (
 if TYPE_CHECKING:
     from mapperd.odometry.series import Sample
 
-__all__ = ["FusedPose", "Fusion", "FusionState", "PathReader"]
+__all__ = ["FusedPose", "Fusion", "FusionState", "PoseSampler"]
 
 Floats = NDArray[np.float64]
 
@@ -125,7 +131,7 @@ class Fusion:
         time_sync = time_sync or TimeSyncConfig()
         self._is_fixed = self._settings.owners.position == FIXED
         self._depth_is_named = self._settings.owners.depth not in ("", NOBODY)
-        self._reach = Reach.of(time_sync)
+        self._limits = InterpolationLimits.of(time_sync)
         self._max_age_ns = round(time_sync.max_odom_age_sec * 1e9)
         self._latency_ns = {
             name: round(seconds * 1e9) for name, seconds in (latency_sec or {}).items()
@@ -133,7 +139,7 @@ class Fusion:
         self._clocks: dict[tuple[str, str, str], OdometryClock] = {}
         self._gate = ConfidenceGate(quality or SlamQualityConfig())
         self._level = Levelling(world_init or WorldInitConfig())
-        self._in = Intake(self._settings, self._reach.max_gap_ns)
+        self._in = Intake(self._settings, self._limits.max_gap_ns)
         self.received: Counter[str] = Counter()
         self.rejects: dict[str, Counter[str]] = {}
 
@@ -148,12 +154,12 @@ class Fusion:
             quality: settings of the confidence gate.
         """
         self._settings = settings
-        self._reach = Reach.of(time_sync)
+        self._limits = InterpolationLimits.of(time_sync)
         self._max_age_ns = round(time_sync.max_odom_age_sec * 1e9)
         for clock in self._clocks.values():
             clock.max_age_ns = self._max_age_ns
         self._gate.settings = quality
-        self._in.reconfigure(settings, self._reach.max_gap_ns)
+        self._in.reconfigure(settings, self._limits.max_gap_ns)
 
     def state(self) -> FusionState:
         """Return the state for `restore`."""
@@ -199,26 +205,26 @@ class Fusion:
     def ready(self, t_ns: int) -> bool:
         """Whether later records cannot improve the pose at a time."""
         position = self._in.position.series.newest
-        way, depth = self._in.reckoning.ways.newest, self._in.depth.series.newest
-        if not is_settled(self._in.attitude.series, t_ns, self._reach):
+        reckoned, depth = self._in.reckoning.displacements.newest, self._in.depth.series.newest
+        if not is_settled(self._in.attitude.series, t_ns, self._limits):
             return False
         if self._waits_for_depth(position) and (
-            depth is None or 0 < t_ns - depth.t_ns <= self._reach.max_gap_ns
+            depth is None or 0 < t_ns - depth.t_ns <= self._limits.max_gap_ns
         ):
             return False
         if self._is_fixed:
             return True
-        if position is not None and t_ns - position.t_ns <= self._reach.max_gap_ns:
-            return is_settled(self._in.position.series, t_ns, self._reach)
-        return way is not None and way.t_ns >= t_ns
+        if position is not None and t_ns - position.t_ns <= self._limits.max_gap_ns:
+            return is_settled(self._in.position.series, t_ns, self._limits)
+        return reckoned is not None and reckoned.t_ns >= t_ns
 
-    def has_attitude(self, t_ns: int) -> bool:
+    def attitude_is_settled(self, t_ns: int) -> bool:
         """Whether later records cannot improve the attitude at a time."""
-        return is_settled(self._in.attitude.series, t_ns, self._reach)
+        return is_settled(self._in.attitude.series, t_ns, self._limits)
 
     def attitude_at(self, t_ns: int) -> Floats | Reject:
         """Return map_q_base (4,) at a time, before levelling, or why it is unknown."""
-        attitude = value_at(self._in.attitude.series, t_ns, self._reach, ATTITUDE)
+        attitude = value_at(self._in.attitude.series, t_ns, self._limits, ATTITUDE)
         return attitude if isinstance(attitude, Reject) else attitude.value.map_q_base
 
     def at(self, t_ns: int) -> FusedPose | Reject:
@@ -226,7 +232,7 @@ class Fusion:
         problem = self._level.pending or self._gate.check(t_ns)
         if problem is not None:
             return problem
-        attitude = value_at(self._in.attitude.series, t_ns, self._reach, ATTITUDE)
+        attitude = value_at(self._in.attitude.series, t_ns, self._limits, ATTITUDE)
         if isinstance(attitude, Reject):
             return attitude
         placed = self._placed(t_ns)
@@ -258,7 +264,7 @@ class Fusion:
             "north_referenced": self._in.north_referenced,
             "confidence": self._gate.confidence,
             "unchecked_pings": self._gate.unchecked,
-            "velocities_without_attitude": self._in.reckoning.unattended,
+            "velocities_without_attitude": self._in.reckoning.without_attitude,
             "levelling": self._level.status(),
         }
 
@@ -271,7 +277,7 @@ class Fusion:
         }
 
     def _clock_offset(self, source: str) -> dict[str, float]:
-        """Return the offset of a source's clock in seconds if its stamps are fitted, else None."""
+        """Return `clock_offset_s` of a source whose stamps are fitted, else an empty dictionary."""
         offsets = [
             clock.offset_ns
             for key, clock in self._clocks.items()
@@ -318,12 +324,12 @@ class Fusion:
             )
         series = self._in.position.series
         before, after = series.around(t_ns)
-        interpolates = self._reach.policy == "interpolate"
-        if interpolates and enclosing(before, after, self._reach) is None:
+        interpolates = self._limits.policy == "interpolate"
+        if interpolates and enclosing(before, after, self._limits) is None:
             reckoned = self._reckoned(before, t_ns)
             if reckoned is not None:
                 return reckoned
-        found = value_at(series, t_ns, self._reach, POSITION)
+        found = value_at(series, t_ns, self._limits, POSITION)
         if not series and isinstance(found, Reject):
             return Reject("no_position", NO_POSITION)
         return found if isinstance(found, Reject) else _AnchoredPosition(found.value, found.segment)
@@ -339,7 +345,7 @@ class Fusion:
                 return None
             covariance = end.value.variance_m2 * np.eye(3)
             value = BasePosition(
-                end.value.way_m, end.value.velocity_mps, covariance, has_height=False
+                end.value.displacement_m, end.value.velocity_mps, covariance, has_height=False
             )
             return _AnchoredPosition(value, end.segment)
         start = self._in.reckoning.at(last.t_ns)
@@ -352,7 +358,7 @@ class Fusion:
             return None
         grown = max(end.value.variance_m2 - start.value.variance_m2, 0.0) * np.eye(3)
         value = BasePosition(
-            last.value.position_m + end.value.way_m - start.value.way_m,
+            last.value.position_m + end.value.displacement_m - start.value.displacement_m,
             end.value.velocity_mps,
             last.value.covariance_m2 + grown,
             last.value.has_height,
@@ -393,7 +399,7 @@ class Fusion:
         return OdometryClock(self._max_age_ns, self._latency_ns.get(source, 0))
 
     def _height_m(self, t_ns: int) -> float | Reject:
-        height = value_at(self._in.depth.series, t_ns, self._reach, HEIGHT)
+        height = value_at(self._in.depth.series, t_ns, self._limits, HEIGHT)
         if isinstance(height, Reject):
             return Reject("no_depth", f"no depth: {height.detail}")
         return float(height.value[0])
@@ -403,16 +409,16 @@ class Fusion:
 
         None if the positions lie farther apart than the vehicle can move: that is noise.
         """
-        way = self._in.reckoning.at(t_ns)
-        if way is not None:
-            return way.value.velocity_mps
+        reckoned = self._in.reckoning.at(t_ns)
+        if reckoned is not None:
+            return reckoned.value.velocity_mps
         if placed.value.velocity_mps is not None:
             return placed.value.velocity_mps
-        pair = stretch(self._in.position.series, t_ns, self._reach)
+        pair = velocity_samples(self._in.position.series, t_ns, self._limits)
         if pair is None:
             return None
-        way_m = pair[1].value.position_m - pair[0].value.position_m
-        velocity = np.asarray(way_m / ((pair[1].t_ns - pair[0].t_ns) / 1e9))
+        displacement_m = pair[1].value.position_m - pair[0].value.position_m
+        velocity = np.asarray(displacement_m / ((pair[1].t_ns - pair[0].t_ns) / 1e9))
         limit_mps = self._settings.limits.max_speed
         return velocity if float(np.linalg.norm(velocity)) <= limit_mps else None
 
@@ -420,7 +426,7 @@ class Fusion:
         """Return the rates: of the source, or from attitudes; None if that is noise."""
         if attitude.rate_radps is not None:
             return attitude.rate_radps
-        pair = stretch(self._in.attitude.series, t_ns, self._reach)
+        pair = velocity_samples(self._in.attitude.series, t_ns, self._limits)
         if pair is None:
             return None
         turn = turn_between(pair[0].value.map_q_base, pair[1].value.map_q_base)
@@ -429,8 +435,8 @@ class Fusion:
         return rate if float(np.linalg.norm(rate)) <= limit_radps else None
 
 
-class PathReader:
-    """Poses at even times, read while a recording is decoded.
+class PoseSampler:
+    """Samples poses at a fixed interval, while a recording is decoded.
 
     Args:
         fusion: that the decoder feeds.

@@ -84,7 +84,7 @@ class ConfidenceGate:
         return None
 
 
-LARGEST = 1e12
+MAX_NUMBER = 1e12
 """Limit of any number in its unit; no valid value is larger."""
 
 ARRAYS = (
@@ -104,13 +104,13 @@ def bad_record(odometry: Odometry) -> Reject | None:
     """Return why a record is invalid: a number that is not finite or impossible, or no rotation."""
     for key in ARRAYS:
         array = getattr(odometry, key)
-        if array is not None and (bad := bad_numbers(key, array.ravel().tolist(), LARGEST)):
+        if array is not None and (bad := bad_numbers(key, array.ravel().tolist(), MAX_NUMBER)):
             return bad
     scalars = [getattr(odometry, key) for key in NUMBERS]
     if (geo := odometry.geo) is not None:
         scalars += [geo.latitude_rad, geo.longitude_rad, geo.altitude_m]
     given = [number for number in scalars if number is not None]
-    if bad := bad_numbers("the record", given, LARGEST):
+    if bad := bad_numbers("the record", given, MAX_NUMBER):
         return bad
     if (turn := odometry.map_q_base) is None:
         return None

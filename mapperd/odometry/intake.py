@@ -209,10 +209,10 @@ class Intake:
             if expected is not None and self.position.taken > 1:
                 self._anchor = Anchor.joining(source_m, expected, self._anchor.yaw_rad)
             jumped, self._rejoin = True, False
-        way = self.reckoning.ways.newest
-        if not self.position.taken and way is not None and not self._settings.owners.position:
+        reckoned = self.reckoning.displacements.newest
+        if not self.position.taken and reckoned is not None and not self._settings.owners.position:
             # Until now dead reckoning had its own origin.
-            self.position.segment, jumped = way.segment + 1, True
+            self.position.segment, jumped = reckoned.segment + 1, True
         value = BasePosition(
             self._anchor.place(source_m),
             self._map_velocity(odometry, t_ns),
@@ -254,9 +254,9 @@ class Intake:
         last = self.position.series.newest
         if last is None:
             return None
-        way = self.way_m(last.t_ns, t_ns)
-        if way is not None:
-            return last.value.position_m + way
+        reckoned = self.displacement_m(last.t_ns, t_ns)
+        if reckoned is not None:
+            return last.value.position_m + reckoned
         velocity = last.value.velocity_mps
         if velocity is None or t_ns - last.t_ns > self.reckoning.max_gap_ns:
             return last.value.position_m
@@ -267,18 +267,18 @@ class Intake:
         last = self.position.series.newest
         if last is None or t_ns - last.t_ns <= self.reckoning.max_gap_ns:
             return False
-        way = self.way_m(last.t_ns, t_ns)
-        if way is None:
+        reckoned = self.displacement_m(last.t_ns, t_ns)
+        if reckoned is None:
             return False
-        off_m = length(map_m - last.value.position_m - way)
+        off_m = length(map_m - last.value.position_m - reckoned)
         return off_m > self._settings.limits.max_jump
 
-    def way_m(self, from_ns: int, to_ns: int) -> Floats | None:
+    def displacement_m(self, from_ns: int, to_ns: int) -> Floats | None:
         """Return the displacement (3,) by velocity between two times, map axes; None if unknown."""
         start, end = self.reckoning.at(from_ns), self.reckoning.at(to_ns)
         if start is None or end is None or start.segment != end.segment:
             return None
-        return end.value.way_m - start.value.way_m
+        return end.value.displacement_m - start.value.displacement_m
 
     def _expected_attitude(self, t_ns: int) -> Floats | None:
         last = self.attitude.series.newest

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mapperd.odometry.series import Sample, Series, SeriesState
 
-__all__ = ["DeadReckoning", "DeadReckoningState", "Way"]
+__all__ = ["DeadReckoning", "DeadReckoningState", "ReckonedDisplacement"]
 
 Floats = NDArray[np.float64]
 
@@ -19,16 +19,16 @@ MAX_WAITING = 1024
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Way:
+class ReckonedDisplacement:
     """Displacement since the start of a segment.
 
     Attributes:
-        way_m: (3,) displacement, map axes.
+        displacement_m: (3,) displacement, map axes.
         velocity_mps: (3,) at its end, map axes.
         variance_m2: accumulated variance of each axis.
     """
 
-    way_m: Floats
+    displacement_m: Floats
     velocity_mps: Floats
     variance_m2: float
 
@@ -39,14 +39,14 @@ class DeadReckoningState(NamedTuple):
     Attributes:
         waiting: time, velocity, whether in map axes, and noise, of waiting velocities.
         segment: segment of the newest displacement.
-        ways: displacements.
-        unattended: as in `DeadReckoning`.
+        displacements: since the start of dead reckoning.
+        without_attitude: as in `DeadReckoning`.
     """
 
     waiting: list[tuple[int, Floats | None, bool, float | None]]
     segment: int
-    ways: SeriesState
-    unattended: int
+    displacements: SeriesState
+    without_attitude: int
 
 
 class DeadReckoning:
@@ -58,7 +58,7 @@ class DeadReckoning:
 
     Attributes:
         max_gap_ns, noise: may be changed.
-        ways: displacements.
+        displacements: since the start of dead reckoning.
     """
 
     def __init__(self, max_gap_ns: int, noise: float) -> None:
@@ -66,8 +66,8 @@ class DeadReckoning:
         self.noise = noise
         self._waiting: deque[tuple[int, Floats | None, bool, float | None]] = deque()
         self._segment = 0
-        self.ways: Series[Way] = Series()
-        self.unattended = 0
+        self.displacements: Series[ReckonedDisplacement] = Series()
+        self.without_attitude = 0
         """Number of velocities without an attitude at their time."""
 
     def add(
@@ -83,25 +83,25 @@ class DeadReckoning:
         """
         if len(self._waiting) >= MAX_WAITING:
             self._waiting.popleft()
-            self.unattended += 1
+            self.without_attitude += 1
         self._waiting.append((t_ns, velocity_mps, in_map, noise))
 
     def state(self) -> DeadReckoningState:
         """Return the state for `restore`."""
         return DeadReckoningState(
-            list(self._waiting), self._segment, self.ways.state(), self.unattended
+            list(self._waiting), self._segment, self.displacements.state(), self.without_attitude
         )
 
     def restore(self, state: DeadReckoningState) -> None:
         """Restore a state that `state` returned."""
         self._waiting, self._segment = deque(state.waiting), state.segment
-        self.ways.restore(state.ways, Way)
-        self.unattended = state.unattended
+        self.displacements.restore(state.displacements, ReckonedDisplacement)
+        self.without_attitude = state.without_attitude
 
     def restart(self) -> None:
         """Discard everything, because time was set back."""
         self._waiting.clear()
-        self.ways.clear()
+        self.displacements.clear()
         self._segment += 1
 
     def advance(
@@ -125,42 +125,46 @@ class DeadReckoning:
                 matrix = matrix_at(t_ns)
                 if matrix is None:
                     self._segment += 1
-                    self.unattended += 1
+                    self.without_attitude += 1
                 else:
                     self._sum_up(t_ns, matrix @ velocity, noise)
             self._waiting.popleft()
 
-    def at(self, t_ns: int) -> "Sample[Way] | None":
+    def at(self, t_ns: int) -> "Sample[ReckonedDisplacement] | None":
         """Return the displacement at a time; at most one gap beyond the newest velocity."""
-        before, after = self.ways.around(t_ns)
+        before, after = self.displacements.around(t_ns)
         if before is None:
             return None
-        way, seconds = before.value, (t_ns - before.t_ns) / 1e9
+        old, seconds = before.value, (t_ns - before.t_ns) / 1e9
         if after is not None and after.segment == before.segment:
             # Velocity is linear between two reports, so the displacement is a parabola.
             fraction = (t_ns - before.t_ns) / (after.t_ns - before.t_ns)
-            velocity = way.velocity_mps + fraction * (after.value.velocity_mps - way.velocity_mps)
-            variance = way.variance_m2 + fraction * (after.value.variance_m2 - way.variance_m2)
+            new = after.value
+            velocity = old.velocity_mps + fraction * (new.velocity_mps - old.velocity_mps)
+            variance = old.variance_m2 + fraction * (new.variance_m2 - old.variance_m2)
         elif t_ns - before.t_ns <= self.max_gap_ns:
-            velocity = way.velocity_mps
-            variance = way.variance_m2 + seconds * self.noise**2
+            velocity = old.velocity_mps
+            variance = old.variance_m2 + seconds * self.noise**2
         else:
             return None
-        gone = way.way_m + 0.5 * seconds * (way.velocity_mps + velocity)
-        return Sample(t_ns, Way(gone, velocity, variance), before.segment)
+        moved_m = old.displacement_m + 0.5 * seconds * (old.velocity_mps + velocity)
+        return Sample(t_ns, ReckonedDisplacement(moved_m, velocity, variance), before.segment)
 
     def _sum_up(self, t_ns: int, velocity_mps: Floats, noise: float | None) -> None:
-        last = self.ways.newest
+        last = self.displacements.newest
         if last is not None and t_ns <= last.t_ns:
             return
         if last is None or last.segment != self._segment or t_ns - last.t_ns > self.max_gap_ns:
             self._segment += last is not None and last.segment == self._segment
-            zero = np.zeros(3) if last is None else last.value.way_m
+            zero = np.zeros(3) if last is None else last.value.displacement_m
             variance = 0.0 if last is None else last.value.variance_m2
-            self.ways.add(t_ns, Way(zero, velocity_mps, variance), self._segment)
+            first = ReckonedDisplacement(zero, velocity_mps, variance)
+            self.displacements.add(t_ns, first, self._segment)
             return
         seconds = (t_ns - last.t_ns) / 1e9
-        way = last.value.way_m + 0.5 * seconds * (last.value.velocity_mps + velocity_mps)
+        old = last.value
+        moved_m = old.displacement_m + 0.5 * seconds * (old.velocity_mps + velocity_mps)
         # A velocity's error lasts for about a second: its variance grows with the time.
         growth = seconds * (self.noise if noise is None else noise) ** 2
-        self.ways.add(t_ns, Way(way, velocity_mps, last.value.variance_m2 + growth), self._segment)
+        new = ReckonedDisplacement(moved_m, velocity_mps, old.variance_m2 + growth)
+        self.displacements.add(t_ns, new, self._segment)

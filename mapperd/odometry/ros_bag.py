@@ -207,14 +207,14 @@ class RosPoses:
             for name in POSES[kind].split("."):
                 pose = getattr(pose, name)
             place, turn = pose.position, pose.orientation
-            stamped = POSES[kind] == "pose.pose"
+            has_covariance = POSES[kind] == "pose.pose"
             yield pose_chunk(
                 message_time_ns(message.header, bag_ns) + self._offset_ns,
                 (place.x, place.y, place.z),
                 (turn.w, turn.x, turn.y, turn.z),
                 world=_world(message.header.frame_id),
                 body=_body(getattr(message, "child_frame_id", "")),
-                covariance=_covariance(message.pose.covariance) if stamped else None,
+                covariance=_covariance(message.pose.covariance) if has_covariance else None,
             )
 
     def _found(self, reader: "AnyReader", topics: Sequence[str]) -> tuple[str, str]:

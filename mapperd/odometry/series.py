@@ -15,15 +15,15 @@ from mapperd.errors import Reject
 
 __all__ = [
     "MAX_SAMPLES",
-    "Course",
-    "Reach",
+    "InterpolationLimits",
+    "Interpolator",
     "Sample",
     "Series",
     "SeriesState",
     "enclosing",
     "is_settled",
-    "stretch",
     "value_at",
+    "velocity_samples",
 ]
 
 MAX_SAMPLES = 8192
@@ -170,7 +170,7 @@ def _values(column: Any) -> list[Any]:  # noqa: ANN401 an array or a list
     return column.tolist() if column.ndim == 1 else [row.copy() for row in column]
 
 
-STRETCH_NS = 100_000_000
+VELOCITY_WINDOW_NS = 100_000_000
 """Interval on both sides of a time from which velocity is computed.
 
 A shorter one takes noise for motion, a longer one cuts turns. 1 cm of noise gives 7 cm/s, which
@@ -178,24 +178,24 @@ moves a sample by 1 mm in 20 ms.
 """
 
 
-class Course(Generic[V]):
+class Interpolator(Generic[V]):
     """Interpolation and extrapolation of a quantity.
 
     Attributes:
-        blend: interpolates from the value at 0 to that at 1; the fraction may lie outside.
-        carry: extrapolates a value by its own rate for some seconds, also backwards; None
+        interpolate: interpolates from the value at 0 to that at 1; the fraction may lie outside.
+        extrapolate: extrapolates a value by its own rate for some seconds, also backwards; None
             without a rate.
     """
 
     def __init__(
-        self, blend: Callable[[V, V, float], V], carry: Callable[[V, float], V | None]
+        self, interpolate: Callable[[V, V, float], V], extrapolate: Callable[[V, float], V | None]
     ) -> None:
-        self.blend = blend
-        self.carry = carry
+        self.interpolate = interpolate
+        self.extrapolate = extrapolate
 
 
 @dataclass(frozen=True, slots=True)
-class Reach:
+class InterpolationLimits:
     """Limits of interpolation and extrapolation.
 
     Attributes:
@@ -209,7 +209,7 @@ class Reach:
     max_reach_ns: int
 
     @classmethod
-    def of(cls, settings: TimeSyncConfig) -> "Reach":
+    def of(cls, settings: TimeSyncConfig) -> "InterpolationLimits":
         """Return the limits of the settings."""
         return cls(
             settings.policy,
@@ -218,7 +218,9 @@ class Reach:
         )
 
 
-def value_at(series: Series[V], t_ns: int, reach: Reach, course: Course[V]) -> "Sample[V] | Reject":
+def value_at(
+    series: Series[V], t_ns: int, limits: InterpolationLimits, interpolator: Interpolator[V]
+) -> "Sample[V] | Reject":
     """Return the quantity at a time.
 
     interpolate: blend the two enclosing samples if they are of one segment and at most `max_gap`
@@ -227,29 +229,33 @@ def value_at(series: Series[V], t_ns: int, reach: Reach, course: Course[V]) -> "
     nearest and latest: that sample, if it is at most `max_reach` away.
     """
     before, after = series.around(t_ns)
-    if reach.policy == "interpolate":
+    if limits.policy == "interpolate":
         if before is not None and before.t_ns == t_ns:
             return before
-        if (pair := enclosing(before, after, reach)) is not None:
-            return _blended(*pair, t_ns, course)
-    near = _nearest(before, after, t_ns) if reach.policy != "latest" else series.newest
+        if (pair := enclosing(before, after, limits)) is not None:
+            return _blended(*pair, t_ns, interpolator)
+    near = _nearest(before, after, t_ns) if limits.policy != "latest" else series.newest
     if near is None:
         return Reject("no_odometry", "no odometry so far")
-    if abs(near.t_ns - t_ns) > reach.max_reach_ns:
+    if abs(near.t_ns - t_ns) > limits.max_reach_ns:
         return _too_far(before, after, t_ns)
-    return near if reach.policy != "interpolate" else _carried(series, near, t_ns, reach, course)
+    return (
+        near
+        if limits.policy != "interpolate"
+        else _carried(series, near, t_ns, limits, interpolator)
+    )
 
 
 def enclosing(
-    before: "Sample[V] | None", after: "Sample[V] | None", reach: Reach
+    before: "Sample[V] | None", after: "Sample[V] | None", limits: InterpolationLimits
 ) -> "tuple[Sample[V], Sample[V]] | None":
     """Return both samples if there is motion between them."""
     if before is None or after is None or before.segment != after.segment:
         return None
-    return (before, after) if after.t_ns - before.t_ns <= reach.max_gap_ns else None
+    return (before, after) if after.t_ns - before.t_ns <= limits.max_gap_ns else None
 
 
-def is_settled(series: Series[V], t_ns: int, reach: Reach) -> bool:
+def is_settled(series: Series[V], t_ns: int, limits: InterpolationLimits) -> bool:
     """Whether later samples cannot improve the quantity at a time."""
     before, after = series.around(t_ns)
     if before is not None and before.t_ns == t_ns:
@@ -257,60 +263,68 @@ def is_settled(series: Series[V], t_ns: int, reach: Reach) -> bool:
     newest = series.newest
     if after is None or newest is None:
         return False
-    if reach.policy != "interpolate" or enclosing(before, after, reach) is not None:
+    if limits.policy != "interpolate" or enclosing(before, after, limits) is not None:
         return True
     # After a gap, one record does not determine the motion before it.
     back_ns = after.t_ns - t_ns
-    return back_ns > reach.max_reach_ns or newest.t_ns - after.t_ns >= back_ns
+    return back_ns > limits.max_reach_ns or newest.t_ns - after.t_ns >= back_ns
 
 
-def stretch(series: Series[V], t_ns: int, reach: Reach) -> "tuple[Sample[V], Sample[V]] | None":
+def velocity_samples(
+    series: Series[V], t_ns: int, limits: InterpolationLimits
+) -> "tuple[Sample[V], Sample[V]] | None":
     """Return the samples that determine the velocity at a time, or None.
 
-    They are up to `STRETCH_NS` away on both sides; if records are rarer, or one jumps, the two
-    enclosing samples.
+    They are up to `VELOCITY_WINDOW_NS` away on both sides; if records are rarer, or one jumps, the
+    two enclosing samples.
     """
-    _, first = series.around(t_ns - STRETCH_NS - 1)
-    last, _ = series.around(t_ns + STRETCH_NS)
+    _, first = series.around(t_ns - VELOCITY_WINDOW_NS - 1)
+    last, _ = series.around(t_ns + VELOCITY_WINDOW_NS)
     if (
         first is not None
         and last is not None
         and first.segment == last.segment
-        and last.t_ns - first.t_ns >= STRETCH_NS // 2
+        and last.t_ns - first.t_ns >= VELOCITY_WINDOW_NS // 2
     ):
         return first, last
-    return enclosing(*series.around(t_ns), reach)
+    return enclosing(*series.around(t_ns), limits)
 
 
 def _carried(
-    series: Series[V], near: "Sample[V]", t_ns: int, reach: Reach, course: Course[V]
+    series: Series[V],
+    near: "Sample[V]",
+    t_ns: int,
+    limits: InterpolationLimits,
+    interpolator: Interpolator[V],
 ) -> "Sample[V]":
-    carried = course.carry(near.value, (t_ns - near.t_ns) / 1e9)
+    carried = interpolator.extrapolate(near.value, (t_ns - near.t_ns) / 1e9)
     if carried is not None:
         return Sample(t_ns, carried, near.segment)
-    pair = _beside(series, near, reach, later=near.t_ns > t_ns)
+    pair = _beside(series, near, limits, later=near.t_ns > t_ns)
     # Extrapolating farther than their distance would magnify noise.
     if pair is None or abs(t_ns - near.t_ns) > pair[1].t_ns - pair[0].t_ns:
         return Sample(t_ns, near.value, near.segment)
-    return _blended(*pair, t_ns, course)
+    return _blended(*pair, t_ns, interpolator)
 
 
 def _beside(
-    series: Series[V], near: "Sample[V]", reach: Reach, *, later: bool
+    series: Series[V], near: "Sample[V]", limits: InterpolationLimits, *, later: bool
 ) -> "tuple[Sample[V], Sample[V]] | None":
-    """Return a sample and one up to `STRETCH_NS` away, or its neighbour if records are rarer."""
+    """Return a sample and one up to `VELOCITY_WINDOW_NS` away, or the next one."""
     if later:
-        other, _ = series.around(near.t_ns + STRETCH_NS)
+        other, _ = series.around(near.t_ns + VELOCITY_WINDOW_NS)
     else:
-        _, other = series.around(near.t_ns - STRETCH_NS - 1)
+        _, other = series.around(near.t_ns - VELOCITY_WINDOW_NS - 1)
     if other is None or other.segment != near.segment or other.t_ns == near.t_ns:
         other = series.next_to(near, 1 if later else -1)
-    return enclosing(near, other, reach) if later else enclosing(other, near, reach)
+    return enclosing(near, other, limits) if later else enclosing(other, near, limits)
 
 
-def _blended(a: "Sample[V]", b: "Sample[V]", t_ns: int, course: Course[V]) -> "Sample[V]":
+def _blended(
+    a: "Sample[V]", b: "Sample[V]", t_ns: int, interpolator: Interpolator[V]
+) -> "Sample[V]":
     fraction = (t_ns - a.t_ns) / (b.t_ns - a.t_ns)
-    return Sample(t_ns, course.blend(a.value, b.value, fraction), a.segment)
+    return Sample(t_ns, interpolator.interpolate(a.value, b.value, fraction), a.segment)
 
 
 def _nearest(

@@ -36,10 +36,10 @@ Image = NDArray[np.float32]
 CELLS = 160
 """Cells of the plane over the range: 12 cm at 20 m, resolved to about a tenth."""
 
-BOX = 12
+BACKGROUND_HALF_WIDTH = 12
 """Half width, in rows and beams, of the surroundings that a sample is compared with."""
 
-ABOVE = 1.0
+MIN_CONTRAST = 1.0
 """A sample counts from so many standard deviations above its surroundings."""
 
 WHITENING = 0.7
@@ -79,7 +79,7 @@ MAX_DEPRESSION_RAD = math.radians(45.0)
 """A sonar that looks down farther sees no horizontal plane."""
 
 ACCELERATION_MPS2, SPEED_CHANGE_MPS = 0.3, 0.2
-"""Maximum change of a known velocity: at once, and with time."""
+"""Maximum change of a known velocity: with time, and at once."""
 
 SCALE_STD = 0.02
 """Standard deviation of the scale, as the elevation of the echoes is unknown."""
@@ -146,14 +146,14 @@ class GroundMotion:
         return found
 
 
-class KeyState(NamedTuple):
+class LevelPing(NamedTuple):
     """A keyframe.
 
     Attributes:
         image: (rows, beams) float32, cleaned polar image.
         bearings_rad: (beams,).
         row_m: thickness of a row.
-        lean: (3, 3) sonar in level axes along its own heading.
+        tilt: (3, 3) sonar in level axes along its own heading.
         yaw_rad: heading of the base.
         sonar_yaw_rad: heading of the sonar.
     """
@@ -161,12 +161,12 @@ class KeyState(NamedTuple):
     image: Image
     bearings_rad: Floats
     row_m: float
-    lean: Floats
+    tilt: Floats
     yaw_rad: float
     sonar_yaw_rad: float
 
 
-class LastState(NamedTuple):
+class LastRegistration(NamedTuple):
     """The last registered ping, relative to the keyframe.
 
     Attributes:
@@ -199,8 +199,8 @@ class SonarOdometryState(NamedTuple):
         silent: number of pings without a motion, by reason.
     """
 
-    key: KeyState | None
-    last: LastState | None
+    key: LevelPing | None
+    last: LastRegistration | None
     velocity: tuple[Floats, float] | None
     newest_ns: int | None
     missed: int
@@ -225,28 +225,28 @@ class _LevelPlane:
         self._forward = (np.arange(self.shape[0]) + 0.5) * self.cell_m
         self._port = (np.arange(self.shape[1]) + 0.5 - self.shape[1] / 2) * self.cell_m
         self._range_m = range_m
-        self._slope = math.tan(depression_rad)
+        self._gradient = math.tan(depression_rad)
         waves = np.fft.fftfreq(self.shape[0])[:, None], np.fft.rfftfreq(self.shape[1])[None]
         self._low_pass = np.exp(-(waves[0] ** 2 + waves[1] ** 2) / (4 * SMOOTHING**2))
 
     def seen(
-        self, key: KeyState, lean: Floats, shift_m: Floats | None = None
+        self, key: LevelPing, tilt: Floats, shift_m: Floats | None = None
     ) -> tuple[Floats, Floats]:
         """Return a ping's image on the plane, and each cell's weight.
 
         Args:
-            key: the ping; its own `lean` is not used.
-            lean: (3, 3) sonar in the axes of the plane.
+            key: the ping; its own `tilt` is not used.
+            tilt: (3, 3) sonar in the axes of the plane.
             shift_m: (2,) position of the sonar on the plane.
         """
         ahead, port = self._forward[:, None], self._port[None, :]
         if shift_m is not None:
             ahead, port = ahead - shift_m[0], port - shift_m[1]
         flat = np.hypot(ahead, port)
-        down = -self._slope * flat
+        down = -self._gradient * flat
         # Rows of the inverse rotation, written out: a third of the time of a product.
-        x = lean[0, 0] * ahead + lean[1, 0] * port + lean[2, 0] * down
-        y = lean[0, 1] * ahead + lean[1, 1] * port + lean[2, 1] * down
+        x = tilt[0, 0] * ahead + tilt[1, 0] * port + tilt[2, 0] * down
+        y = tilt[0, 1] * ahead + tilt[1, 1] * port + tilt[2, 1] * down
         bearing = -np.arctan2(y, x)
         row = flat / key.row_m - 0.5
         beams = key.image.shape[1]
@@ -284,7 +284,7 @@ class _LevelPlane:
         return np.asarray(np.fft.irfft2(waves, s=self.shape))
 
 
-class _View(NamedTuple):
+class _KeyframeView(NamedTuple):
     """A keyframe on its plane.
 
     Attributes:
@@ -347,12 +347,12 @@ class SonarOdometry:
         self._settings = settings
         self._aperture_rad = aperture_rad
         self._mount(base_T_sonar)
-        self._key: KeyState | None = None
-        self._last: LastState | None = None
+        self._key: LevelPing | None = None
+        self._last: LastRegistration | None = None
         self._velocity: tuple[Floats, float] | None = None
         self._newest_ns: int | None = None
         self._missed = 0
-        self._seen: _View | None = None
+        self._seen: _KeyframeView | None = None
         self.motions = 0
         self.silent: Counter[str] = Counter()
 
@@ -456,7 +456,7 @@ class SonarOdometry:
         if self._key is None or self._last is None:
             self._rebase(frame, t_ns)
             return Reject("first_ping", "no ping to compare with")
-        if not _alike(self._key, frame):
+        if not _same_layout(self._key, frame):
             self._rebase(frame, t_ns)
             self._velocity = None
             return Reject("changed_ping", "range, beams or rows of the image changed")
@@ -468,7 +468,7 @@ class SonarOdometry:
             return found
         return self._moved(frame, t_ns, found, searched=q is None)
 
-    def _frame(self, ping: PingImage, q: Floats | None, yaw_rad: float) -> KeyState:
+    def _frame(self, ping: PingImage, q: Floats | None, yaw_rad: float) -> LevelPing:
         """Return a ping as a keyframe; without an attitude the base is level, with this yaw."""
         if q is None:
             base = _turn(yaw_rad)
@@ -478,8 +478,8 @@ class SonarOdometry:
         sonar = base @ self._base_R_sonar
         sonar_yaw = math.atan2(sonar[1, 0], sonar[0, 0])
         image, row_m = _pooled(ping)
-        return KeyState(
-            _cleaned(image),
+        return LevelPing(
+            _background_removed(image),
             np.array(ping.bearings_rad),
             row_m,
             _turn(-sonar_yaw) @ sonar,
@@ -487,35 +487,35 @@ class SonarOdometry:
             sonar_yaw,
         )
 
-    def _arm(self, frame: KeyState) -> Floats:
+    def _arm(self, frame: LevelPing) -> Floats:
         """Return the horizontal lever arm (2,) of the sonar, map axes."""
-        arm = _turn(frame.sonar_yaw_rad) @ frame.lean @ self._base_R_sonar.T @ self._arm_m
+        arm = _turn(frame.sonar_yaw_rad) @ frame.tilt @ self._base_R_sonar.T @ self._arm_m
         return np.asarray(arm[:2])
 
     def _forget(self) -> None:
         self._key = self._last = self._velocity = self._seen = None
 
-    def _rebase(self, frame: KeyState, t_ns: int) -> None:
+    def _rebase(self, frame: LevelPing, t_ns: int) -> None:
         """Make a ping the keyframe."""
         self._missed = 0
         self._key, self._seen = frame, None
-        self._last = LastState(
+        self._last = LastRegistration(
             t_ns, np.zeros(2), np.zeros((2, 2)), frame.yaw_rad, 0.0, self._arm(frame)
         )
 
-    def _view(self) -> "_View":
+    def _view(self) -> "_KeyframeView":
         """Return the keyframe on its plane."""
         key = self._key
         assert key is not None  # noqa: S101 only called with one
         if self._seen is None:
             range_m = len(key.image) * key.row_m
             plane = _LevelPlane(key.bearings_rad, range_m, self._depression_rad)
-            image, weight = plane.seen(key, key.lean)
+            image, weight = plane.seen(key, key.tilt)
             waves, centre_m = plane.whitened(image, weight), plane.centre_m(image * weight)
-            self._seen = _View(plane, image, weight, waves, centre_m)
+            self._seen = _KeyframeView(plane, image, weight, waves, centre_m)
         return self._seen
 
-    def _registered(self, frame: KeyState, t_ns: int, *, searching: bool) -> "_Fit | Reject":
+    def _registered(self, frame: LevelPing, t_ns: int, *, searching: bool) -> "_Fit | Reject":
         """Register a ping to the keyframe; where no attitude is known, search its turn too."""
         key, last = self._key, self._last
         assert key is not None  # noqa: S101 only called with one
@@ -524,11 +524,11 @@ class SonarOdometry:
         plane = view.plane
         follows = self._velocity is not None and self._missed == 1
         least = MIN_PEAK if follows else MIN_FIRST_PEAK
-        lean = _turn(frame.sonar_yaw_rad - key.sonar_yaw_rad) @ frame.lean
+        tilt = _turn(frame.sonar_yaw_rad - key.sonar_yaw_rad) @ frame.tilt
         window = self._window(frame, (t_ns - last.t_ns) / 1e9, plane.cell_m)
         steps = range(-YAW_STEPS, YAW_STEPS + 1) if searching else (0,)
         turns_rad = [step * YAW_STEP_RAD for step in steps]
-        peak, turn_rad = _best(view, frame, lean, turns_rad, window)
+        peak, turn_rad = _best(view, frame, tilt, turns_rad, window)
         if peak is None or peak.height < least:
             return Reject("no_texture", "nothing stands out in both images")
         if peak.side > MAX_SIDE_PEAK:
@@ -536,14 +536,14 @@ class SonarOdometry:
         shift_m = peak.cells * plane.cell_m
         turn_variance, arm_m = 0.0, np.zeros(2)
         if searching:
-            found = _turned(view, frame, lean, turn_rad, shift_m)
+            found = _turned(view, frame, tilt, turn_rad, shift_m)
             if found is None:
                 return Reject("ambiguous", "no turn explains the images best")
             turn_rad, turn_variance, shift_m = found
             arm_m = view.centre_m - shift_m
         # Aligned, both images show the same part of the scene under the same weight: the edges of
         # the fan, which move with the sonar, no longer pull the shift to zero.
-        blocks, height = _agreement(view, *plane.seen(frame, _turn(turn_rad) @ lean, shift_m))
+        blocks, height = _agreement(view, *plane.seen(frame, _turn(turn_rad) @ tilt, shift_m))
         fitted = _fitted(blocks)
         if fitted is None or height < least:
             return Reject("no_texture", "the aligned images do not agree")
@@ -557,7 +557,7 @@ class SonarOdometry:
             return Reject("uncertain", "parts of the images disagree, or lack texture one way")
         return _Fit(shift_m, covariance_m2, turn_rad, turn_variance, height)
 
-    def _window(self, frame: KeyState, seconds: float, cell_m: float) -> tuple[Floats, int]:
+    def _window(self, frame: LevelPing, seconds: float, cell_m: float) -> tuple[Floats, int]:
         """Return where the sonar should be since the keyframe (2,), and how far off; cells."""
         key, last = self._key, self._last
         assert key is not None  # noqa: S101 only called with one
@@ -570,7 +570,7 @@ class SonarOdometry:
             reach_m = min(reach_m, (SPEED_CHANGE_MPS + ACCELERATION_MPS2 * seconds) * seconds)
         return expected_m / cell_m, math.ceil(reach_m / cell_m) + 1
 
-    def _moved(self, frame: KeyState, t_ns: int, fit: "_Fit", *, searched: bool) -> GroundMotion:
+    def _moved(self, frame: LevelPing, t_ns: int, fit: "_Fit", *, searched: bool) -> GroundMotion:
         """Return the motion since the last ping, and make this one the last, or the keyframe."""
         key, last = self._key, self._last
         assert key is not None  # noqa: S101 only called with one
@@ -596,7 +596,7 @@ class SonarOdometry:
         covariance[2, 2] = (fit.turn_variance + last.yaw_variance) / seconds**2
         motion = GroundMotion(last.t_ns, t_ns, velocity, turn / seconds, covariance, yaw, fit.peak)
         self._velocity = way / seconds, turn / seconds
-        self._last = LastState(
+        self._last = LastRegistration(
             t_ns, base_m, fit.covariance_m2, frame.yaw_rad, fit.turn_variance, arm
         )
         far = float(np.hypot(*fit.shift_m)) > KEY_SHIFT * len(key.image) * key.row_m
@@ -632,7 +632,7 @@ def _ramp(share: Floats) -> Floats:
     return np.asarray(np.sin(0.5 * math.pi * np.clip(share, 0.0, 1.0)) ** 2)
 
 
-def _alike(key: KeyState, frame: KeyState) -> bool:
+def _same_layout(key: LevelPing, frame: LevelPing) -> bool:
     return (
         key.image.shape == frame.image.shape
         and key.row_m == frame.row_m
@@ -648,7 +648,7 @@ def _pooled(ping: PingImage) -> tuple[Image, float]:
     return pooled, pool * ping.range_resolution_m
 
 
-def _cleaned(image: Image) -> Image:
+def _background_removed(image: Image) -> Image:
     """Return what stands out of its surroundings, in their standard deviations.
 
     The median over all beams takes out what depends on the range alone: the line below the
@@ -656,23 +656,23 @@ def _cleaned(image: Image) -> Image:
     beam's footprint on the floor. Both move with the vehicle.
     """
     image = image - np.median(image, axis=1, keepdims=True)
-    above = image - _surroundings(image)
-    deviation = np.sqrt(_surroundings(above * above))
+    above = image - _local_mean(image)
+    deviation = np.sqrt(_local_mean(above * above))
     floor = 0.5 * float(np.median(deviation)) + 0.2
-    strength = np.log1p(np.maximum(above / np.maximum(deviation, floor) - ABOVE, 0.0))
-    return np.asarray(strength - _surroundings(strength), dtype=np.float32)
+    strength = np.log1p(np.maximum(above / np.maximum(deviation, floor) - MIN_CONTRAST, 0.0))
+    return np.asarray(strength - _local_mean(strength), dtype=np.float32)
 
 
-def _surroundings(image: NDArray[np.floating]) -> Floats:
+def _local_mean(image: NDArray[np.floating]) -> Floats:
     """Return the mean over a box about each sample, edges repeated."""
     mean = np.asarray(image, dtype=np.float64)
     for axis in (0, 1):
         margin = [(0, 0), (0, 0)]
-        margin[axis] = (BOX + 1, BOX)
+        margin[axis] = (BACKGROUND_HALF_WIDTH + 1, BACKGROUND_HALF_WIDTH)
         sums = np.cumsum(np.pad(mean, margin, mode="edge"), axis=axis)
         places = np.arange(mean.shape[axis])
-        upper = np.take(sums, places + 2 * BOX + 1, axis=axis)
-        mean = (upper - np.take(sums, places, axis=axis)) / (2 * BOX + 1)
+        upper = np.take(sums, places + 2 * BACKGROUND_HALF_WIDTH + 1, axis=axis)
+        mean = (upper - np.take(sums, places, axis=axis)) / (2 * BACKGROUND_HALF_WIDTH + 1)
     return mean
 
 
@@ -701,9 +701,9 @@ def _peak(surface: Floats, expected: Floats, reach: int) -> _Peak | None:
 
 
 def _best(
-    view: _View,
-    frame: KeyState,
-    lean: Floats,
+    view: _KeyframeView,
+    frame: LevelPing,
+    tilt: Floats,
     turns_rad: list[float],
     window: tuple[Floats, int],
 ) -> tuple[_Peak | None, float]:
@@ -712,14 +712,14 @@ def _best(
     Args:
         view: the keyframe.
         frame: the ping.
-        lean: (3, 3) its sonar in the axes of the plane, before the turn.
+        tilt: (3, 3) its sonar in the axes of the plane, before the turn.
         turns_rad: turns to try.
         window: where the peak may lie, as for `_peak`.
     """
     best: _Peak | None = None
     at_rad = 0.0
     for turn_rad in turns_rad:
-        waves = view.plane.whitened(*view.plane.seen(frame, _turn(turn_rad) @ lean))
+        waves = view.plane.whitened(*view.plane.seen(frame, _turn(turn_rad) @ tilt))
         # The scene moves against the sonar: this order has its peak at the motion of the sonar.
         found = _peak(view.plane.picture(waves.conj() * view.waves), *window)
         if found is not None and (best is None or found.height > best.height):
@@ -728,7 +728,7 @@ def _best(
 
 
 def _turned(
-    view: _View, frame: KeyState, lean: Floats, turn_rad: float, shift_m: Floats
+    view: _KeyframeView, frame: LevelPing, tilt: Floats, turn_rad: float, shift_m: Floats
 ) -> tuple[float, float, Floats] | None:
     """Fit a parabola to the agreement over the turn, about the middle of the texture.
 
@@ -743,7 +743,7 @@ def _turned(
 
     sums = []
     for step in (-1.0, 0.0, 1.0):
-        turned = _turn(turn_rad + step * YAW_STEP_RAD) @ lean
+        turned = _turn(turn_rad + step * YAW_STEP_RAD) @ tilt
         aligned = view.plane.seen(frame, turned, shifted(step))
         sums.append(_agreement(view, *aligned)[0][:, 4])
     less, same, more = sums
@@ -758,7 +758,7 @@ def _turned(
     return turn_rad + place * YAW_STEP_RAD, variance, shifted(place)
 
 
-def _agreement(view: _View, image: Floats, image_weight: Floats) -> tuple[Floats, float]:
+def _agreement(view: _KeyframeView, image: Floats, image_weight: Floats) -> tuple[Floats, float]:
     """Correlate the keyframe and an aligned image under one weight, by sub-image.
 
     Returns:
@@ -791,14 +791,14 @@ def _fitted(blocks: Floats) -> tuple[Floats, Floats] | None:
         blocks: as of `_agreement`.
     """
     total = blocks.sum(axis=0)
-    bend = _bend(total)
+    bend = _hessian(total)
     if bend[0, 0] >= 0 or float(np.linalg.det(bend)) <= 0:
         return None
     inverse = np.linalg.inv(bend)
-    place = -inverse @ _slope(total)
+    place = -inverse @ _gradient(total)
     if float(np.abs(place).max()) > 1.5:  # noqa: PLR2004 the nine shifts do not enclose it
         return None
-    slopes = np.array([_slope(one) + _bend(one) @ place for one in blocks])
+    slopes = np.array([_gradient(one) + _hessian(one) @ place for one in blocks])
     share = np.maximum(blocks[:, 4], 0.0)
     effective = float(share.sum()) ** 2 / max(float((share**2).sum()), 1e-300)
     if effective < MIN_BLOCKS:
@@ -807,12 +807,12 @@ def _fitted(blocks: Floats) -> tuple[Floats, Floats] | None:
     return place, inverse @ scatter @ inverse
 
 
-def _slope(nine: Floats) -> Floats:
+def _gradient(nine: Floats) -> Floats:
     """Return the gradient (2,) at the middle of nine values, row by row."""
     return np.array([0.5 * (nine[7] - nine[1]), 0.5 * (nine[5] - nine[3])])
 
 
-def _bend(nine: Floats) -> Floats:
+def _hessian(nine: Floats) -> Floats:
     """Return the second derivatives (2, 2) at the middle of nine values."""
     mixed = 0.25 * (nine[8] + nine[0] - nine[2] - nine[6])
     along, across = nine[7] + nine[1] - 2 * nine[4], nine[5] + nine[3] - 2 * nine[4]

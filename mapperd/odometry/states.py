@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.geometry.frames import quaternion_between, quaternion_product
-from mapperd.odometry.series import Course
+from mapperd.odometry.series import Interpolator
 
 __all__ = [
     "ATTITUDE",
@@ -101,8 +101,8 @@ def carry_attitude(attitude: Attitude, seconds: float) -> Attitude | None:
     return Attitude(turned / length(turned), attitude.rate_radps, attitude.covariance_rad2)
 
 
-def _carry_nothing(value: Floats, seconds: float) -> Floats | None:  # noqa: ARG001 as every carry
-    """Time constant of a quantity whose rate of change is unknown."""
+def _no_rate(value: Floats, seconds: float) -> Floats | None:  # noqa: ARG001 as every `extrapolate`
+    """Return None: the rate of change is unknown."""
     return None
 
 
@@ -130,6 +130,6 @@ def _rotation(vector_rad: Floats) -> Floats:
     return np.array([math.cos(angle / 2.0), *(scale * vector_rad)])
 
 
-POSITION = Course(_blend_position, _carry_position)
-ATTITUDE = Course(blend_attitude, carry_attitude)
-HEIGHT = Course(_blend_numbers, _carry_nothing)
+POSITION = Interpolator(_blend_position, _carry_position)
+ATTITUDE = Interpolator(blend_attitude, carry_attitude)
+HEIGHT = Interpolator(_blend_numbers, _no_rate)

@@ -13,12 +13,12 @@ from mapperd.errors import Reject
 from mapperd.geometry.frames import quaternion_product
 from mapperd.odometry.series import Series, SeriesState
 
-__all__ = ["AUTO", "Anchor", "JumpWatch", "Owner", "Track", "TrackState", "yaw_between"]
+__all__ = ["AUTO", "Anchor", "JumpDetector", "Owner", "Track", "TrackState", "yaw_between"]
 
 V = TypeVar("V")
 
 
-class JumpWatch(Generic[V]):
+class JumpDetector(Generic[V]):
     """Distinguishes motion, faults and jumps.
 
     Args:
@@ -109,7 +109,7 @@ class Track(Generic[V]):
 
     Args:
         owner: configured name of the source, or `AUTO`.
-        excess: see `mapperd.odometry.track.JumpWatch`; None for a quantity that may jump.
+        excess: see `mapperd.odometry.track.JumpDetector`; None for a quantity that may jump.
 
     Attributes:
         series: accepted values.
@@ -123,7 +123,7 @@ class Track(Generic[V]):
         self, owner: str, excess: Callable[[Floats, Floats, float], float] | None = None
     ) -> None:
         self._named = owner
-        self._watch = None if excess is None else JumpWatch(excess)
+        self._watch = None if excess is None else JumpDetector(excess)
         self._reset_count: int | None = None
         self._taken_over = False
         self._behind: tuple[int, int] = (0, 0)  # records, time of the last of them

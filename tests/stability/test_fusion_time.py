@@ -14,14 +14,14 @@ from mapperd.errors import Reject
 from mapperd.odometry.fusion import FusedPose, Fusion
 from mapperd.odometry.reckoning import DeadReckoning
 from mapperd.odometry.records import Odometry
-from mapperd.odometry.series import Course, Reach, Sample, Series, value_at
-from mapperd.odometry.track import JumpWatch
+from mapperd.odometry.series import InterpolationLimits, Interpolator, Sample, Series, value_at
+from mapperd.odometry.track import JumpDetector
 from mapperd.odometry.water_linked import DeadReckoningReport
 from tests.mapperd.odometry.conftest import T0, S, record
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
-REACH = Reach("interpolate", 500_000_000, 100_000_000)
-LINE = Course[float](lambda a, b, f: a + f * (b - a), lambda _value, _seconds: None)
+REACH = InterpolationLimits("interpolate", 500_000_000, 100_000_000)
+LINE = Interpolator[float](lambda a, b, f: a + f * (b - a), lambda _value, _seconds: None)
 
 
 def ahead(x_m: float) -> dict[str, Any]:
@@ -87,7 +87,7 @@ def test_jump_confirmed_at_no_time_later(later_ns: int, agrees: bool) -> None:  
 
     Naively the speed between them is their noise divided by 0 s, or by less: nothing ever agrees.
     """
-    watch = JumpWatch[float](lambda a, b, seconds: abs(b - a) - 5.0 * seconds)
+    watch = JumpDetector[float](lambda a, b, seconds: abs(b - a) - 5.0 * seconds)
     assert watch.check(T0, 0.0) is False
     assert watch.check(T0 + 2 * S, 1000.0) is None
     assert watch.check(T0 + 2 * S + later_ns, 1000.5) is (True if agrees else None)
@@ -188,7 +188,7 @@ def test_two_velocities_of_one_stamp() -> None:
     way.advance(lambda _t: None, None)
     end = way.at(T0 + S // 5)
     assert end is not None
-    assert end.value.way_m == pytest.approx([0.2, 0, 0], abs=1e-12)
+    assert end.value.displacement_m == pytest.approx([0.2, 0, 0], abs=1e-12)
     assert math.isfinite(end.value.variance_m2)
 
 
@@ -209,7 +209,7 @@ def test_way_summed_up_for_an_hour() -> None:
     for axis in range(3):
         column = speeds[:, axis].tolist()
         exact = 0.1 * math.fsum([*column[1:-1], 0.5 * column[0], 0.5 * column[-1]])
-        assert end.value.way_m[axis] == pytest.approx(exact, abs=1e-9)
+        assert end.value.displacement_m[axis] == pytest.approx(exact, abs=1e-9)
         steps = 0.05 * (speeds[1:, axis] + speeds[:-1, axis])
         assert abs(np.cumsum(steps.astype(np.float32), dtype=np.float32)[-1] - exact) > 1e-3
     assert end.value.variance_m2 == pytest.approx(3600 * 0.1**2, rel=1e-9)

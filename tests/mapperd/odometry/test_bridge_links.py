@@ -212,7 +212,7 @@ def test_dvl_over_tcp_is_reset_and_comes_back() -> None:
             message = lambda dvl: dvl.velocity((0.4, 0.0, 0.0))  # noqa: E731 two words
             writer = await calls.get()
             await dvl_drive(bench, to(writer), message, 20)
-            way_m = check_dvl(bench, 0.0, 1.7)
+            displacement_m = check_dvl(bench, 0.0, 1.7)
             first = bench.pose(0.35).segment
             await bench.heard(to(writer), Dvl().velocity()[:60])
             writer.transport.abort()
@@ -220,7 +220,7 @@ def test_dvl_over_tcp_is_reset_and_comes_back() -> None:
             bench.wait(10.0)
             assert bench.reason() in ("after_odometry", "no_odometry")
             await dvl_drive(bench, to(await calls.get()), message, 20)
-            check_dvl(bench, way_m, 1.9)
+            check_dvl(bench, displacement_m, 1.9)
             assert bench.pose(0.35).segment > first  # nobody knows the way in between
             assert bench.bridge.rejects.total() == 0  # the half report spoilt none after it
 
@@ -252,7 +252,7 @@ def test_dvl_on_a_serial_line_is_unplugged_and_comes_back(
             plug.symlink_to(line.path)
             await until(lambda: bench.link.status.opened == 1)
             await dvl_drive(bench, send, message, 20)
-            way_m = check_dvl(bench, 0.0, 1.7)
+            displacement_m = check_dvl(bench, 0.0, 1.7)
             plug.unlink()
             line.unplug()
             await until(lambda: bench.link.status.losses == 1)
@@ -262,7 +262,7 @@ def test_dvl_on_a_serial_line_is_unplugged_and_comes_back(
             plug.symlink_to(line.path)
             await until(lambda: bench.link.status.opened == 2)
             await dvl_drive(bench, send, message, 20)
-            check_dvl(bench, way_m, 1.9)
+            check_dvl(bench, displacement_m, 1.9)
 
     run(bench, work)
 

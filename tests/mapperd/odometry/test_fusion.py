@@ -193,8 +193,10 @@ def test_one_stray_record_is_dropped_and_two_that_agree_are_a_jump(circle: Circl
     assert after.segment == 1
     assert after.pose.position_m == pytest.approx(circle.position_m(2.5) + moved, abs=1e-3)
     for t_s in np.arange(2.0, 2.2, 0.01):  # nothing is placed between the two worlds
-        way_m = np.linalg.norm(fused_at(fusion, t_s).pose.position_m - circle.position_m(t_s))
-        assert min(way_m, abs(way_m - 20.0)) < 0.01
+        displacement_m = np.linalg.norm(
+            fused_at(fusion, t_s).pose.position_m - circle.position_m(t_s)
+        )
+        assert min(displacement_m, abs(displacement_m - 20.0)) < 0.01
 
 
 @pytest.mark.parametrize("by_counter", [True, False])

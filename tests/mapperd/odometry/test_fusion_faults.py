@@ -286,8 +286,10 @@ def test_dead_reckoning_outlives_a_clock_that_is_set_back(circle: Circle) -> Non
     body = {"velocity_mps": np.array([circle.speed_mps, 0, 0])}
     feed(fusion, "ahrs", 10, 20, lambda t: {"map_q_base": circle.quaternion(t), **body}, start_s=10)
     feed(fusion, "ahrs", 10, 5, lambda t: {"map_q_base": circle.quaternion(t), **body})
-    way_m = fused_at(fusion, 4.0).pose.position_m - fused_at(fusion, 2.0).pose.position_m
-    assert way_m == pytest.approx(circle.position_m(4.0) - circle.position_m(2.0), abs=5e-3)
+    displacement_m = fused_at(fusion, 4.0).pose.position_m - fused_at(fusion, 2.0).pose.position_m
+    assert displacement_m == pytest.approx(
+        circle.position_m(4.0) - circle.position_m(2.0), abs=5e-3
+    )
 
 
 def test_a_jump_turns_the_world_of_its_source_and_no_others(circle: Circle) -> None:

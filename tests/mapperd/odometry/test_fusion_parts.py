@@ -18,7 +18,7 @@ def test_a_last_velocity_is_carried_on_for_a_gap_and_no_longer() -> None:
     reckoning.advance(lambda _: None, None)
     carried = reckoning.at(2 * S)
     assert carried is not None
-    assert carried.value.way_m == pytest.approx([2.0, 0.0, 0.0])
+    assert carried.value.displacement_m == pytest.approx([2.0, 0.0, 0.0])
     assert reckoning.at(2 * S + 1) is None
 
 
@@ -60,4 +60,4 @@ def test_between_a_good_place_and_a_bad_one_places_are_bad() -> None:
         BasePosition(np.zeros(3), None, s * np.eye(3), has_height=True) for s in (1.0, 9.0)
     )
     for pair in ((good, bad), (bad, good)):
-        assert POSITION.blend(*pair, 0.5).covariance_m2[0, 0] == 9.0
+        assert POSITION.interpolate(*pair, 0.5).covariance_m2[0, 0] == 9.0

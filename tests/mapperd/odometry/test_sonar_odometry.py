@@ -125,13 +125,16 @@ def level(yaw_deg: float = 0.0) -> Floats:
 
 
 @pytest.mark.parametrize(
-    "way_m", [(0.13, 0.0), (-0.13, 0.0), (0.0, 0.13), (0.0, -0.13), (0.11, -0.07), (0.0, 0.0)]
+    "displacement_m",
+    [(0.13, 0.0), (-0.13, 0.0), (0.0, 0.13), (0.0, -0.13), (0.11, -0.07), (0.0, 0.0)],
 )
-def test_shift_is_found_to_a_fraction_of_a_cell(way_m: tuple[float, float]) -> None:
+def test_shift_is_found_to_a_fraction_of_a_cell(displacement_m: tuple[float, float]) -> None:
     scene, odometry = Scene(), made()
     odometry.take(scene.ping(0.0, 0.0), START_NS, level())
-    motion = motion_of(odometry.take(scene.ping(*way_m), START_NS + STEP_NS, level()))
-    np.testing.assert_allclose(motion.velocity_mps * 0.2, way_m, atol=0.008)  # an eighth of a cell
+    motion = motion_of(odometry.take(scene.ping(*displacement_m), START_NS + STEP_NS, level()))
+    np.testing.assert_allclose(
+        motion.velocity_mps * 0.2, displacement_m, atol=0.008
+    )  # an eighth of a cell
     assert motion.yaw_rate_radps == 0
 
 
@@ -182,12 +185,12 @@ def test_roll_and_pitch_are_taken_out(tilt_deg: tuple[float, float]) -> None:
     np.testing.assert_allclose(motion.velocity_mps * 0.2, (0.1, 0.05), atol=0.012)
 
 
-def looking_down(pitch_deg: float, way_m: tuple[float, float]) -> Floats:
+def looking_down(pitch_deg: float, displacement_m: tuple[float, float]) -> Floats:
     """Return the measured way among echoes of the upper edge, half of 14 degrees above the axis."""
     scene = Scene(below=math.tan(math.radians(pitch_deg - 7)))
     odometry, scene.pitch_deg = made(pitch_deg=pitch_deg), pitch_deg
     odometry.take(scene.ping(0.0, 0.0), START_NS, level())
-    motion = motion_of(odometry.take(scene.ping(*way_m), START_NS + STEP_NS, level()))
+    motion = motion_of(odometry.take(scene.ping(*displacement_m), START_NS + STEP_NS, level()))
     return motion.velocity_mps * 0.2
 
 
@@ -542,8 +545,8 @@ def test_drift_in_a_simulated_harbour(tmp_path: Path) -> None:
             at_s.append((one.t_ns - EPOCH_NS) / 1e9)
             found_m.append(one.pose.pose.position_m[:2])
     truth_m = np.array([scenario.trajectory.pose(t).position_m[:2] for t in at_s])
-    way_m = float(np.hypot(*np.diff(truth_m, axis=0).T).sum())
+    displacement_m = float(np.hypot(*np.diff(truth_m, axis=0).T).sum())
     drift_m = np.hypot(*((np.array(found_m) - found_m[0]) - (truth_m - truth_m[0])).T)
-    assert way_m > 15
+    assert displacement_m > 15
     assert len(at_s) > 0.9 * len(work)
-    assert float(drift_m.max()) < 0.05 * way_m
+    assert float(drift_m.max()) < 0.05 * displacement_m

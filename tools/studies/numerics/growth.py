@@ -220,8 +220,8 @@ def way(updates: int, seed: int = 2) -> GrowthPanel:
         reckoning.add(EPOCH_NS + k * S // 10, np.array([speed[k], 0.0, 0.0]), in_map=True)
         reckoning.advance(lambda _t_ns: None, None)
         if place < len(at) and k == at[place]:
-            end = reckoning.ways.newest
-            ours[place] = math.nan if end is None else end.value.way_m[0]
+            end = reckoning.displacements.newest
+            ours[place] = math.nan if end is None else end.value.displacement_m[0]
             place += 1
     steps = 0.05 * (speed[1:] + speed[:-1])
     exact = _summed(speed, at)
