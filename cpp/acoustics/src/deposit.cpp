@@ -36,9 +36,10 @@ MAPPERD_INLINE float minus_log(float x) {
 }
 
 // Circular complex Gaussian numbers of the given rms, turned by a phase.
-MAPPERD_VECTORISED void drawn(const float* __restrict rms, const float* __restrict phase,
-                              const std::uint32_t* __restrict bits, std::size_t count,
-                              float* __restrict real, float* __restrict imaginary) {
+MAPPERD_VECTORISED void gaussian_pressures(const float* __restrict rms,
+                                           const float* __restrict phase,
+                                           const std::uint32_t* __restrict bits, std::size_t count,
+                                           float* __restrict real, float* __restrict imaginary) {
   for (std::size_t i = 0; i < count; ++i) {
     const auto low = static_cast<std::int32_t>(bits[i] & 0xFFFFU);
     const auto high = static_cast<std::int32_t>(bits[i] >> 16);
@@ -58,11 +59,14 @@ struct Frame {
   std::int32_t rows, stride, first_column, columns, taps, fractions;
 };
 
-// Where echoes begin in the field; what lies outside goes silently to the first of its columns.
-MAPPERD_VECTORISED void aimed(const float* __restrict columns, const std::int32_t* __restrict rows,
-                              const float* __restrict heard, std::size_t count, const Frame& frame,
-                              std::int32_t* __restrict cell, std::int32_t* __restrict fraction,
-                              float* __restrict pressure) {
+// Offset of each echo's first cell; echoes outside get pressure 0 and the offset of the first
+// column.
+MAPPERD_VECTORISED void cell_offsets(const float* __restrict columns,
+                                     const std::int32_t* __restrict rows,
+                                     const float* __restrict heard, std::size_t count,
+                                     const Frame& frame, std::int32_t* __restrict cell,
+                                     std::int32_t* __restrict fraction,
+                                     float* __restrict pressure) {
   const std::int32_t before = frame.taps / 2 - 1 + frame.first_column;
   const std::int32_t last = frame.columns - frame.taps;
   const std::int32_t stride = frame.stride;
@@ -147,9 +151,10 @@ void Deposit::add(const Scatterers& nodes) {
                     columns_,
                     static_cast<std::int32_t>(response_.tap_count),
                     static_cast<std::int32_t>(response_.fractions)};
-  aimed(nodes.column, nodes.row, nodes.pressure, nodes.count, frame, cell_.data(), fraction_.data(),
-        pressure_.data());
-  drawn(pressure_.data(), nodes.turns, nodes.bits, nodes.count, real_.data(), imaginary_.data());
+  cell_offsets(nodes.column, nodes.row, nodes.pressure, nodes.count, frame, cell_.data(),
+               fraction_.data(), pressure_.data());
+  gaussian_pressures(pressure_.data(), nodes.turns, nodes.bits, nodes.count, real_.data(),
+                     imaginary_.data());
   spread(real_.data(), imaginary_.data(), cell_.data(), fraction_.data(), nodes.count,
          response_.tap_count, taps_.data(), reinterpret_cast<float*>(field_));
 }

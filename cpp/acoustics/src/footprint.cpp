@@ -17,7 +17,7 @@ struct SeenCells {
 };
 
 // Copies what belongs to one hit into the batch.
-void take(const ScatterInput& echoes, std::size_t hit, SeenCells& seen, Footprints& to) {
+void load_hit(const ScatterInput& echoes, std::size_t hit, SeenCells& seen, Footprints& to) {
   const RayHits& hits = echoes.hits;
   const std::size_t i = to.count++;
   const double* plane = echoes.faces.table[hits.face[hit]].plane;
@@ -48,9 +48,9 @@ void take(const ScatterInput& echoes, std::size_t hit, SeenCells& seen, Footprin
   to.max_m[i] = hits.span_m[2 * hit + 1];
 }
 
-// How much the middles of the cells face the planes; 0 where no footprint exists.
-MAPPERD_VECTORISED void face(const SeenCells& seen, const Footprints& patches,
-                             PerHit<double>& facing) {
+// Cosine between the normal and the direction at each cell's centre; 0 where no footprint exists.
+MAPPERD_VECTORISED void compute_facing(const SeenCells& seen, const Footprints& patches,
+                                       PerHit<double>& facing) {
   MAPPERD_INDEPENDENT
   for (std::size_t i = 0; i < kPatches; ++i) {
     const double w = 0.5 * (seen.from_w[i] + seen.to_w[i]);
@@ -72,8 +72,8 @@ MAPPERD_VECTORISED void face(const SeenCells& seen, const Footprints& patches,
 }
 
 // Where the cells' four edges meet the planes, and how far that is.
-MAPPERD_VECTORISED void follow(const SeenCells& seen, const PerHit<double>& facing,
-                               Footprints& patches) {
+MAPPERD_VECTORISED void intersect_planes(const SeenCells& seen, const PerHit<double>& facing,
+                                         Footprints& patches) {
   const PerHit<double>* const s_of[4] = {&seen.from_s, &seen.to_s, &seen.to_s, &seen.from_s};
   const PerHit<double>* const w_of[4] = {&seen.from_w, &seen.from_w, &seen.to_w, &seen.to_w};
   MAPPERD_INDEPENDENT
@@ -124,12 +124,12 @@ std::size_t footprints_of(const ScatterInput& echoes, std::size_t first, std::si
   std::size_t hit = first;
   for (; hit < last && patches.count < kPatches; ++hit) {
     if (echoes.hits.face[hit] >= 0) {
-      take(echoes, hit, seen, patches);
+      load_hit(echoes, hit, seen, patches);
     }
   }
   PerHit<double> facing;
-  face(seen, patches, facing);
-  follow(seen, facing, patches);
+  compute_facing(seen, patches, facing);
+  intersect_planes(seen, facing, patches);
   for (std::size_t i = 0; i < kPatches; ++i) {
     patches.exists[i] = facing[i] != 0.0;
   }

@@ -65,9 +65,9 @@ MAPPERD_VECTORISED void jitter(const Patches& patches, std::size_t patch, std::s
 }
 
 // Normals at such places.
-MAPPERD_VECTORISED void incline(const NodeSteps& from, const float* __restrict along,
-                                const float* __restrict across, std::size_t first,
-                                std::size_t count, Nodes& nodes) {
+MAPPERD_VECTORISED void interpolate_normals(const NodeSteps& from, const float* __restrict along,
+                                            const float* __restrict across, std::size_t first,
+                                            std::size_t count, Nodes& nodes) {
   const float x0 = from.first[0], y0 = from.first[1], z0 = from.first[2];
   const float xa = from.along[0], ya = from.along[1], za = from.along[2];
   const float xb = from.across[0], yb = from.across[1], zb = from.across[2];
@@ -88,8 +88,8 @@ MAPPERD_INLINE void repeat(float value, std::size_t count, float* to) {
 }
 
 // Points relative to a leg that lie at `shift_m` from the nodes' own.
-MAPPERD_VECTORISED void look(const Leg& leg, const Nodes& nodes, const Vec3& shift_m,
-                             PolarPoints& to) {
+MAPPERD_VECTORISED void relative_to_leg(const Leg& leg, const Nodes& nodes, const Vec3& shift_m,
+                                        PolarPoints& to) {
   const float o[3] = {static_cast<float>(shift_m.x), static_cast<float>(shift_m.y),
                       static_cast<float>(shift_m.z)};
   float m[9];
@@ -198,11 +198,12 @@ MAPPERD_VECTORISED void times(const float* __restrict by, std::size_t count,
 }
 
 // Phase and row; x, y and z are the direction to the echo.
-MAPPERD_VECTORISED void arrive(const ScatterInput& e, const Vec3& drift_m,
-                               const float* __restrict out_m, const float* __restrict back_m,
-                               const float* __restrict x, const float* __restrict y,
-                               const float* __restrict z, std::size_t count,
-                               float* __restrict to_turns, std::int32_t* __restrict to_row) {
+MAPPERD_VECTORISED void phases_and_rows(const ScatterInput& e, const Vec3& drift_m,
+                                        const float* __restrict out_m,
+                                        const float* __restrict back_m, const float* __restrict x,
+                                        const float* __restrict y, const float* __restrict z,
+                                        std::size_t count, float* __restrict to_turns,
+                                        std::int32_t* __restrict to_row) {
   const EchoGrid& grid = e.grid;
   const auto rows_per_m = static_cast<float>(0.5 * grid.range_scale / grid.row_m);
   const auto d0 = static_cast<float>(drift_m[0] / grid.row_m);
@@ -258,10 +259,10 @@ MAPPERD_VECTORISED void pattern(const EchoResponse& response, const float* __res
   }
 }
 
-MAPPERD_VECTORISED void weigh(const float* __restrict there, const float* __restrict here,
-                              const float* __restrict loss, const std::int32_t* __restrict row,
-                              std::int32_t last_row, std::size_t count,
-                              float* __restrict pressure) {
+MAPPERD_VECTORISED void apply_weights(const float* __restrict there, const float* __restrict here,
+                                      const float* __restrict loss,
+                                      const std::int32_t* __restrict row, std::int32_t last_row,
+                                      std::size_t count, float* __restrict pressure) {
   for (std::size_t i = 0; i < count; ++i) {
     const std::int32_t from = row[i] > 0 ? row[i] : 0;
     const std::int32_t at = from < last_row ? from : last_row;
@@ -289,7 +290,7 @@ void place(const Footprints& footprints, const Patches& patches, std::size_t pat
   if (traits.round) {
     // A whole number of vectors, as above.
     const std::size_t whole = (count + kLanes - 1) / kLanes * kLanes;
-    incline(NodeSteps(patches.normal, patch), along, across, first, whole, nodes);
+    interpolate_normals(NodeSteps(patches.normal, patch), along, across, first, whole, nodes);
   }
   if (!traits.lobe) {
     return;
@@ -330,15 +331,16 @@ void ScattererKernel::strengths(const SharedTraits& traits, const Nodes& nodes,
 }
 
 const HeardNodes& ScattererKernel::heard(const SharedTraits& traits, const Nodes& nodes) {
-  look(*traits.transmit, nodes, {0.0, 0.0, 0.0}, out_);
+  relative_to_leg(*traits.transmit, nodes, {0.0, 0.0, 0.0}, out_);
   const bool same = traits.same_leg();
   if (!same) {
-    look(*traits.receive, nodes, traits.transmit->origin_m - traits.receive->origin_m, back_);
+    relative_to_leg(*traits.receive, nodes, traits.transmit->origin_m - traits.receive->origin_m,
+                    back_);
   }
   const PolarPoints& back = same ? out_ : back_;
   strengths(traits, nodes, back);
-  arrive(e_, traits.receive->drift_m, out_.range_m, back.range_m, out_.way[0], out_.way[1],
-         out_.way[2], nodes.count, heard_.turns, heard_.row);
+  phases_and_rows(e_, traits.receive->drift_m, out_.range_m, back.range_m, out_.way[0], out_.way[1],
+                  out_.way[2], nodes.count, heard_.turns, heard_.row);
   columns_of(e_.grid, back.s, nodes.count, heard_.column);
   if (e_.hits.both_ways) {
     columns_of(e_.grid, out_.s, nodes.count, heard_.other_column);
@@ -349,8 +351,8 @@ const HeardNodes& ScattererKernel::heard(const SharedTraits& traits, const Nodes
   if (!same) {
     pattern(e_.response, back_.w, nodes.count, here_);
   }
-  weigh(there_, same ? there_ : here_, e_.response.loss, heard_.row,
-        static_cast<std::int32_t>(e_.grid.rows) - 1, nodes.count, heard_.pressure);
+  apply_weights(there_, same ? there_ : here_, e_.response.loss, heard_.row,
+                static_cast<std::int32_t>(e_.grid.rows) - 1, nodes.count, heard_.pressure);
   return heard_;
 }
 

@@ -27,7 +27,7 @@ struct Lattices {
 
 // Properties of the hits and their faces.
 struct Traits {
-  PerHit<double> wide;  // columns
+  PerHit<double> width_columns;
   PerHit<double> turn_per_m;
   PerHit<double> transmit_m[3];  // origin
 };
@@ -55,8 +55,8 @@ MAPPERD_INLINE void out_of_plane(std::int64_t axis, const Plane& p, PerHit<doubl
 
 // Closer along the range than across: a row is much thinner than a beam is wide, and what a cell
 // hears is the more even the more of its nodes stand in line.
-MAPPERD_VECTORISED void choose(const ScatterInput& echoes, const Footprints& f,
-                               const Traits& traits, Lattices& to, Patches& patches) {
+MAPPERD_VECTORISED void choose_lattices(const ScatterInput& echoes, const Footprints& f,
+                                        const Traits& traits, Lattices& to, Patches& patches) {
   const double row_m = echoes.grid.row_m / echoes.grid.range_scale;
   const double end_m = row_m * static_cast<double>(echoes.grid.rows);
   const double nodes_per_cell = echoes.model.nodes_per_cell;
@@ -77,10 +77,10 @@ MAPPERD_VECTORISED void choose(const ScatterInput& echoes, const Footprints& f,
     const double covered = (std::min(f.far_m[i], end_m) - f.near_m[i]) / row_m;
     to.projected_m2[i] = covered < -1.0 ? 0.0 : projected_m2;
     const double cells =
-        std::max((f.far_m[i] - f.near_m[i]) / row_m, 1.0) * std::max(traits.wide[i], 1.0);
+        std::max((f.far_m[i] - f.near_m[i]) / row_m, 1.0) * std::max(traits.width_columns[i], 1.0);
     const double wanted = nodes_per_cell * cells;
     // Few patches may be all that there is of a small object: its surface turns within one.
-    const bool small = (traits.wide[i] < kWholeCell) |
+    const bool small = (traits.width_columns[i] < kWholeCell) |
                        (traits.turn_per_m[i] * std::sqrt(projected_m2) > kSmallTurn);
     const double nodes = small ? std::max(wanted, kMinSmallNodes) : wanted;
     const double node_m2 = projected_m2 / nodes;
@@ -109,8 +109,8 @@ MAPPERD_VECTORISED void choose(const ScatterInput& echoes, const Footprints& f,
 }
 
 // The corners in steps of the lattices.
-MAPPERD_VECTORISED void outline(const Footprints& f, const Lattices& lattice, Outlines& to,
-                                Patches& patches) {
+MAPPERD_VECTORISED void set_outlines(const Footprints& f, const Lattices& lattice, Outlines& to,
+                                     Patches& patches) {
   MAPPERD_INDEPENDENT
   for (std::size_t i = 0; i < kPatches; ++i) {
     const std::int64_t axis = lattice.normal_axis[i];
@@ -140,7 +140,7 @@ MAPPERD_VECTORISED void outline(const Footprints& f, const Lattices& lattice, Ou
     }
     for (std::size_t k = 0; k < 4; ++k) {
       const std::size_t n = (k + 1) % 4;
-      to.lean[k][i] = (along[n] - along[k]) / (across[n] - across[k]);
+      to.along_per_across[k][i] = (along[n] - along[k]) / (across[n] - across[k]);
     }
     const double first_i = std::ceil(low_u);
     const double first_j = std::ceil(low_v);
@@ -154,8 +154,8 @@ MAPPERD_VECTORISED void outline(const Footprints& f, const Lattices& lattice, Ou
 }
 
 // Places on the patches' planes, relative to the transmitters.
-MAPPERD_VECTORISED void locate(const Footprints& f, const Lattices& lattice, const Traits& traits,
-                               Patches& patches) {
+MAPPERD_VECTORISED void locate_nodes(const Footprints& f, const Lattices& lattice,
+                                     const Traits& traits, Patches& patches) {
   Linear& place = patches.place;
   MAPPERD_INDEPENDENT
   for (std::size_t i = 0; i < kPatches; ++i) {
@@ -183,8 +183,8 @@ MAPPERD_VECTORISED void locate(const Footprints& f, const Lattices& lattice, con
 }
 
 // Normals of round surfaces there, of any length. `slopes` are the rows of G|g, see `Faces`.
-MAPPERD_VECTORISED void incline(const PerHit<double> (&slopes)[12], const Traits& traits,
-                                Patches& patches) {
+MAPPERD_VECTORISED void interpolate_normals(const PerHit<double> (&slopes)[12],
+                                            const Traits& traits, Patches& patches) {
   const Linear& place = patches.place;
   Linear& normal = patches.normal;
   for (std::size_t row = 0; row < 3; ++row) {
@@ -208,7 +208,7 @@ constexpr std::size_t kLinesAtOnce = 4;  // most patches have fewer lines
 
 // One patch's sides, see `Outlines`.
 struct Sides {
-  double along[4], across[4], lean[4];
+  double along[4], across[4], along_per_across[4];
   double first_along;
 };
 
@@ -221,7 +221,7 @@ MAPPERD_VECTORISED void cross(const Sides& o, double row, std::size_t count,
       double from = HUGE_VAL;
       double to = -HUGE_VAL;
       for (std::size_t k = 0; k < 4; ++k) {
-        const double crossing = o.along[k] + (at - o.across[k]) * o.lean[k];
+        const double crossing = o.along[k] + (at - o.across[k]) * o.along_per_across[k];
         const bool crosses = (o.across[k] <= at) != (o.across[(k + 1) % 4] <= at);
         const double low = crosses ? crossing : HUGE_VAL;
         const double high = crosses ? crossing : -HUGE_VAL;
@@ -239,13 +239,13 @@ MAPPERD_VECTORISED void cross(const Sides& o, double row, std::size_t count,
 
 }  // namespace
 
-void lay(const ScatterInput& echoes, const Footprints& footprints, Patches& patches) {
+void make_patches(const ScatterInput& echoes, const Footprints& footprints, Patches& patches) {
   const RayHits& hits = echoes.hits;
   Traits traits{};
   for (std::size_t i = 0; i < footprints.count; ++i) {
     const std::size_t hit = footprints.hit[i];
     const float* cell = hits.cell + 4 * hit;
-    traits.wide[i] = static_cast<double>(cell[1] - cell[0]) / echoes.grid.sine_pitch;
+    traits.width_columns[i] = static_cast<double>(cell[1] - cell[0]) / echoes.grid.sine_pitch;
     traits.turn_per_m[i] = echoes.faces.table[hits.face[hit]].turn_per_m;
     const Vec3& transmit_m = hits.legs[hits.transmit[hit]].origin_m;
     traits.transmit_m[0][i] = transmit_m.x;
@@ -253,7 +253,7 @@ void lay(const ScatterInput& echoes, const Footprints& footprints, Patches& patc
     traits.transmit_m[2][i] = transmit_m.z;
   }
   Lattices lattices{};
-  choose(echoes, footprints, traits, lattices, patches);
+  choose_lattices(echoes, footprints, traits, lattices, patches);
   for (std::size_t i = 0; i < kPatches; ++i) {
     patches.exists[i] =
         i < footprints.count && footprints.exists[i] && lattices.projected_m2[i] > 0.0;
@@ -269,8 +269,8 @@ void lay(const ScatterInput& echoes, const Footprints& footprints, Patches& patc
       lattices.sine[i] = kSine[lattices.turn[i]];
     }
   }
-  outline(footprints, lattices, patches.outline, patches);
-  locate(footprints, lattices, traits, patches);
+  set_outlines(footprints, lattices, patches.outline, patches);
+  locate_nodes(footprints, lattices, traits, patches);
   PerHit<double> slopes[12]{};
   bool round = false;
   for (std::size_t i = 0; i < footprints.count; ++i) {
@@ -281,7 +281,7 @@ void lay(const ScatterInput& echoes, const Footprints& footprints, Patches& patc
     }
   }
   if (round) {
-    incline(slopes, traits, patches);
+    interpolate_normals(slopes, traits, patches);
   }
 }
 
@@ -290,7 +290,7 @@ void scan(const Outlines& outlines, std::size_t patch, std::size_t from, Lines& 
   for (std::size_t k = 0; k < 4; ++k) {
     sides.along[k] = outlines.along[k][patch];
     sides.across[k] = outlines.across[k][patch];
-    sides.lean[k] = outlines.lean[k][patch];
+    sides.along_per_across[k] = outlines.along_per_across[k][patch];
   }
   sides.first_along = outlines.first_along[patch];
   lines.size = std::min(static_cast<std::size_t>(outlines.lines[patch]) - from, kLines);

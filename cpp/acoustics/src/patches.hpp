@@ -17,7 +17,7 @@ struct Linear {
 // Four sides of patches, in steps of their lattices; scanned by lines of nodes.
 struct Outlines {
   PerHit<double> along[4], across[4];  // corners
-  PerHit<double> lean[4];              // of the sides that begin there: along over across
+  PerHit<double> along_per_across[4];  // of the sides that begin there: along over across
   PerHit<double> first_along, first_across;
   PerHit<double> lines;
   PerHit<bool> turned;  // lines run along j
@@ -36,7 +36,7 @@ struct Patches {
 };
 
 // Lays the lattices of footprints.
-void lay(const ScatterInput& echoes, const Footprints& footprints, Patches& patches);
+void make_patches(const ScatterInput& echoes, const Footprints& footprints, Patches& patches);
 
 // Maximum lines processed at once.
 constexpr std::size_t kLines = 64;

@@ -13,7 +13,7 @@ namespace {
 
 constexpr float kMaxPressure = 1e18F;  // its square is still a float
 
-MAPPERD_INLINE float tame(float value) {
+MAPPERD_INLINE float clamp_amplitude(float value) {
   // A comparison with what is not a number fails.
   return value > 0.0F ? (value < kMaxPressure ? value : kMaxPressure) : 0.0F;
 }
@@ -22,14 +22,14 @@ MAPPERD_VECTORISED void complex_row(const float* from, std::size_t count, float 
   for (std::size_t i = 0; i < count; ++i) {
     const float re = from[2 * i];
     const float im = from[2 * i + 1];
-    to[i] = tame(std::sqrt(re * re + im * im) * gain);
+    to[i] = clamp_amplitude(std::sqrt(re * re + im * im) * gain);
   }
 }
 
 MAPPERD_VECTORISED void power_row(const float* from, std::size_t count, float gain, float* to) {
   // Powers may be as large as the square of what an amplitude may be.
   for (std::size_t i = 0; i < count; ++i) {
-    to[i] = tame(std::sqrt(from[i] > 0.0F ? from[i] : 0.0F) * gain);
+    to[i] = clamp_amplitude(std::sqrt(from[i] > 0.0F ? from[i] : 0.0F) * gain);
   }
 }
 

@@ -4,7 +4,7 @@
 
 #include "mapperd/acoustics/bands.hpp"
 #include "mapperd/acoustics/deposit.hpp"
-#include "mapperd/acoustics/hearing.hpp"
+#include "mapperd/acoustics/echo_response.hpp"
 #include "mapperd/acoustics/scatter.hpp"
 #include "nodes.hpp"
 
@@ -27,7 +27,7 @@ class SpeckleKernel {
   // Takes the hits of a batch; returns the next one.
   std::size_t add(std::size_t first, std::size_t last) {
     const std::size_t next = footprints_of(e_, first, last, footprints_);
-    lay(e_, footprints_, patches_);
+    make_patches(e_, footprints_, patches_);
     for (patch_ = 0; patch_ < footprints_.count; ++patch_) {
       if (patches_.exists[patch_]) {
         begin(footprints_.hit[patch_]);

@@ -2,7 +2,7 @@
 #include <cmath>
 
 #include "mapperd/acoustics/bands.hpp"
-#include "mapperd/acoustics/hearing.hpp"
+#include "mapperd/acoustics/echo_response.hpp"
 #include "mapperd/acoustics/scatter.hpp"
 
 namespace mapperd::acoustics {

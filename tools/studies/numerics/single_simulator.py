@@ -146,7 +146,7 @@ PLACES = (
         "a scatterer is placed where it is heard, and has no twin in double precision",
     ),
     SinglePlace(
-        "`deposit`, `random`, `hearing`",
+        "`deposit`, `random`, `echo_response`",
         "echoes and the cells that they fall into",
         _echoes,
         "twice the numbers a vector and a cache; bits do not depend on the number of threads",

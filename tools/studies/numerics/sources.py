@@ -76,9 +76,9 @@ MEASURED: dict[str, tuple[str, ...]] = {
         *_in(HEARD, "footprint.hpp scatter.hpp"),
     ),
     "`nodes`": _in(ACOUSTICS, "nodes.cpp nodes.hpp"),
-    "`deposit`, `random`, `hearing`": (
+    "`deposit`, `random`, `echo_response`": (
         *_in(ACOUSTICS, "complex_gaussian.cpp deposit.cpp cells.cpp"),
-        *_in(HEARD, "cells.hpp complex_gaussian.hpp deposit.hpp hearing.hpp"),
+        *_in(HEARD, "cells.hpp complex_gaussian.hpp deposit.hpp echo_response.hpp"),
         *_in(
             SIMULATOR,
             "engine.py propagation/clouds.py propagation/point_targets.py receiver/noise.py",

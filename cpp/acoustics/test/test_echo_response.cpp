@@ -1,6 +1,6 @@
 #include <cmath>
 
-#include "mapperd/acoustics/hearing.hpp"
+#include "mapperd/acoustics/echo_response.hpp"
 #include "testing.hpp"
 
 namespace acoustics = mapperd::acoustics;

@@ -1,5 +1,6 @@
 /// \file
-/// \brief Row, column and loss of a point of a surface.
+/// \brief A point relative to a leg, its vertical pattern, and the columns over which an echo
+/// spreads.
 ///
 /// \par Threads
 /// Functions of their arguments: any thread may call them.
