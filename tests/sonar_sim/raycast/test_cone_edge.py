@@ -96,7 +96,7 @@ def test_what_is_straight_above_or_below_is_heard_by_the_pattern_s_far_lobe(up: 
     assert below_db == pytest.approx(-36.4, abs=0.2)
 
 
-@pytest.mark.parametrize("all_around", [False, True])
+@pytest.mark.parametrize("all_elevations", [False, True])
 def test_the_fan_covers_all_directions_ahead(*, all_elevations: bool) -> None:
     sonar = replace(SONAR, half_aperture_rad=math.radians(85.0), beams=180)
     fan = ray_fan(sonar, all_elevations=all_elevations)

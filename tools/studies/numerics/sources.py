@@ -59,6 +59,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "pictures of pings": _in("oculus_driver/", "fan.py render/painter.py ping.py"),
     "`meshes`, `tracing`": (
+        "cpp/common/include/mapperd/common/vec.hpp",
         "cpp/python/acoustics/tracing.cpp",
         *_in(ACOUSTICS, "mesh_edges.cpp morton.hpp neighbours.cpp ray_bundle.cpp silhouettes.cpp"),
         *_in(HEARD, "mesh_edges.hpp neighbours.hpp ray_bundle.hpp silhouettes.hpp"),
