@@ -188,8 +188,8 @@ class Alignment:
         loops: all registrations, accepted or not; nodes count over all dives.
         corrected: whether the aligned poses are to be used.
         reason: why they are not; empty if they are.
-        tried: number of pairs of submaps that were compared for revisits.
-        rejected: those of them without a registration, by reason.
+        tried: number of comparisons of submaps for revisits, in both passes.
+        rejected: those without a registration, by reason.
         figures: what the verdict rests on, by name.
     """
 
@@ -564,10 +564,10 @@ def _judge(graph: PoseGraph, odometry_deviation_m: float) -> tuple[dict[str, flo
     return figures, _split_reason(split_m, correction_m)
 
 
-def _fix_figures(graph: PoseGraph, unreachable: int) -> dict[str, float]:
+def _fix_figures(graph: PoseGraph | None, unreachable: int) -> dict[str, float]:
     """Count the fixes that the graph holds, and those that no trajectory reaches."""
     figures = {"fixes_unreachable": float(unreachable)} if unreachable else {}
-    if graph.fixes:
+    if graph is not None and graph.fixes:
         figures["fixes"] = float(len(graph.fixes))
         figures["fixes_accepted"] = float(sum(fix.accepted for fix in graph.fixes))
     return figures
@@ -623,10 +623,11 @@ def _align_jointly(singles: list[_SingleDive], options: AlignOptions) -> Alignme
     frames, reason = _frames_of(singles)
     tried = sum(single.tried for single in singles)
     rejected = sum((single.rejected for single in singles), Counter[str]())
+    unreachable = sum(single.dive.unreachable for single in singles)
     if reason:
         dives = [single.refused() for single in singles]
-        loops = _shifted_loops(singles, first)
-        return Alignment(dives, loops, False, reason, tried, rejected)  # noqa: FBT003
+        loops, figures = _shifted_loops(singles, first), _fix_figures(None, unreachable)
+        return Alignment(dives, loops, False, reason, tried, rejected, figures)  # noqa: FBT003
     start = np.vstack(
         [
             compose(frame[None], single.graph.start)
@@ -653,7 +654,7 @@ def _align_jointly(singles: list[_SingleDive], options: AlignOptions) -> Alignme
     solution, _ = _close_loops(graph, finder, (), MAX_ROUNDS_BETWEEN_DIVES)
     covariance = graph.prepare_covariances()
     figures, reason = _judge_jointly(singles, graph, first)
-    figures |= _fix_figures(graph, sum(single.dive.unreachable for single in singles))
+    figures |= _fix_figures(graph, unreachable)
     dives = []
     for k, single in enumerate(singles):
         part = slice(int(first[k]), int(first[k + 1]))

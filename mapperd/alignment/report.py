@@ -122,8 +122,8 @@ class AlignmentRecord(Struct, frozen=True):
         corrected: whether the trajectories are corrected; else they are the odometry.
         reason: why they are not; empty if they are.
         verdict: both in one line.
-        pairs_tried: number of pairs of submaps that were compared for revisits.
-        pairs_rejected: those of them without a registration, by reason.
+        pairs_tried: number of comparisons of submaps for revisits, in both passes.
+        pairs_rejected: those without a registration, by reason.
         revisits_accepted, revisits_refused: number of registrations, without those of submaps that
             follow each other.
         figures: what the verdict rests on, by name.
@@ -768,10 +768,10 @@ def _page(record: AlignmentRecord, pictures: Sequence[tuple[str, str]]) -> str:
     if not record.corrected:
         lines += ["The trajectories are the odometry.", ""]
     counts = f"{record.revisits_accepted} revisits accepted, {record.revisits_refused} refused"
-    lines += [f"{counts}; {record.pairs_tried} pairs of submaps tried.", ""]
+    lines += [f"{counts}; {record.pairs_tried} comparisons of submaps.", ""]
     if record.pairs_rejected:
         rejected = ", ".join(f"{why} {count}" for why, count in record.pairs_rejected.items())
-        lines += [f"Pairs without a registration: {rejected}.", ""]
+        lines += [f"Comparisons without a registration: {rejected}.", ""]
     lines += [f"| {' | '.join(TABLE_HEADER)} |", f"|{'---|' * len(TABLE_HEADER)}"]
     lines += [*(_row(dive) for dive in record.dives), "", TABLE_TEXT, ""]
     if record.figures:

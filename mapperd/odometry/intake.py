@@ -147,13 +147,6 @@ class Intake:
 
     def _mixed(self, who: Owner, odometry: Odometry) -> Reject | None:
         """Return why the record's heading reference does not match; None if it does."""
-        turned = self.attitude.owner
-        if odometry.geo is not None and turned is not None and not self.north_referenced:
-            return Reject(
-                "mixed_headings",
-                f"{who[0]!r} gives a geographic position, and the heading of {turned[0]!r} is not "
-                "from north; take the attitude from a source with a compass",
-            )
         if not _has_heading(odometry):
             return None
         owners = {track.owner for track in (self.position, self.attitude, self.velocity)}

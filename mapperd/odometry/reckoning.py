@@ -20,7 +20,7 @@ MAX_WAITING = 1024
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReckonedDisplacement:
-    """Displacement since the start of a segment.
+    """Displacement since the start of dead reckoning.
 
     Attributes:
         displacement_m: (3,) displacement, map axes.

@@ -147,7 +147,7 @@ class GroundMotion:
 
 
 class LevelPing(NamedTuple):
-    """A keyframe.
+    """A ping in level axes: the keyframe, or one that is compared with it.
 
     Attributes:
         image: (rows, beams) float32, cleaned polar image.
@@ -469,7 +469,7 @@ class SonarOdometry:
         return self._moved(frame, t_ns, found, searched=q is None)
 
     def _frame(self, ping: PingImage, q: Floats | None, yaw_rad: float) -> LevelPing:
-        """Return a ping as a keyframe; without an attitude the base is level, with this yaw."""
+        """Return a ping in level axes; without an attitude the base is level, with this yaw."""
         if q is None:
             base = _turn(yaw_rad)
         else:

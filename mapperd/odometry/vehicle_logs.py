@@ -207,11 +207,12 @@ def _silent() -> Iterator[None]:
 @contextlib.contextmanager
 def _mapped(path: Path) -> Iterator[mmap.mmap]:
     try:
+        if path.stat().st_size == 0:  # which cannot be mapped into memory
+            raise RecordingError(f"{path}: cannot be read: it is empty")
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ) as data:
             yield data
-    except (OSError, ValueError) as error:  # an empty file cannot be mapped into memory
-        why = getattr(error, "strerror", None) or error
-        raise RecordingError(f"{path}: cannot be read: {why}") from error
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 class CaptureFile:

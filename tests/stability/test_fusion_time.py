@@ -20,7 +20,7 @@ from mapperd.odometry.water_linked import DeadReckoningReport
 from tests.mapperd.odometry.conftest import T0, S, record
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
-REACH = InterpolationLimits("interpolate", 500_000_000, 100_000_000)
+LIMITS = InterpolationLimits("interpolate", 500_000_000, 100_000_000)
 LINE = Interpolator[float](lambda a, b, f: a + f * (b - a), lambda _value, _seconds: None)
 
 
@@ -49,7 +49,7 @@ def test_nanoseconds_since_1970() -> None:
     for k in range(3):
         series.add(T0 + 1000 * k, 1000.0 * k, 0)
     for off_ns in (1, 333, 999, 1001, 1999):
-        found = value_at(series, T0 + off_ns, REACH, LINE)
+        found = value_at(series, T0 + off_ns, LIMITS, LINE)
         assert isinstance(found, Sample)
         assert found.value == pytest.approx(off_ns, abs=1e-9)
 

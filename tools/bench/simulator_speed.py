@@ -145,7 +145,9 @@ class Speed:
 
 
 def measure(scenario: Scenario, wished_hz: float, pings: int, workers: int) -> Speed:
-    """Measure the scenario's sonar."""
+    """Measure the scenario's sonar; the workers get equal numbers of pings."""
+    step = PINGS_PER_TASK * workers
+    pings = -(-pings // step) * step
     times_s = _times_s(scenario.trajectory.duration_s, wished_hz, pings)
     size = scenario.sonar.beams, scenario.sonar.rows
     context = get_context("spawn")

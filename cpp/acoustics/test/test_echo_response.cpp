@@ -8,15 +8,15 @@ namespace acoustics = mapperd::acoustics;
 namespace {
 
 const float kVertical[] = {1.0F, 0.5F, 0.0F};
-const acoustics::EchoResponse kHearing{nullptr, kVertical, 3, nullptr, 8, 4};
+const acoustics::EchoResponse kResponse{nullptr, kVertical, 3, nullptr, 8, 4};
 
 TEST_CASE("a beam is heard alike above and below its axis, and no farther than its pattern goes") {
   for (const double w : {0.0, 0.25, 0.5, 0.75, 1.0}) {
-    CHECK(static_cast<double>(acoustics::vertical_at(kHearing, w)) == near(1.0 - w, 1e-6));
-    CHECK(acoustics::vertical_at(kHearing, -w) == acoustics::vertical_at(kHearing, w));
+    CHECK(static_cast<double>(acoustics::vertical_at(kResponse, w)) == near(1.0 - w, 1e-6));
+    CHECK(acoustics::vertical_at(kResponse, -w) == acoustics::vertical_at(kResponse, w));
   }
   for (const double w : {1.0 + 1e-15, -1.5, 40.0}) {
-    CHECK(acoustics::vertical_at(kHearing, w) == 0.0F);
+    CHECK(acoustics::vertical_at(kResponse, w) == 0.0F);
   }
 }
 
@@ -33,12 +33,12 @@ TEST_CASE("a point where the sonar is has a direction of numbers") {
 
 TEST_CASE("an echo between columns has taps of its own fraction, beside the first column too") {
   for (const double column : {-2.9, -0.3, 0.0, 0.49, 7.999999}) {
-    const acoustics::Spread at = acoustics::spread_at(kHearing, column);
+    const acoustics::Spread at = acoustics::spread_at(kResponse, column);
     CHECK(at.column == static_cast<std::ptrdiff_t>(std::floor(column)) - 1);
     CHECK(at.fraction == static_cast<std::size_t>(8.0 * (column - std::floor(column))));
   }
   // Rounded, a place just before a column lies a whole one behind the last.
-  CHECK(acoustics::spread_at(kHearing, -1e-20).fraction == 7);
+  CHECK(acoustics::spread_at(kResponse, -1e-20).fraction == 7);
 }
 
 }  // namespace

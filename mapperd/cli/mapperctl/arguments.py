@@ -221,7 +221,7 @@ def _metres(text: str) -> float:
 
 
 def _seconds(text: str) -> float:
-    return _number(text, 0.0, MAX_S, "seconds")
+    return _number(text, 0.0, MAX, "seconds")
 
 
 def _number(text: str, minimum: float, maximum: float, unit: str) -> float:

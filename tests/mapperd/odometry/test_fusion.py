@@ -332,16 +332,6 @@ def test_a_compass_and_a_world_of_arbitrary_heading_are_not_mixed(circle: Circle
     assert alone.take("dvl", both, T0) is None
 
 
-def test_a_geographic_position_needs_a_heading_from_north(circle: Circle) -> None:
-    geo = GeoPoint(np.radians(47.0), np.radians(8.0), None)
-    for north, reason in ((True, None), (False, "mixed_headings")):
-        fusion = Fusion()
-        drifting = record(map_q_base=circle.quaternion(0), north_referenced=north)
-        assert fusion.take("ahrs", drifting, T0) is None
-        refused = fusion.take("gps", record(geo=geo), T0 + S)
-        assert (refused.reason if refused else None) == reason
-
-
 ATTITUDE_AND_DEPTH = OdometryFusionConfig(
     sources=(OdometrySourceConfig(name="autopilot", format="mavlink"),),
     owners=OwnersConfig(position="fixed"),

@@ -211,7 +211,7 @@ class Displacement:
 
 
 def displacement(view: PingPreview) -> dict[str, Displacement]:
-    """What each mover does to each part of the picture.
+    """What each effect does to each part of the picture.
 
     Sound that comes back from range R after 2 R / c meets a sonar that has come v R / c nearer, on
     the way there and back together, and has turned by omega 2 R / c.
@@ -251,9 +251,9 @@ class Displacements:
     """What moves one ping's picture.
 
     Attributes:
-        moves: of each mover.
-        cells: how far each mover takes all but a few of the picture's parts.
-        left_out: movers whose displacements together stay within the tolerance, at `cells`.
+        moves: of each effect.
+        cells: how far each effect takes all but a few of the picture's parts.
+        left_out: effects whose displacements together stay within the tolerance, at `cells`.
     """
 
     moves: dict[str, Displacement]
@@ -265,19 +265,19 @@ _DISPLACEMENTS_CACHE: WeakKeyDictionary[PingPreview, Displacements] = WeakKeyDic
 
 
 def displaced_cells(view: PingPreview, name: str) -> float:
-    """How far one mover takes all but a few of the picture's parts."""
+    """How far one effect takes all but a few of the picture's parts."""
     return _displacements(view).cells[name]
 
 
 def displacement_result(
     name: str, view: PingPreview, tolerance: Tolerance, reason: str
 ) -> RuleResult:
-    """On if the picture would be displaced too far without this one of the movers."""
-    movers = _displacements(view)
-    left = movers.left_out.get(tolerance.cells)
+    """On if the picture would be displaced too far without this one of the effects."""
+    found = _displacements(view)
+    left = found.left_out.get(tolerance.cells)
     if left is None:
-        left = movers.left_out[tolerance.cells] = _left_out(movers, tolerance.cells)
-    cells = movers.cells[name]
+        left = found.left_out[tolerance.cells] = _left_out(found, tolerance.cells)
+    cells = found.cells[name]
     return RuleResult(name not in left, f"{reason}: {cells:.2g} cells", displaced_db(cells))
 
 
@@ -290,12 +290,12 @@ def _displacements(view: PingPreview) -> Displacements:
     return known
 
 
-def _left_out(movers: Displacements, cells: float) -> frozenset[str]:
-    """Drop the farthest mover until the rest together stay within the tolerance."""
-    left = sorted(movers.cells, key=lambda mover: (movers.cells[mover], mover))
-    if sum(movers.cells.values()) <= cells:
+def _left_out(found: Displacements, cells: float) -> frozenset[str]:
+    """Drop the farthest effect until the rest together stay within the tolerance."""
+    left = sorted(found.cells, key=lambda effect: (found.cells[effect], effect))
+    if sum(found.cells.values()) <= cells:
         return frozenset(left)
-    while left and _sum(movers.moves[mover] for mover in left).cells > cells:
+    while left and _sum(found.moves[effect] for effect in left).cells > cells:
         left.pop()
     return frozenset(left)
 

@@ -42,7 +42,7 @@ DOUBT = 0.5
 
 @dataclass(frozen=True, slots=True)
 class _Bound:
-    """A decision that needs no previewer: whether an effect that costs next to nothing can show."""
+    """A decision that needs no preview: whether an effect that costs next to nothing can show."""
 
     may_show: Callable[[PingPreview, Tolerance], bool]
     reason: str

@@ -13,6 +13,7 @@ from sonar_sim.effects.displacement import (
     range_scale,
     sonar_speed_mps,
     sonar_turn_rate_rps,
+    visible_parts,
 )
 from sonar_sim.effects.echoes import GRAZING
 from sonar_sim.effects.effect import (
@@ -49,7 +50,7 @@ SOUND_SPEED = Effect(
     needs="true and assumed speed of sound",
     formula="dR / R = dc / c; c by Medwin 1975 or the profile",
     source="Medwin 1975",
-    rule="the picture's parts move too far with this and the lesser movers left out",
+    rule="the picture's parts move too far with this and the lesser effects left out",
     cost=Cost.FREE,
     parameters=(
         EffectParameter(
@@ -145,9 +146,16 @@ BLOCK_CELLS = 0.25
 
 def decide_motion(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if range shifts or the picture turns by more than the tolerated part of a cell."""
-    speed, turn = sonar_speed_mps(view), math.degrees(sonar_turn_rate_rps(view))
-    reason = f"{speed:.2f} m/s, {turn:.1f}°/s, echoes to {view.far_m:.0f} m"
+    turn = math.degrees(sonar_turn_rate_rps(view))
+    reason = f"{_speeds(view)}, {turn:.1f}°/s, echoes to {view.far_m:.0f} m"
     return displacement_result("motion", view, tolerance, reason)
+
+
+def _speeds(view: PingPreview) -> str:
+    """Speed of the sonar, and of what comes nearer or leaves the fastest."""
+    objects = float(np.abs(visible_parts(view).leaving_mps).max(initial=0.0))
+    also = f", objects {objects:.2f} m/s" if objects else ""
+    return f"{sonar_speed_mps(view):.2f} m/s{also}"
 
 
 def configure_motion(physics: Physics, view: PingPreview) -> None:
@@ -162,7 +170,7 @@ MOTION = Effect(
     needs="velocity and turn rate",
     formula="range shift v R / c; turn omega 2 R / c",
     source="travel time of sound",
-    rule="the picture's parts move too far with this and the lesser movers left out",
+    rule="the picture's parts move too far with this and the lesser effects left out",
     cost=Cost.CAST,
     parameters=(
         EffectParameter("motion.linear_mps", "m/s", "velocity of the sonar, map frame"),
@@ -176,7 +184,7 @@ MOTION = Effect(
 def decide_doppler(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the chirp's coupling shifts echoes by more than the tolerated part of a row."""
     chirp_ms = view.sonar.pulse_s * 1e3
-    reason = f"{sonar_speed_mps(view):.2f} m/s with a chirp of {chirp_ms:.1f} ms"
+    reason = f"{_speeds(view)} with a chirp of {chirp_ms:.1f} ms"
     return displacement_result("doppler", view, tolerance, reason)
 
 
@@ -191,7 +199,7 @@ DOPPLER = Effect(
     needs="velocity, length and bandwidth of the chirp",
     formula="range shift v f T / B",
     source="range-Doppler coupling of a linear chirp",
-    rule="the picture's parts move too far with this and the lesser movers left out",
+    rule="the picture's parts move too far with this and the lesser effects left out",
     cost=Cost.FREE,
     parameters=(
         EffectParameter("sonar.pulse_s", "s", "length of the chirp"),

@@ -74,8 +74,10 @@ class _TargetPath:
         leaves, arrives = out / out_m, heard / heard_m
         opening = velocity_mps @ (there.rotation @ leaves + back.rotation @ arrives)
         if here.motion is not None:
-            # A mirror's image turns the other way round; the sonar itself moves as it is.
-            opening -= here.motion.linear_mps @ (here.pose.rotation @ (leaves + arrives))
+            # By a mirror, directions from the image are those from the sonar in its own frame.
+            real = here.pose if np.linalg.det(back.rotation) < 0.0 else back
+            ways = here.pose.rotation @ leaves + real.rotation @ arrives
+            opening -= here.motion.linear_mps @ ways
         self.apparent_m = self.way_m * physics.range_scale - physics.doppler_shift_s * opening / 2.0
         self.factor = 1.0
         if physics.vertical_width_rad is not None:
