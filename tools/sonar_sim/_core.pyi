@@ -48,6 +48,72 @@ def add_gaussian_power(
         step: columns between powers.
     """
 
+def spread_over_rows(
+    column: NDArray[np.int64],
+    range_m: NDArray[np.float64],
+    extent_m: NDArray[np.float64],
+    power: NDArray[np.float64],
+    row_m: float,
+    rows: int,
+    columns: int,
+) -> NDArray[np.float64]:
+    """Power per metre of range of patches that spread evenly over the rows they cover.
+
+    Args:
+        column: of each patch, (N,).
+        range_m: of its middle, (N,).
+        extent_m: in range; a patch covers at least one row, (N,).
+        power: (N,).
+        row_m: height of a row.
+        rows: of the picture.
+        columns: of the picture.
+
+    Returns:
+        (rows, columns).
+    """
+
+def pixel_change_db(
+    first: NDArray[np.float32],
+    second: NDArray[np.float32],
+    gamma: float,
+    largest_pixel: float,
+    exceeding: int,
+    row_cells: float = 0.0,
+    column_cells: float = 0.0,
+) -> float:
+    """Difference in dB that at most `exceeding` pixels of two pictures exceed.
+
+    Args:
+        first: expected amplitudes of full scale, at least 0 and at most 1e18, (rows, columns).
+        second: of the other picture.
+        gamma: exponent between amplitude and pixel.
+        largest_pixel: of the quantiser; what differs by less than a step does not differ.
+        exceeding: number of pixels.
+        row_cells: displacement in rows that does not count.
+        column_cells: the same in columns.
+    """
+
+def dark_change_db(
+    first: NDArray[np.float32],
+    second: NDArray[np.float32],
+    gamma: float,
+    mean_pixel: NDArray[np.float32],
+    limit: float,
+    row_cells: float = 0.0,
+    column_cells: float = 0.0,
+) -> float:
+    """Largest difference in dB between the means of what is dark in both, over bands of range.
+
+    Args:
+        first: expected amplitudes of full scale, at least 0 and at most 1e18, (rows, columns).
+        second: of the other picture.
+        gamma: exponent between amplitude and pixel.
+        mean_pixel: mean pixel of speckle over its rms amplitude, 0 to the limit, then 0, (E + 1,).
+        limit: amplitude below which pixels are dark.
+        row_cells: displacement in rows that does not count.
+        column_cells: the same in columns.
+    """
+
 def block_powers(
     cells: NDArray[np.complex64] | NDArray[np.float32], width: int, threads: int = 2
 ) -> NDArray[np.float32]:
@@ -205,6 +271,31 @@ class FaceTable:
             smooth: index into `curved_normal`, or -1 for a flat face, (F,).
             curved_normal: rows of G | g, whose G p + g is a round surface's normal at p, (S, 12).
             table: mu, squared reflection, roughness in m, slope in rad, (M, 4).
+        """
+
+    def normals(
+        self,
+        face: NDArray[np.int32],
+        group: NDArray[np.int32],
+        range_m: NDArray[np.float32],
+        origin_m: NDArray[np.float64],
+        direction: NDArray[np.float64],
+        map_T_group: NDArray[np.float64],  # noqa: N803
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Compute the normals and curvatures where rays hit.
+
+        Args:
+            face: in the table, or negative for nothing, (N,).
+            group: index of the face's pose, (N,).
+            range_m: of the hit, (N,).
+            origin_m: map frame, (3,) or (N, 3).
+            direction: unit vectors, map frame, (N, 3).
+            map_T_group: rotation, row by row, and position of each frame of faces, (G, 12).
+
+        Returns:
+            Unit normals in the map frame, (N, 3). And (N, 3): sum of the squared principal
+            curvatures, 1/m²; square of their product, 1/m⁴; square of how fast the normal turns
+            along the ray's projection on the tangent plane, 1/m². Both are 0 without a hit.
         """
 
 class Rays:

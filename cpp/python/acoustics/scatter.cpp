@@ -8,6 +8,7 @@
 
 #include "checked_array.hpp"
 #include "mapperd/acoustics/footprint.hpp"
+#include "mapperd/acoustics/preview.hpp"
 #include "mapperd/acoustics/scatter.hpp"
 
 namespace acoustics = mapperd::acoustics;
@@ -145,13 +146,61 @@ RayArrays rays_of(Array<std::int32_t> face, Array<std::int32_t> seen, Array<std:
   return {face, seen, transmit, receive, cell, span_m, gain, legs, both_ways};
 }
 
+std::vector<mapperd::Transform> transforms(const Array<double>& map_T_group) {
+  require(map_T_group.ndim() == 2 && map_T_group.shape(1) == 12, "map_T_group must be (G, 12)");
+  std::vector<mapperd::Transform> poses;
+  for (py::ssize_t i = 0; i < map_T_group.shape(0); ++i) {
+    const double* m = map_T_group.data() + 12 * i;
+    poses.push_back({{mapperd::Vec3{m[0], m[1], m[2]}, mapperd::Vec3{m[3], m[4], m[5]},
+                      mapperd::Vec3{m[6], m[7], m[8]}},
+                     {m[9], m[10], m[11]}});
+  }
+  return poses;
+}
+
+py::tuple surface_normals(const FaceTable& faces, const Array<std::int32_t>& face,
+                          const Array<std::int32_t>& group, const Array<float>& range_m,
+                          const Array<double>& origin_m, const Array<double>& direction,
+                          const Array<double>& map_T_group) {
+  const py::ssize_t count = face.size();
+  require(group.size() == count && range_m.size() == count, "face, group, range_m must be (N,)");
+  require(direction.ndim() == 2 && direction.size() == 3 * count, "direction must be (N, 3)");
+  require(origin_m.size() == 3 || origin_m.size() == 3 * count, "origin_m must be (3,) or (N, 3)");
+  const std::vector<mapperd::Transform> poses = transforms(map_T_group);
+  const auto all = static_cast<std::int32_t>(faces.faces.size());
+  for (py::ssize_t i = 0; i < count; ++i) {
+    if (face.data()[i] < 0) continue;
+    require(face.data()[i] < all, "face out of the table");
+    require(group.data()[i] >= 0 && static_cast<std::size_t>(group.data()[i]) < poses.size(),
+            "group out of map_T_group");
+  }
+  Array<double> normal(std::vector<py::ssize_t>{count, 3});
+  Array<double> turn(std::vector<py::ssize_t>{count, 3});
+  const acoustics::CoarseRays rays{static_cast<std::size_t>(count),
+                                   face.data(),
+                                   group.data(),
+                                   range_m.data(),
+                                   origin_m.data(),
+                                   origin_m.ndim() == 2,
+                                   direction.data()};
+  double* const out = normal.mutable_data();
+  double* const turns = turn.mutable_data();
+  {
+    const py::gil_scoped_release unlocked;
+    acoustics::surface_normals(faces.view(), rays, poses.data(), out, turns);
+  }
+  return py::make_tuple(normal, turn);
+}
+
 }  // namespace
 
 void bind_scatter(py::module_& module) {
   using py::arg;
   py::class_<FaceTable>(module, "FaceTable")
       .def(py::init(&face_table), arg("planes"), arg("objects"), arg("materials"), arg("smooth"),
-           arg("curved_normal"), arg("table"));
+           arg("curved_normal"), arg("table"))
+      .def("normals", &surface_normals, arg("face"), arg("group"), arg("range_m"), arg("origin_m"),
+           arg("direction"), arg("map_T_group"));
   py::class_<RayArrays>(module, "Rays")
       .def(py::init(&rays_of), arg("face"), arg("seen"), arg("transmit"), arg("receive"),
            arg("cell"), arg("span_m"), arg("gain"), arg("legs"), arg("both_ways") = false);

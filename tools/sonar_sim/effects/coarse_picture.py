@@ -7,6 +7,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from sonar_sim import _core
 from sonar_sim.effects.echoes import COLUMNS, CoarseFan, Echoes
 from sonar_sim.effects.image_difference import Tolerance, level_change_db
 from sonar_sim.geometry.matmul import chunked_matmul
@@ -79,18 +80,20 @@ class CoarseGrid:
         A patch spreads evenly over the ranges that it covers, and over the beams of its column;
         a beam hears several columns of the fine grid, more than one by its equivalent width.
         """
-        reach = np.maximum(echoes.extent_m, self.row_m)
-        density = power * self.sonar.range_resolution_m / reach
-        density *= equivalent_beams(self.sonar) / max(self.column_beams, 1.0)
-        first = np.floor((echoes.range_m - reach / 2.0) / self.row_m + 0.5).astype(np.int64)
-        count = np.maximum(np.rint(reach / self.row_m).astype(np.int64), 1)
-        first, last = np.clip(first, 0, self.rows), np.clip(first + count, 0, self.rows)
-        size = (self.rows + 1) * COLUMNS
-        begun = np.bincount(first * COLUMNS + echoes.column, density, size)
-        ended = np.bincount(last * COLUMNS + echoes.column, density, size)
-        filled = np.cumsum((begun - ended).reshape(self.rows + 1, COLUMNS), axis=0)
-        picture: NDArray[np.float64] = np.maximum(filled[:-1], 0.0)
-        return picture
+        received = power * (
+            self.sonar.range_resolution_m
+            * equivalent_beams(self.sonar)
+            / max(self.column_beams, 1.0)
+        )
+        return _core.spread_over_rows(
+            echoes.column,
+            echoes.range_m,
+            echoes.extent_m,
+            received,
+            self.row_m,
+            self.rows,
+            COLUMNS,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -55,85 +55,15 @@ def cast(
         reach_m: maximum range of a hit.
     """
     found = scene.cast(origin_m, direction.astype(np.float32), time_s, reach_m, threads=1)
-    met = found.face >= 0
-    hit = np.flatnonzero(met)
-    face, group, way = found.face.take(hit), found.group.take(hit), direction.take(hit, axis=0)
-    range_m = np.where(met, found.range_m, np.inf).astype(np.float64)
-    start_m = origin_m if origin_m.ndim == 1 else origin_m.take(hit, axis=0)
-    point_m = start_m + way * range_m.take(hit)[:, None]
-    facing = _normals(scene, face, group, point_m, time_s)
-    normal = np.zeros((len(met), 3))
-    normal[hit] = facing
-    surface = np.full(len(met), NO_SURFACE, dtype=np.int64)
-    number = scene.surface[face]
-    surface[hit] = np.where(number == meshes.SEA, SEA_SURFACE, number)
-    turn = np.zeros((len(met), 3))
-    tangent = way - np.sum(way * facing, axis=1)[:, None] * facing
-    turn[hit] = _turn(scene, face, group, tangent, time_s)
+    poses = [np.append(pose.rotation, pose.position_m) for pose in scene.poses(time_s)]
+    normal, turn = scene.faces.normals(
+        found.face, found.group, found.range_m, origin_m, direction, np.array(poses)
+    )
+    number = scene.surface[found.face].astype(np.int64)
+    number[number == meshes.SEA] = SEA_SURFACE
+    surface = np.where(found.face < 0, NO_SURFACE, number)
+    range_m = np.where(found.face < 0, np.inf, found.range_m).astype(np.float64)
     return CoarseHits(range_m, normal, surface, turn)
-
-
-def _turn(
-    scene: meshes.Meshes,
-    face: NDArray[np.int32],
-    group: NDArray[np.int32],
-    tangent: NDArray[np.float64],
-    time_s: float,
-) -> NDArray[np.float64]:
-    """As in `CoarseHits`: the normal's gradient has the principal curvatures as its eigenvalues."""
-    turn = np.zeros((len(face), 3))
-    place = scene.smooth[face]
-    round_ = np.flatnonzero(place >= 0)
-    if len(round_) == 0:
-        return turn
-    gradient = scene.curved_normals[place[round_]].reshape(-1, 3, 4)[:, :, :3]
-    squares = np.einsum("nij,nij->n", gradient, gradient)
-    trace = np.einsum("nii->n", gradient)
-    local = _turned_back(scene, tangent[round_], group[round_], time_s)
-    turn[round_, 0] = squares
-    turn[round_, 1] = np.square((np.square(trace) - squares) / 2.0)
-    turn[round_, 2] = np.sum(np.square(np.einsum("nji,nj->ni", gradient, local)), axis=1)
-    return turn
-
-
-def _turned_back(
-    scene: meshes.Meshes, vectors: NDArray[np.float64], group: NDArray[np.int32], time_s: float
-) -> NDArray[np.float64]:
-    """Vectors of the map in the frames of their groups, (N, 3)."""
-    local = vectors
-    for number, pose in enumerate(scene.poses(time_s)):
-        if not np.array_equal(pose.rotation, np.eye(3)):
-            its = group == number
-            local = np.where(its[:, None], vectors @ pose.rotation, local)
-    return local
-
-
-def _normals(
-    scene: meshes.Meshes,
-    face: NDArray[np.int32],
-    group: NDArray[np.int32],
-    point_m: NDArray[np.float64],
-    time_s: float,
-) -> NDArray[np.float64]:
-    """Unit normals in the map frame, (N, 3); round faces have another one at each point."""
-    normal = scene.planes[face, :3]
-    place = scene.smooth[face]
-    round_ = np.flatnonzero(place >= 0)
-    poses = scene.poses(time_s)
-    if len(round_):
-        its = group[round_]
-        local_m = np.empty((len(round_), 3))
-        for number, pose in enumerate(poses):
-            of_it = its == number
-            local_m[of_it] = (point_m[round_[of_it]] - pose.position_m) @ pose.rotation
-        table = scene.curved_normals[place[round_]].reshape(-1, 3, 4)
-        normals = np.einsum("nij,nj->ni", table[:, :, :3], local_m) + table[:, :, 3]
-        normal[round_] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    for number, pose in enumerate(poses):
-        if not np.array_equal(pose.rotation, np.eye(3)):
-            its = group == number
-            normal[its] = normal[its] @ pose.rotation.T
-    return normal
 
 
 COLUMNS = 96

@@ -11,7 +11,6 @@ remains and its correlation between neighbouring rows and beams are compared.
 Displacement: speckle is locked to the surfaces, so it shows where each part of the picture went.
 """
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -19,14 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
+from sonar_sim import _core
 from sonar_sim.scene.sonar import SonarSettings
 
 DARK_STEPS = 2.0
 """Pixels whose expected amplitude is less than this are dark."""
-DARK_BANDS, DARK_PART = 8, 0.25
-"""Bands of range in which dark pixels are averaged, if they are this part of the band."""
-DARK_MEAN = 0.02
-"""Steps of the quantiser: a mean pixel below is taken for black."""
 DARK_ENTRIES, DARK_LEVELS = 1024, 16
 DARK_WEIGHT = 0.5
 """Of a change of the dark's mean against one of a pixel: 1 dB of less than two steps is a quarter
@@ -60,80 +56,25 @@ def level_change_db(
         dB, at least 0.
     """
     a, b = (np.minimum(picture, MAX_AMPLITUDE).astype(np.float32) for picture in (first, second))
-    change_db = _change_of_pixels_db(a, b, sonar, share, cells)
+    gamma, scale = gamma_of(sonar), full_scale(sonar)
+    change_db = _core.pixel_change_db(a, b, gamma, scale, int(share * a.size), *cells)
     if change_db > CLEAR_CHANGE_DB:
         return change_db
-    dark_db = dark_change_db(a, b, sonar)
-    if ignore_dark_shift:
-        # Either picture may be the one that is displaced.
-        there = dark_change_db(a, np.clip(a, *_displaced_bounds(b, cells)), sonar)
-        dark_db = min(there, dark_change_db(np.clip(b, *_displaced_bounds(a, cells)), b, sonar))
+    ignored = cells if ignore_dark_shift else (0.0, 0.0)
+    dark_db = _core.dark_change_db(a, b, gamma, *_mean_pixels(gamma, scale), *ignored)
     return max(change_db, DARK_WEIGHT * dark_db)
 
 
-def _change_of_pixels_db(
-    a: NDArray[np.float32],
-    b: NDArray[np.float32],
-    sonar: SonarSettings,
-    share: float,
-    cells: tuple[float, float],
-) -> float:
-    """Of pixels that differ by more than a step of the quantiser; as `level_change_db`."""
-    exceeding = int(share * a.size)
-    _, changes = _beyond(a, b, sonar, (0.0, 0.0))
-    if any(cells) and len(changes) > exceeding:
-        seen, changes = _beyond(a, b, sonar, cells)
-        # Displacing blurs edges, so either picture may be the one that is displaced.
-        there, back = (np.zeros(a.shape, dtype=np.float32) for _ in range(2))
-        there[seen] = changes
-        seen, changes = _beyond(b, a, sonar, cells)
-        back[seen] = changes
-        changes = np.minimum(there, back).ravel()
-    if len(changes) <= exceeding:
-        return 0.0
-    return float(np.partition(changes, len(changes) - 1 - exceeding)[-1 - exceeding])
-
-
-def dark_change_db(
-    first: NDArray[np.float32], second: NDArray[np.float32], sonar: SonarSettings
-) -> float:
-    """Largest difference between the means of what is dark in both pictures, over bands of range.
+@lru_cache(maxsize=16)
+def _mean_pixels(gamma: float, scale: int) -> tuple[NDArray[np.float32], float]:
+    """Mean pixel of speckle over its rms amplitude, and the amplitude that is no longer dark.
 
     Of speckle of rms m the pixel is at least k with probability exp(-(t / m)²), t the amplitude
     that is rounded to k; the sum over k is the mean pixel.
 
-    Args:
-        first: expected (rms) amplitudes of full scale, (rows, columns).
-        second: of the other picture.
-        sonar: its gamma and bits set the step of the quantiser.
-
     Returns:
-        dB, at least 0.
+        Means from 0 to the second, then 0, (entries + 1,); what is not dark, in rms of full scale.
     """
-    gamma, scale = gamma_of(sonar), full_scale(sonar)
-    limit = np.float32((DARK_STEPS / scale) ** (1.0 / gamma))
-    dark = (first < limit) & (second < limit)
-    rows, columns = dark.shape
-    band = rows // DARK_BANDS
-    if band == 0 or not dark.any():
-        return 0.0
-    in_bands = dark[: band * DARK_BANDS].reshape(DARK_BANDS, -1)
-    count = np.count_nonzero(in_bands, axis=1)
-    table, per_amplitude = _mean_pixels(gamma, scale), np.float32(DARK_ENTRIES) / limit
-    levels = []
-    for picture in (first, second):
-        shown = picture[: band * DARK_BANDS].reshape(DARK_BANDS, -1)
-        # What is not dark falls into the table's last entry, which is empty.
-        entry = np.where(in_bands, shown * per_amplitude, np.float32(DARK_ENTRIES))
-        mean = table[entry.astype(np.int16)].sum(axis=1) / np.maximum(count, 1)
-        levels.append(20.0 / gamma * np.log10(np.maximum(mean, DARK_MEAN)))
-    change = np.abs(levels[0] - levels[1])[count > DARK_PART * band * columns]
-    return float(change.max(initial=0.0))
-
-
-@lru_cache(maxsize=16)
-def _mean_pixels(gamma: float, scale: int) -> NDArray[np.float32]:
-    """Mean pixel of speckle over its rms amplitude, 0 to `DARK_STEPS`, then 0, (entries + 1,)."""
     limit = (DARK_STEPS / scale) ** (1.0 / gamma)
     rms = np.maximum(np.arange(DARK_ENTRIES + 1) * (limit / DARK_ENTRIES), 1e-30)
     rounded = ((np.arange(1, DARK_LEVELS + 1) - 0.5) / scale) ** (1.0 / gamma)
@@ -142,7 +83,7 @@ def _mean_pixels(gamma: float, scale: int) -> NDArray[np.float32]:
     )
     mean[-1] = 0.0
     mean.setflags(write=False)
-    return mean
+    return mean, limit
 
 
 def gamma_of(sonar: SonarSettings) -> float:
@@ -153,62 +94,6 @@ def gamma_of(sonar: SonarSettings) -> float:
 def full_scale(sonar: SonarSettings) -> int:
     """Largest pixel."""
     return int(2**sonar.bits) - 1
-
-
-def _beyond(
-    amplitude: NDArray[np.float32],
-    other: NDArray[np.float32],
-    sonar: SonarSettings,
-    cells: tuple[float, float],
-) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-    """How far amplitudes lie outside of what a small displacement finds in the other, dB.
-
-    Returns:
-        Which differ by more than a step of the quantiser, (rows, beams), and by how much.
-    """
-    nearest = np.clip(amplitude, *_displaced_bounds(other, cells)) if any(cells) else other
-    gamma, scale = gamma_of(sonar), full_scale(sonar)
-    step = _to_pixel(amplitude, gamma) - _to_pixel(nearest, gamma)
-    seen = np.abs(step) * np.float32(scale) > 1.0
-    # Half a step is what an integer 0 stands for at most.
-    least = np.float32((0.5 / scale) ** (1.0 / gamma))
-    a, b = np.maximum(amplitude[seen], least), np.maximum(nearest[seen], least)
-    change: NDArray[np.float32] = np.abs(np.float32(20.0) * np.log10(a / b))
-    return seen, change
-
-
-def _to_pixel(amplitude: NDArray[np.float32], gamma: float) -> NDArray[np.float32]:
-    """Part of the largest pixel; the power costs time, and most sonars are linear."""
-    return amplitude if gamma == 1.0 else amplitude ** np.float32(gamma)
-
-
-def _displaced_bounds(
-    picture: NDArray[np.float32], cells: tuple[float, float]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Smallest and largest amplitude that a displacement up to `cells` brings to each pixel."""
-    low = high = np.square(picture)
-    for axis, most in enumerate(cells):
-        steps = math.ceil(most)
-        for _ in range(steps):
-            part = np.float32(most / steps)
-            low, high = low + part * _fall(low, axis), high - part * _fall(-high, axis)
-    return np.sqrt(low), np.sqrt(high)
-
-
-def _fall(power: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
-    """How far the lower of both neighbours lies under each pixel, 0 or less."""
-    step = np.diff(power, axis=axis)
-    fall = np.zeros_like(power)
-    here, there = _without_end(fall, axis, last=True), _without_end(fall, axis, last=False)
-    np.minimum(here, step, out=here)
-    np.minimum(there, -step, out=there)
-    return fall
-
-
-def _without_end(picture: NDArray[np.float32], axis: int, *, last: bool) -> NDArray[np.float32]:
-    """All rows or columns but the last or the first: a view."""
-    part = slice(None, -1) if last else slice(1, None)
-    return picture[part] if axis == 0 else picture[:, part]
 
 
 def expected_clipped(amplitude: NDArray[np.floating]) -> NDArray[np.float32]:
