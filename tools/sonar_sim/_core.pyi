@@ -288,7 +288,7 @@ class FaceTable:
             face: in the table, or negative for nothing, (N,).
             group: index of the face's pose, (N,).
             range_m: of the hit, (N,).
-            origin_m: map frame, (3,) or (N, 3).
+            origin_m: of all rays, map frame, (3,).
             direction: unit vectors, map frame, (N, 3).
             map_T_group: rotation, row by row, and position of each frame of faces, (G, 12).
 

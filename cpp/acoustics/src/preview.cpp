@@ -46,8 +46,7 @@ void surface_normals(const Faces& faces, const CoarseRays& rays, const Transform
     const Vec3 direction{d[0], d[1], d[2]};
     Vec3 n{face.plane[0], face.plane[1], face.plane[2]};
     if (face.smooth >= 0) {
-      const double* o = rays.origin_m + (rays.own_origins ? 3 * i : 0);
-      const Vec3 point_m = Vec3{o[0], o[1], o[2]} + rays.range_m[i] * direction;
+      const Vec3 point_m = rays.origin_m + rays.range_m[i] * direction;
       const double* curved = faces.curved_normal + 12 * static_cast<std::ptrdiff_t>(face.smooth);
       n = curved_normal_at(curved, map_T_object.rotate_back(point_m - map_T_object.translation));
       const Vec3 way = map_T_object.rotate_back(direction);
@@ -146,7 +145,8 @@ void widen_along_columns(const Picture& low, const Picture& high, std::size_t ro
   }
 }
 
-/// The nearest amplitude to each pixel of a picture that a displacement brings there from the other.
+/// The nearest amplitude to each pixel of a picture that a displacement brings there from the
+/// other.
 Picture nearest(const float* picture, const float* other, const PicturePair& pair) {
   const std::size_t size = pair.rows * pair.columns;
   Picture low(size);
@@ -218,8 +218,8 @@ float largest_but(const Picture& ratio, std::size_t exceeding) {
 
 double pixel_change_db(const PicturePair& pictures, float largest_pixel, std::size_t exceeding) {
   const std::size_t size = pictures.rows * pictures.columns;
-  const double least = std::pow(0.5 / static_cast<double>(largest_pixel),
-                                1.0 / static_cast<double>(pictures.gamma));
+  const double least =
+      std::pow(0.5 / static_cast<double>(largest_pixel), 1.0 / static_cast<double>(pictures.gamma));
   const Quantiser quantiser{pictures.gamma, largest_pixel,
                             static_cast<float>(std::max(least, 1e-37))};
   Picture ratio(size);
@@ -240,8 +240,8 @@ double pixel_change_db(const PicturePair& pictures, float largest_pixel, std::si
 
 namespace {
 
-constexpr std::size_t kBands = 8;   // of range, in which dark pixels are averaged
-constexpr double kDarkPart = 0.25;  // of a band, at least, for its mean to count
+constexpr std::size_t kBands = 8;     // of range, in which dark pixels are averaged
+constexpr double kDarkPart = 0.25;    // of a band, at least, for its mean to count
 constexpr double kBlackPixel = 0.02;  // steps of the quantiser: a mean pixel below counts as black
 
 double change_of_dark_db(const float* first, const float* second, const PicturePair& shape,
@@ -256,15 +256,14 @@ double change_of_dark_db(const float* first, const float* second, const PictureP
       if (!(first[i] >= 0.0F && first[i] < dark.limit)) continue;
       if (!(second[i] >= 0.0F && second[i] < dark.limit)) continue;
       ++count;
-      sum[0] += static_cast<double>(
-          dark.mean_pixel[static_cast<std::size_t>(first[i] * per_amplitude)]);
-      sum[1] += static_cast<double>(
-          dark.mean_pixel[static_cast<std::size_t>(second[i] * per_amplitude)]);
+      sum[0] +=
+          static_cast<double>(dark.mean_pixel[static_cast<std::size_t>(first[i] * per_amplitude)]);
+      sum[1] +=
+          static_cast<double>(dark.mean_pixel[static_cast<std::size_t>(second[i] * per_amplitude)]);
     }
     if (static_cast<double>(count) <= kDarkPart * static_cast<double>(band)) continue;
     const auto all = static_cast<double>(count);
-    const double ratio =
-        std::max(sum[0] / all, kBlackPixel) / std::max(sum[1] / all, kBlackPixel);
+    const double ratio = std::max(sum[0] / all, kBlackPixel) / std::max(sum[1] / all, kBlackPixel);
     const double of_band_db =
         std::fabs(20.0 / static_cast<double>(shape.gamma) * std::log10(ratio));
     change_db = std::max(change_db, of_band_db);

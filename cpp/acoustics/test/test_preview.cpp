@@ -26,7 +26,6 @@ TEST_CASE("the normal of a round face is that of its ball, wherever and however 
   map_T_ball.rows = {Vec3{0, -1, 0}, Vec3{1, 0, 0}, Vec3{0, 0, 1}};
   map_T_ball.translation = {2.0, 1.0, 0.0};
   // Past the middle by 0.3 of the radius of 0.5: it meets the ball at 0.4 before it.
-  const std::vector<double> origin{0.0, 1.3, 0.0};
   const std::vector<double> direction{1, 0, 0, 1, 0, 0, 1, 0, 0};
   const std::vector<std::int32_t> face{1, -1, 0};
   const std::vector<std::int32_t> group{0, 0, 0};
@@ -35,7 +34,7 @@ TEST_CASE("the normal of a round face is that of its ball, wherever and however 
   std::vector<double> turn(9, 7.0);
   acoustics::surface_normals(
       {faces.data(), ball.data(), nullptr},
-      {3, face.data(), group.data(), range_m.data(), origin.data(), false, direction.data()},
+      {3, face.data(), group.data(), range_m.data(), {0.0, 1.3, 0.0}, direction.data()},
       &map_T_ball, normal.data(), turn.data());
   const std::vector<double> expected{-0.8, 0.6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0};
   for (std::size_t i = 0; i < 9; ++i) CHECK(normal[i] == near(expected[i], 1e-6));

@@ -165,7 +165,7 @@ py::tuple surface_normals(const FaceTable& faces, const Array<std::int32_t>& fac
   const py::ssize_t count = face.size();
   require(group.size() == count && range_m.size() == count, "face, group, range_m must be (N,)");
   require(direction.ndim() == 2 && direction.size() == 3 * count, "direction must be (N, 3)");
-  require(origin_m.size() == 3 || origin_m.size() == 3 * count, "origin_m must be (3,) or (N, 3)");
+  require(origin_m.ndim() == 1 && origin_m.size() == 3, "origin_m must be (3,)");
   const std::vector<mapperd::Transform> poses = transforms(map_T_group);
   const auto all = static_cast<std::int32_t>(faces.faces.size());
   for (py::ssize_t i = 0; i < count; ++i) {
@@ -180,8 +180,7 @@ py::tuple surface_normals(const FaceTable& faces, const Array<std::int32_t>& fac
                                    face.data(),
                                    group.data(),
                                    range_m.data(),
-                                   origin_m.data(),
-                                   origin_m.ndim() == 2,
+                                   {origin_m.at(0), origin_m.at(1), origin_m.at(2)},
                                    direction.data()};
   double* const out = normal.mutable_data();
   double* const turns = turn.mutable_data();

@@ -239,9 +239,11 @@ def test_a_plane_left_out_by_its_bound_has_no_ghosts(
 
     def ghosts() -> list[Ghosts | None]:
         """Of the planes, and of the same planes where only a shallow bounce leaves an echo."""
-        planes = [(view, plane) for view in views for plane in view.planes]
-        planes += [(view, replace(plane, roughness_m=0.005)) for view, plane in planes]
-        return [mirror_ghosts(view, plane) for view, plane in planes]
+        found = []
+        for view in views:
+            steep = [replace(plane, roughness_m=0.005) for plane in view.planes]
+            found += mirror_ghosts(view, [*view.planes, *steep])
+        return found
 
     bounded = ghosts()
     monkeypatch.setattr(multipath, "_steepest_cosine", lambda *_: np.inf)

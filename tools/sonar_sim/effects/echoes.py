@@ -44,17 +44,22 @@ def cast(
     direction: NDArray[np.float64],
     time_s: float,
     reach_m: float,
+    near_m: NDArray[np.float64] | None = None,
 ) -> CoarseHits:
-    """Find what rays meet first.
+    """Find what rays of one origin meet first.
 
     Args:
         scene: its triangles.
-        origin_m: map frame, (3,) or (N, 3).
+        origin_m: map frame, (3,).
         direction: unit vectors, map frame, (N, 3).
         time_s: at which moving objects are met.
         reach_m: maximum range of a hit.
+        near_m: minimum range, (N,).
     """
-    found = scene.cast(origin_m, direction.astype(np.float32), time_s, reach_m, threads=1)
+    near_m = None if near_m is None else near_m.astype(np.float32)
+    found = scene.cast(
+        origin_m, direction.astype(np.float32), time_s, reach_m, threads=1, near_m=near_m
+    )
     poses = [np.append(pose.rotation, pose.position_m) for pose in scene.poses(time_s)]
     normal, turn = scene.faces.normals(
         found.face, found.group, found.range_m, origin_m, direction, np.array(poses)

@@ -1,6 +1,7 @@
 """Multipath: a calm surface or a smooth wall reflects echoes; ghosts appear."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
@@ -36,19 +37,34 @@ class Ghosts:
     picture: NDArray[np.float64]
 
 
-def mirror_ghosts(view: PingPreview, plane: MirrorPlane) -> Ghosts | None:
-    """Compute the ghosts; None if no ghost is in range."""
+def mirror_ghosts(view: PingPreview, planes: Sequence[MirrorPlane]) -> list[Ghosts | None]:
+    """Compute the ghosts in each plane; None if no ghost is in range."""
+    near = _may_mirror(view, planes) if planes else ()
+    return [_ghosts_in(view, plane) if its else None for plane, its in zip(planes, near)]
+
+
+def _may_mirror(view: PingPreview, planes: Sequence[MirrorPlane]) -> NDArray[np.bool_]:
+    """Bound of which planes may have ghosts in range, (P,)."""
+    sonar_m = view.map_T_sonar.position_m
+    low_m, high_m = np.array([p.low_m for p in planes]), np.array([p.high_m for p in planes])
+    # A bounce is no farther off than half of the whole way there and back.
+    away_m = np.linalg.norm(np.clip(sonar_m, low_m, high_m) - sonar_m, axis=1)
+    corner_m = np.maximum(np.abs(low_m - sonar_m), np.abs(high_m - sonar_m)) + NEAR_M
+    farthest_m = np.minimum(2.0 * view.sonar.range_m, np.linalg.norm(corner_m, axis=1))
+    normal = np.array([p.normal for p in planes])
+    height_m = np.abs(np.sum((sonar_m - np.array([p.point_m for p in planes])) * normal, axis=1))
+    steepest = np.array([_steepest_cosine(plane, _wave_number_per_m(view)) for plane in planes])
+    may: NDArray[np.bool_] = (away_m <= view.sonar.range_m) & (height_m <= farthest_m * steepest)
+    return may
+
+
+def _wave_number_per_m(view: PingPreview) -> float:
+    return 2.0 * math.pi * view.sonar.frequency_hz / view.speed_of_sound_mps
+
+
+def _ghosts_in(view: PingPreview, plane: MirrorPlane) -> Ghosts | None:
     sonar_m, echoes = view.map_T_sonar.position_m, view.echoes
     sonar_height = float((sonar_m - plane.point_m) @ plane.normal)
-    k = 2.0 * math.pi * view.sonar.frequency_hz / view.speed_of_sound_mps
-    # A bounce is no farther off than half of the whole way there and back.
-    away_m = np.clip(sonar_m, plane.low_m, plane.high_m) - sonar_m
-    if np.linalg.norm(away_m) > view.sonar.range_m:
-        return None
-    corner_m = np.maximum(np.abs(plane.low_m - sonar_m), np.abs(plane.high_m - sonar_m)) + NEAR_M
-    farthest_m = min(2.0 * view.sonar.range_m, float(np.linalg.norm(corner_m)))
-    if abs(sonar_height) > farthest_m * _steepest_cosine(plane, k):
-        return None
     normal = plane.normal * math.copysign(1.0, sonar_height)
     height = rows_dot(echoes.point_m - plane.point_m, normal)
     away = echoes.point_m - 2.0 * height[:, None] * normal - sonar_m
@@ -60,12 +76,16 @@ def mirror_ghosts(view: PingPreview, plane: MirrorPlane) -> Ghosts | None:
     local = away @ view.map_T_sonar.rotation
     usable = (height > NEAR_M) & on_plane & (local[:, 0] > 0.0)
     usable &= (echoes.range_m + bounced_m) / 2.0 < view.sonar.range_m
-    gamma = abs(plane.reflection) * coherence(k, plane.roughness_m, cos_bounce)
+    gamma = abs(plane.reflection) * coherence(
+        _wave_number_per_m(view), plane.roughness_m, cos_bounce
+    )
     its = np.flatnonzero(usable & (gamma > MIN_REFLECTION))
     if len(its) == 0:
         return None
     its = its[_bounces(view, plane, foot[its])]
-    its = its[_free(view, foot[its] + NEAR_M * normal, echoes.point_m[its])]
+    image_m = sonar_m - 2.0 * abs(sonar_height) * normal
+    past_m = (abs(sonar_height) + NEAR_M) / cos_bounce[its]
+    its = its[_free(view, image_m, echoes.point_m[its], past_m)]
     if len(its) == 0:
         return None
     local, bounced_m, gamma = local[its], bounced_m[its], gamma[its]
@@ -148,15 +168,32 @@ def _bounces(
 
 
 def _free(
-    view: PingPreview, start_m: NDArray[np.float64], end_m: NDArray[np.float64]
+    view: PingPreview,
+    image_m: NDArray[np.float64],
+    end_m: NDArray[np.float64],
+    past_m: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
-    """Whether nothing stands between points."""
-    way = end_m - start_m
+    """Whether nothing stands between a mirror and points, seen from the sonar's image.
+
+    Args:
+        view: of one pose.
+        image_m: the sonar's image, map frame, (3,).
+        end_m: the points, (N, 3).
+        past_m: range behind the mirror at which each ray begins, (N,).
+    """
+    way = end_m - image_m
     length = np.linalg.norm(way, axis=1)
     direction = way / np.maximum(length, 1e-9)[:, None]
-    reach_m = 2.0 * view.sonar.range_m
-    met = view.meshes.cast(start_m, direction.astype(np.float32), view.time_s, reach_m, threads=1)
-    free: NDArray[np.bool_] = met.range_m > length * 0.98 - NEAR_M
+    met = view.meshes.cast(
+        image_m,
+        direction.astype(np.float32),
+        view.time_s,
+        2.0 * view.sonar.range_m,
+        threads=1,
+        near_m=past_m.astype(np.float32),
+    )
+    end_of_free_m = past_m + (length - past_m) * 0.98 - NEAR_M
+    free: NDArray[np.bool_] = met.range_m > end_of_free_m
     return free
 
 
@@ -182,7 +219,7 @@ def ghost_picture(view: PingPreview) -> NDArray[np.float64]:
 def _ghosts(view: PingPreview) -> list[Ghosts]:
     known = _GHOSTS_CACHE.get(view.echoes)
     if known is None:
-        found = (mirror_ghosts(view, plane) for plane in view.planes)
+        found = mirror_ghosts(view, view.planes)
         known = _GHOSTS_CACHE[view.echoes] = [ghosts for ghosts in found if ghosts is not None]
     return known
 

@@ -254,9 +254,16 @@ class Planner:
         return _PoseCell(
             position=_rounded(pose.position_m, step_m),
             step_m=step_m,
-            turned=_rounded(Rotation.from_matrix(pose.rotation).as_rotvec(), ANGLE_STEP_RAD),
+            turned=_rounded(_rotation_vector(pose), ANGLE_STEP_RAD),
             time=round(time_s / TIME_STEP_S) if self._previewer.changes else 0,
         )
+
+
+def _rotation_vector(pose: FramePose) -> NDArray[np.float64]:
+    """Axis times angle of no more than half a turn, (3,)."""
+    w, *axis = pose.quaternion.tolist()
+    length = math.hypot(*axis)
+    return np.array(axis) * (2.0 * math.atan2(length, w) / length if length > 0.0 else 2.0)
 
 
 def _rounded(values: NDArray[np.float64], step: float) -> tuple[int, ...]:

@@ -9,7 +9,6 @@ from sonar_sim.effects.echoes import (
     COLUMNS,
     NO_SURFACE,
     SKIP_M,
-    CoarseHits,
     Echoes,
     cast,
     coarse_echoes,
@@ -77,7 +76,10 @@ class Previewer:
 
         def hidden() -> Echoes:
             some = slice(None, None, HIDDEN_RAY_STRIDE)
-            behind = self._behind(origin_m, turned[some], time_s, met.range_m[some])
+            past_m = np.minimum(met.range_m[some] + SKIP_M, self._sonar.range_m)
+            behind = cast(
+                self._meshes, origin_m, turned[some], time_s, self._sonar.range_m, near_m=past_m
+            )
             fan = replace(
                 self._fan,
                 directions=self._fan.directions[some],
@@ -103,31 +105,6 @@ class Previewer:
             echoes=_joined(echoes, points),
             cast_hidden=hidden,
         )
-
-    def _behind(
-        self,
-        origin_m: NDArray[np.float64],
-        direction: NDArray[np.float64],
-        time_s: float,
-        range_m: NDArray[np.float64],
-    ) -> CoarseHits:
-        behind = CoarseHits(
-            np.full(len(range_m), np.inf),
-            np.zeros((len(range_m), 3)),
-            np.full(len(range_m), NO_SURFACE, dtype=np.int64),
-            np.zeros((len(range_m), 3)),
-        )
-        hit = np.flatnonzero(range_m < self._sonar.range_m)
-        if len(hit) == 0:
-            return behind
-        past_m = range_m[hit] + SKIP_M
-        start_m = origin_m + direction[hit] * past_m[:, None]
-        met = cast(self._meshes, start_m, direction[hit], time_s, self._sonar.range_m)
-        behind.range_m[hit] = past_m + met.range_m
-        behind.normal[hit] = met.normal
-        behind.surface[hit] = met.surface
-        behind.turn[hit] = met.turn
-        return behind
 
     def _points(self, map_T_sonar: FramePose, time_s: float) -> Echoes:  # noqa: N803
         """The scene's point targets ahead and in range; what hides them is not asked."""

@@ -1,6 +1,6 @@
 /// \file
-/// \brief The preview of a ping: normals and curvatures where coarse rays hit, the coarse picture of
-/// their echoes, and how much two such pictures differ.
+/// \brief The preview of a ping: normals and curvatures where coarse rays hit, the coarse picture
+/// of their echoes, and how much two such pictures differ.
 ///
 /// \par Threads
 /// Functions of their arguments: any thread may call them.
@@ -20,9 +20,8 @@ struct CoarseRays {
   const std::int32_t* face;   ///< (count,); negative: nothing
   const std::int32_t* group;  ///< (count,): index of the face's frame
   const float* range_m;       ///< (count,)
-  const double* origin_m;     ///< map frame, (3,), or (count, 3) if each ray has its own
-  bool own_origins;
-  const double* direction;  ///< unit vectors, map frame, (count, 3)
+  Vec3 origin_m;              ///< of all rays, map frame
+  const double* direction;    ///< unit vectors, map frame, (count, 3)
 };
 
 /// Normals and curvatures of the surfaces that rays hit.
@@ -71,7 +70,8 @@ struct DarkPixels {
   float limit;
 };
 
-/// Largest difference in dB between the means of what is dark in both pictures, over bands of range.
+/// Largest difference in dB between the means of what is dark in both pictures, over bands of
+/// range.
 double dark_change_db(const PicturePair& pictures, const DarkPixels& dark);
 
 }  // namespace mapperd::acoustics
