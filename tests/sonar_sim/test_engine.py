@@ -11,6 +11,7 @@ from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.geometry.trajectory import Drift
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.physics import Cloud, Mirror, Physics, SoundSpeedProfile
+from sonar_sim.raycast.fan import ALL_ELEVATIONS_RAD
 from sonar_sim.raycast.meshes import NOTHING, SEA
 from sonar_sim.scene.material import Material
 from sonar_sim.scene.scene import PointTarget, Scene, Sea, Surface
@@ -327,7 +328,9 @@ def test_a_cloud_swallows_and_scatters() -> None:
 def test_a_level_sonar_hears_the_floor_straight_below() -> None:
     """From range = height on, by the far lobes: mu pi h² V(h / R) / R⁵ a metre of range."""
     height_m, width_rad = 2.0, math.radians(20.0)
-    physics = dataclasses.replace(MEAN, vertical_width_rad=width_rad, all_elevations=True)
+    physics = dataclasses.replace(
+        MEAN, vertical_width_rad=width_rad, elevations_rad=ALL_ELEVATIONS_RAD
+    )
     sonar = narrow_sonar(3.0, 0.01)
     engine = PingEngine(Scene((floor(-height_m, CHALK),)), sonar)
     rows = cell_power(engine, HERE, physics).sum(axis=1)

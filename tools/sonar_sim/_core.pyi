@@ -510,6 +510,31 @@ def rays_near_ball(
         ValueError: sizes differ.
     """
 
+def cells_through_window(
+    direction: NDArray[np.float32],
+    cell: NDArray[np.float32],
+    map_T_fan: NDArray[np.float64],  # noqa: N803
+    plane: NDArray[np.float64],
+    box_m: NDArray[np.float64],
+    margin_m: float,
+    reach_m: float,
+) -> NDArray[np.int64]:
+    """Indices of the fan's cells of which a direction may pass through a part of a plane.
+
+    Args:
+        direction: middles of the cells, (N, 3).
+        cell: s from, s to, w from, w to of each, (N, 4).
+        map_T_fan: rotation, row by row, which may reflect, and position, (12,).
+        plane: its normal in the map frame, to the side that rays go to, and its height over the
+            fan's origin along it, (4,).
+        box_m: lowest and highest corner of a box that holds the part, map frame, (2, 3).
+        margin_m: by which the box is widened.
+        reach_m: maximum range to the plane.
+
+    Raises:
+        ValueError: sizes differ.
+    """
+
 def turned_rays(
     layers: NDArray[np.float64],
     points: NDArray[np.float64],

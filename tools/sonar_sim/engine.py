@@ -22,7 +22,7 @@ from sonar_sim.propagation.propagation_path import (
     mirror_paths,
 )
 from sonar_sim.propagation.refraction import refracted_paths
-from sonar_sim.raycast.fan import ELEVATIONS, MARGIN_BEAMS, RayFan, ray_fan
+from sonar_sim.raycast.fan import ELEVATIONS, MARGIN_BEAMS, ray_fan
 from sonar_sim.raycast.meshes import Meshes
 from sonar_sim.raycast.tracing import Trace, trace
 from sonar_sim.raycast.visible_surface import visible_points
@@ -211,7 +211,7 @@ class PingEngine:
     def _ways(self, here: PingGeometry) -> tuple[Trace, list[_core.Rays]]:
         """Where the rays go, and the ways of the sound from there."""
         physics, reach_m = here.physics, CAST_RANGE_FACTOR * here.range_m
-        fan = self._steep_fan if physics.all_elevations else self._fan
+        fan = ray_fan(self.sonar, self._elevations, physics.elevations_rad)
         if physics.layers is not None:
             speed = self.scene.water.speed_of_sound_mps
             rays, ways = refracted_paths(here, physics.layers, fan, reach_m, speed)
@@ -226,14 +226,10 @@ class PingEngine:
                 threads=self._threads,
             )
             ways = direct_paths(here, rays)
+        mirrored = ray_fan(self.sonar, self._elevations, physics.mirrored_elevations_rad)
         for mirror in physics.mirrors:
-            ways += mirror_paths(here, fan, mirror, reach_m)
+            ways += mirror_paths(here, mirrored, mirror, reach_m)
         return rays, ways
-
-    @cached_property
-    def _steep_fan(self) -> RayFan:
-        """The fan with rays at all elevations ahead, over the same columns."""
-        return ray_fan(self.sonar, self._elevations, all_elevations=True)
 
     def _surfaces(self, here: PingGeometry, ways: list[_core.Rays]) -> Cells:
         """What surfaces and targets send back, by all ways, (rows, columns)."""

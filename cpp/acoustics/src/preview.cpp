@@ -66,6 +66,7 @@ void spread_over_rows(const Patches& patches, double row_m, std::size_t rows, st
     return row > 0.0 ? static_cast<std::size_t>(std::min(row, static_cast<double>(rows))) : 0;
   };
   for (std::size_t i = 0; i < patches.count; ++i) {
+    if (patches.power[i] == 0.0) continue;
     const double reach_m = std::max(patches.extent_m[i], row_m);
     const double density = patches.power[i] / reach_m;
     const double first = std::floor((patches.range_m[i] - reach_m / 2.0) / row_m + 0.5);
@@ -107,10 +108,11 @@ MAPPERD_VECTORISED void square(const float* from, std::size_t count, float* to) 
   for (std::size_t i = 0; i < count; ++i) to[i] = from[i] * from[i];
 }
 
-MAPPERD_VECTORISED void clip_to_roots(const float* value, const float* low, const float* high,
-                                      std::size_t count, float* to) {
+// Of bounds on the squares.
+MAPPERD_VECTORISED void clip(const float* value, const float* low, const float* high,
+                             std::size_t count, float* to) {
   for (std::size_t i = 0; i < count; ++i) {
-    to[i] = smaller(larger(value[i], std::sqrt(low[i])), std::sqrt(high[i]));
+    to[i] = std::sqrt(smaller(larger(value[i] * value[i], low[i]), high[i]));
   }
 }
 
@@ -166,7 +168,7 @@ Picture nearest(const float* picture, const float* other, const PicturePair& pai
       high.swap(next_high);
     }
   }
-  clip_to_roots(picture, low.data(), high.data(), size, next_low.data());
+  clip(picture, low.data(), high.data(), size, next_low.data());
   return next_low;
 }
 

@@ -516,4 +516,41 @@ std::vector<std::int64_t> rays_near_ball(std::size_t count, const double* start_
   return near;
 }
 
+std::vector<std::int64_t> cells_through_window(const FanDirections& fan, const Window& window) {
+  // Cells that reach nearer to the plane across the sonar than this sine are curved.
+  constexpr double kMinAhead = 0.1;
+  const Vec3& o = window.map_T_fan.translation;
+  const std::array<Vec3, 3>& rows = window.map_T_fan.rows;
+  const Vec3 normal = window.map_T_fan.rotate_back(window.normal);
+  std::vector<std::int64_t> kept;
+  for (std::size_t i = 0; i < fan.count; ++i) {
+    const float* d = fan.direction + 3 * i;
+    const float* cell = fan.cell + 4 * i;
+    const Vec3 direction{static_cast<double>(d[0]), static_cast<double>(d[1]),
+                         static_cast<double>(d[2])};
+    const double half_s = 0.5 * static_cast<double>(cell[1] - cell[0]);
+    const double half_w = 0.5 * static_cast<double>(cell[3] - cell[2]);
+    const double far_s = std::fabs(direction.y) + half_s;
+    const double far_w = std::fabs(direction.z) + half_w;
+    const double ahead2 = 1.0 - far_s * far_s - far_w * far_w;
+    // How far a direction of the cell may be from its middle.
+    const double off = std::sqrt((half_s * half_s + half_w * half_w) / std::max(ahead2, 1e-9));
+    const double cosine = dot(direction, normal);
+    bool through = ahead2 < kMinAhead * kMinAhead || cosine <= 2.0 * off;
+    if (!through) {
+      if (window.height_m >= window.reach_m * (cosine + off)) continue;
+      // It crosses the plane within this margin of where the middle does.
+      const double crossing_m = window.height_m / cosine;
+      const double margin_m = window.margin_m + 4.0 * crossing_m * off / cosine;
+      through = true;
+      for (std::size_t axis = 0; axis < 3 && through; ++axis) {
+        const double at = o[axis] + crossing_m * dot(rows[axis], direction);
+        through = at > window.low_m[axis] - margin_m && at < window.high_m[axis] + margin_m;
+      }
+    }
+    if (through) kept.push_back(static_cast<std::int64_t>(i));
+  }
+  return kept;
+}
+
 }  // namespace mapperd::acoustics

@@ -273,6 +273,12 @@ class Cutter {
   // Boxes that together are the cell.
   const std::vector<Box>& cut(const Box& cell, const Segment* segments, std::size_t count) {
     boxes_.clear();
+    goes_on_.resize(2 * count);
+    for (std::size_t i = 0; i < count; ++i) {
+      for (std::size_t end = 0; end < 2; ++end) {
+        goes_on_[2 * i + end] = inside(cell, segments[i], end) && goes_on(segments, count, i, end);
+      }
+    }
     ends(cell.w0, cell.w1, segments, count, false, slabs_);
     ends(cell.s0, cell.s1, segments, count, true, others_);
     if (slabs_.size() <= others_.size()) {
@@ -288,15 +294,21 @@ class Cutter {
   }
 
  private:
+  static bool inside(const Box& cell, const Segment& segment, std::size_t end) {
+    const auto s = static_cast<double>(segment.s[end]), w = static_cast<double>(segment.w[end]);
+    return (s > cell.s0 + kMinCut && s < cell.s1 - kMinCut) ||
+           (w > cell.w0 + kMinCut && w < cell.w1 - kMinCut);
+  }
+
   // Borders of the slabs.
-  static void ends(double low, double high, const Segment* segments, std::size_t count, bool across,
-                   std::vector<double>& to) {
+  void ends(double low, double high, const Segment* segments, std::size_t count, bool across,
+            std::vector<double>& to) const {
     to.clear();
     for (std::size_t i = 0; i < count; ++i) {
       for (std::size_t end = 0; end < 2; ++end) {
         const float* along = across ? segments[i].s : segments[i].w;
         const auto at = static_cast<double>(along[end]);
-        if (at > low + kMinCut && at < high - kMinCut && !goes_on(segments, count, i, end)) {
+        if (at > low + kMinCut && at < high - kMinCut && goes_on_[2 * i + end] == 0) {
           to.push_back(at);
         }
       }
@@ -338,7 +350,7 @@ class Cutter {
         if (std::fabs(other.s[k] - s) > kSame || std::fabs(other.w[k] - w) > kSame) continue;
         const float es = other.s[1 - k] - s, ew = other.w[1 - k] - w;
         const float size = std::sqrt((ds * ds + dw * dw) * (es * es + ew * ew));
-        ++found;
+        if (++found > 1) return false;
         straight = ds * es + dw * ew < 0.0F && std::fabs(ds * ew - dw * es) < kStraight * size;
       }
     }
@@ -405,6 +417,7 @@ class Cutter {
   std::vector<double> slabs_, others_;
   std::vector<Cut> cuts_;
   std::vector<Segment> turned_;
+  std::vector<char> goes_on_;  // of both ends of each segment
 };
 
 // Segments cell after cell.

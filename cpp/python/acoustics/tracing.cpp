@@ -126,6 +126,35 @@ py::array rays_near_ball(const Array<double>& start_m, const Array<float>& direc
   return Array<std::int64_t>(static_cast<py::ssize_t>(near.size()), near.data());
 }
 
+py::array cells_through_window(const Array<float>& direction, const Array<float>& cell,
+                               const Array<double>& map_T_fan, const Array<double>& plane,
+                               const Array<double>& box_m, double margin_m, double reach_m) {
+  const py::ssize_t count = direction.shape(0);
+  require(direction.ndim() == 2 && direction.shape(1) == 3 && cell.size() == 4 * count,
+          "direction must be (N, 3), cell (N, 4)");
+  require(map_T_fan.size() == 12 && plane.size() == 4 && box_m.size() == 6,
+          "map_T_fan must be (12,), plane (4,), box_m (2, 3)");
+  const double* m = map_T_fan.data();
+  const double* p = plane.data();
+  const double* b = box_m.data();
+  const acoustics::Window window{{{mapperd::Vec3{m[0], m[1], m[2]}, mapperd::Vec3{m[3], m[4], m[5]},
+                                   mapperd::Vec3{m[6], m[7], m[8]}},
+                                  {m[9], m[10], m[11]}},
+                                 {p[0], p[1], p[2]},
+                                 p[3],
+                                 {b[0], b[1], b[2]},
+                                 {b[3], b[4], b[5]},
+                                 margin_m,
+                                 reach_m};
+  std::vector<std::int64_t> through;
+  {
+    const py::gil_scoped_release unlocked;
+    through = acoustics::cells_through_window(
+        {static_cast<std::size_t>(count), direction.data(), cell.data()}, window);
+  }
+  return Array<std::int64_t>(static_cast<py::ssize_t>(through.size()), through.data());
+}
+
 acoustics::SeenMesh mesh_view(const acoustics::MeshEdges& table, const Array<double>& pose) {
   require(pose.size() == 15, "pose must be rotation (9), origin (3), sonar (3)");
   const double* p = pose.data();
@@ -257,6 +286,8 @@ void bind_tracing(py::module_& module) {
       .def(py::init(&mesh_view), arg("table"), arg("pose"), py::keep_alive<1, 2>());
   module.def("rays_near_ball", &rays_near_ball, arg("start_m"), arg("direction"), arg("reach_m"),
              arg("middle_m"), arg("radius_m"));
+  module.def("cells_through_window", &cells_through_window, arg("direction"), arg("cell"),
+             arg("map_T_fan"), arg("plane"), arg("box_m"), arg("margin_m"), arg("reach_m"));
   module.def("turned_rays", &turned_rays, arg("layers"), arg("points"), arg("directions"),
              arg("step_m"), arg("turn_m"), arg("threads") = 2);
   module.def("followed_rays", &followed_rays, arg("layers"), arg("origin_m"), arg("directions"),

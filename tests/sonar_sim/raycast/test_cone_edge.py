@@ -8,7 +8,12 @@ import pytest
 from numpy.typing import NDArray
 from sonar_sim.engine import PingEngine
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
-from sonar_sim.raycast.fan import ray_fan, solid_angle_sr
+from sonar_sim.raycast.fan import (
+    ALL_ELEVATIONS_RAD,
+    USUAL_ELEVATIONS_RAD,
+    ray_fan,
+    solid_angle_sr,
+)
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.validation.setups import MEAN, cell_power, floor, pose_at, rectangle
@@ -63,7 +68,7 @@ def test_the_field_s_power_at_the_edge_is_the_floor_s_own() -> None:
 
 def test_the_floor_under_a_level_sonar_is_heard_from_its_nearest_point_on() -> None:
     """Straight below no row is missing: mean powers by the integral, and fields about them."""
-    physics, pose = replace(MEAN, all_elevations=True), pose_at((0.0, 0.0, HEIGHT_M))
+    physics, pose = replace(MEAN, elevations_rad=ALL_ELEVATIONS_RAD), pose_at((0.0, 0.0, HEIGHT_M))
     expected = floor_power().sum(axis=1)
     power = cell_power(PingEngine(Scene((floor(),)), SONAR), pose, physics).sum(axis=1)
     foot = round(HEIGHT_M / SONAR.range_resolution_m)
@@ -82,7 +87,7 @@ def test_the_floor_under_a_level_sonar_is_heard_from_its_nearest_point_on() -> N
 def test_what_is_straight_above_or_below_is_heard_by_the_pattern_s_far_lobe(up: float) -> None:
     plate = rectangle((0.3, 0.0, up * 1.5), (0.6, 0.0, 0.0), (0.0, 0.4, 0.0))
     engine, pose = PingEngine(Scene((plate,)), SONAR), pose_at((0.0, 0.0, 0.0))
-    plain = replace(MEAN, all_elevations=True)
+    plain = replace(MEAN, elevations_rad=ALL_ELEVATIONS_RAD)
     heard = replace(plain, vertical_width_rad=SONAR.vertical_width_rad)
     powers = [cell_power(engine, pose, physics).sum() for physics in (MEAN, plain, heard)]
     x, y = np.meshgrid((np.arange(60) + 0.5) / 100.0, (np.arange(40) - 19.5) / 100.0)
@@ -96,14 +101,14 @@ def test_what_is_straight_above_or_below_is_heard_by_the_pattern_s_far_lobe(up: 
     assert below_db == pytest.approx(-36.4, abs=0.2)
 
 
-@pytest.mark.parametrize("all_elevations", [False, True])
-def test_the_fan_covers_all_directions_ahead(*, all_elevations: bool) -> None:
+@pytest.mark.parametrize("limits_rad", [USUAL_ELEVATIONS_RAD, ALL_ELEVATIONS_RAD])
+def test_the_fan_covers_all_directions_ahead(limits_rad: tuple[float, float]) -> None:
     sonar = replace(SONAR, half_aperture_rad=math.radians(85.0), beams=180)
-    fan = ray_fan(sonar, all_elevations=all_elevations)
+    fan = ray_fan(sonar, limits_rad=limits_rad)
     top, left = float(fan.cell[:, 3].max()), float(fan.cell[:, 0].min())
     up = (np.arange(100_000) + 0.5) / 100_000 * 2.0 * top - top
     most = np.sqrt(1.0 - up**2)
-    assert top == pytest.approx(1.0 if all_elevations else math.sin(math.radians(40.0)))
+    assert top == pytest.approx(math.sin(limits_rad[1]))
     expected = np.mean(2.0 * np.arcsin(np.minimum(-left / most, 1.0))) * 2.0 * top
     assert fan.solid_angle_sr.sum() == pytest.approx(expected, rel=1e-3)
 

@@ -14,6 +14,7 @@ from sonar_sim.engine import PingEngine
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.beam_pattern import azimuth_amplitude, vertical_two_way_power
 from sonar_sim.propagation.physics import Mirror, Physics
+from sonar_sim.raycast.fan import ALL_ELEVATIONS_RAD
 from sonar_sim.receiver.beamformer import beam_sines
 from sonar_sim.scene.scene import PointTarget, Scene, Surface
 from sonar_sim.scene.sonar import SonarSettings, sonar_preset
@@ -47,7 +48,7 @@ MODELS = (
     ("M3000d", 1),
     ("M3000d", 2),
 )
-ALL_AROUND = dataclasses.replace(MEAN, all_elevations=True)
+ALL_AROUND = dataclasses.replace(MEAN, elevations_rad=ALL_ELEVATIONS_RAD)
 
 
 def sonar_of(rng: np.random.Generator, range_m: float, rows: int) -> SonarSettings:

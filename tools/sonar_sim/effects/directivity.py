@@ -1,6 +1,8 @@
 """Effects of directivity: beam patterns, bearings, range spread, crosstalk."""
 
 import math
+from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,9 +19,9 @@ from sonar_sim.effects.effect import (
     by_level,
 )
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.preview import PingPreview
+from sonar_sim.effects.preview import PingPreview, PoseSlack
 from sonar_sim.propagation.physics import Physics
-from sonar_sim.raycast.fan import MAX_ELEVATION_RAD
+from sonar_sim.raycast.fan import ALL_ELEVATIONS_RAD, MAX_ELEVATION_RAD, USUAL_ELEVATIONS_RAD
 
 
 def decide_azimuth_pattern(view: PingPreview, tolerance: Tolerance) -> RuleResult:
@@ -123,24 +125,72 @@ def decide_all_elevations(view: PingPreview, tolerance: Tolerance) -> RuleResult
     reason = f"{share} more than {math.degrees(MAX_ELEVATION_RAD):.0f}° off the fan's plane"
     if not steep.any():
         return RuleResult(on=False, reason=reason, predicted_db=0.0)
-    power = np.where(steep, 0.0, view.echo_power)
-    predicted_db = view.change_of_echoes_db(power, tolerance)
+    predicted_db = view.change_beyond_db(USUAL_ELEVATIONS_RAD, tolerance, PoseSlack())
     return by_level(predicted_db, tolerance, reason)
+
+
+LIMITS_RAD = tuple(math.radians(degrees) for degrees in (40, 46, 54, 68, 90))
+"""Elevations at which a fan may end."""
+
+
+def elevations_that_show(
+    view: PingPreview, tolerance: Tolerance, allowed_db: float, slack: PoseSlack
+) -> tuple[float, float]:
+    """Lowest and highest elevation, rad, beyond which nothing shows.
+
+    What the coarse rays missed altogether may be small, but is not left out.
+
+    Args:
+        view: of a ping.
+        tolerance: its share of the pixels may change more.
+        allowed_db: change of level by all that is left out.
+        slack: how far the ping's pose may be from the view's.
+    """
+    down_rad, up_rad = (_first_at_least(reach) for reach in view.unseen_reach_rad(slack))
+    full = LIMITS_RAD[-1]
+
+    def shows(limits_rad: tuple[float, float], part: float) -> bool:
+        return view.change_beyond_db(limits_rad, tolerance, slack) > part * allowed_db
+
+    down_rad = _least(down_rad, lambda limit_rad: shows((-limit_rad, full), 0.5))
+    up_rad = _least(up_rad, lambda limit_rad: shows((-down_rad, limit_rad), 1.0))
+    return -down_rad, up_rad
+
+
+def _first_at_least(reach_rad: float) -> float:
+    return next((limit for limit in LIMITS_RAD if limit >= reach_rad), LIMITS_RAD[-1])
+
+
+def _least(from_rad: float, shows: Callable[[float], bool]) -> float:
+    """The first limit beyond which nothing shows; what lies beyond the last one does not exist."""
+    limits = [limit for limit in LIMITS_RAD if limit >= from_rad]
+    return limits[bisect_left(limits[:-1], 1, key=lambda limit: 0 if shows(limit) else 1)]
 
 
 def configure_all_elevations(physics: Physics, view: PingPreview) -> None:
     """Look up and down."""
     del view
-    physics.all_elevations = True
+    physics.elevations_rad = physics.mirrored_elevations_rad = ALL_ELEVATIONS_RAD
+
+
+def within_elevations(effect: Effect, limits_rad: tuple[float, float]) -> Effect:
+    """The effect, looking only so far down and up, but in mirrors everywhere."""
+
+    def configure(physics: Physics, view: PingPreview) -> None:
+        effect.configure(physics, view)
+        physics.elevations_rad = limits_rad
+
+    return replace(effect, configure=configure)
 
 
 ALL_ELEVATIONS = Effect(
     name="all_elevations",
     does="shows floor below and surface above a level sonar, by the vertical pattern's far lobes",
     needs="surfaces more than 40° off the fan's plane",
-    formula="rays from 40° to 90° off the fan's plane; what lies behind the sonar is not heard",
+    formula="rays up to 90° off the fan's plane; what lies behind the sonar is not heard",
     source="geometry; the pattern of `vertical_pattern`",
-    rule="the picture without these echoes differs by more than the tolerance",
+    rule="the picture without these echoes differs by more than the tolerance; rays end where no "
+    "echo shows",
     cost=Cost.RAY,
     parameters=(EffectParameter("sonar.vertical_width_rad", "rad", "-3 dB full width, one way"),),
     decide=decide_all_elevations,

@@ -11,6 +11,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csc_matrix
 
 from sonar_sim.effects.echoes import COLUMNS, Echoes
 from sonar_sim.effects.effect import RuleResult, displaced_db
@@ -161,9 +162,10 @@ def _parts_of(view: PingPreview) -> VisibleParts:
             np.sum(leaving * passed, axis=1),
         ]
     )
-    values *= view.echo_power[its, None]
-    sums = [np.bincount(place, each, len(total)) for each in values.T]
-    mean: NDArray[np.float64] = np.column_stack(sums) / total[:, None]
+    weights = csc_matrix(
+        (view.echo_power[its], place, np.arange(len(its) + 1)), shape=(len(total), len(its))
+    )
+    mean: NDArray[np.float64] = (weights @ values) / total[:, None]
     return VisibleParts(
         mean[:, 0],
         mean[:, 1],

@@ -44,6 +44,7 @@ def cast(
     direction: NDArray[np.float64],
     time_s: float,
     reach_m: float,
+    *,
     near_m: NDArray[np.float64] | None = None,
 ) -> CoarseHits:
     """Find what rays of one origin meet first.

@@ -40,7 +40,9 @@ class Ghosts:
 def mirror_ghosts(view: PingPreview, planes: Sequence[MirrorPlane]) -> list[Ghosts | None]:
     """Compute the ghosts in each plane; None if no ghost is in range."""
     near = _may_mirror(view, planes) if planes else ()
-    return [_ghosts_in(view, plane) if its else None for plane, its in zip(planes, near)]
+    return [
+        _ghosts_in(view, plane) if its else None for plane, its in zip(planes, near, strict=True)
+    ]
 
 
 def _may_mirror(view: PingPreview, planes: Sequence[MirrorPlane]) -> NDArray[np.bool_]:
@@ -106,7 +108,14 @@ def _ghosts_in(view: PingPreview, plane: MirrorPlane) -> Ghosts | None:
     weight = power * ratio
     mean_gamma = float(np.sum(gamma * weight) / max(np.sum(weight), 1e-300))
     return Ghosts(
-        Mirror(plane.point_m, normal, math.copysign(mean_gamma, plane.reflection), plane.surface),
+        Mirror(
+            plane.point_m,
+            normal,
+            math.copysign(mean_gamma, plane.reflection),
+            plane.surface,
+            plane.low_m,
+            plane.high_m,
+        ),
         picture,
     )
 

@@ -22,11 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sonar_sim.effects.directivity import (
+    ALL_ELEVATIONS,
+    elevations_that_show,
+    within_elevations,
+)
 from sonar_sim.effects.displacement import DISPLACING_EFFECTS
 from sonar_sim.effects.effect import RuleResult
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import AUTO, Decision, EffectPlan, EffectSelection
-from sonar_sim.effects.preview import PingInstance, PingPreview
+from sonar_sim.effects.preview import PingInstance, PingPreview, PoseSlack
 from sonar_sim.effects.previewer import Previewer
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.geometry.pose import FramePose, SonarMotion
@@ -76,6 +81,7 @@ def decide_cell(
         return EffectPlan.make(view, selection, bright, names)
     plan = EffectPlan.make(view, selection, bright, frozenset(names) - frozenset(_BOUNDS))
     decisions = [_in_doubt_on(decision, view, selection, tolerance) for decision in plan.decisions]
+    decisions = [_within_limits(decision, view, selection, bright) for decision in decisions]
     for name, bound in _BOUNDS.items():
         if name in names:
             on = bound.may_show(view, tolerance)
@@ -93,6 +99,21 @@ def _in_doubt_on(
         return decision
     doubt = replace(verdict, on=True, reason=f"{verdict.reason}; in doubt")
     return Decision(decision.effect, doubt, selection.on(name, doubt))
+
+
+def _within_limits(
+    decision: Decision, view: PingPreview, selection: EffectSelection, tolerance: Tolerance
+) -> Decision:
+    """Let rays end at the elevations beyond which nothing shows, unless a user wants them all."""
+    name, verdict = decision.effect.name, decision.verdict
+    if name != ALL_ELEVATIONS.name or not decision.on or name in selection.forced:
+        return decision
+    half_step_m = 0.5 * view.sonar.range_m / CELLS_IN_RANGE[0]
+    slack = PoseSlack(math.sqrt(3.0) * half_step_m, math.sqrt(3.0) * 0.5 * ANGLE_STEP_RAD)
+    limits_rad = elevations_that_show(view, tolerance, DOUBT * tolerance.level_db, slack)
+    low_deg, high_deg = (round(math.degrees(limit)) for limit in limits_rad)
+    told = replace(verdict, reason=f"{verdict.reason}; rays from {low_deg}° to {high_deg}°")
+    return Decision(within_elevations(decision.effect, limits_rad), told, decision.on)
 
 
 def _clouds_in_fan(view: PingPreview, kind: type[Bubbles] | type[Sediment]) -> bool:

@@ -21,6 +21,7 @@ from sonar_sim.effects.coarse_picture import (
 from sonar_sim.effects.echoes import COLUMNS, NO_SURFACE, CoarseFan, Echoes
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.planes import MirrorPlane
+from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.physics import Cloud, Reverberation
@@ -60,6 +61,35 @@ class VisibleCloud:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class PoseSlack:
+    """How far a ping's pose may be from that of its preview.
+
+    Attributes:
+        move_m: distance.
+        turn_rad: angle.
+    """
+
+    move_m: float = 0.0
+    turn_rad: float = 0.0
+
+    def angle_rad(self, range_m: NDArray[np.float64] | float) -> NDArray[np.float64]:
+        """By how much the direction to something at a range may differ."""
+        shift: NDArray[np.float64] = np.arcsin(np.minimum(self.move_m / np.asarray(range_m), 1.0))
+        return shift + self.turn_rad
+
+    def outside(
+        self,
+        sines: NDArray[np.float64],
+        range_m: NDArray[np.float64] | float,
+        limits_rad: tuple[float, float],
+    ) -> NDArray[np.bool_]:
+        """Whether sines of elevation may lie outside of a lower and an upper limit."""
+        elevation, slack_rad = np.arcsin(sines), self.angle_rad(range_m)
+        outside: NDArray[np.bool_] = elevation - slack_rad < limits_rad[0]
+        return outside | (elevation + slack_rad > limits_rad[1])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PingInstance:
     """Pose, time and motion of one ping that shares a preview with others."""
@@ -82,6 +112,8 @@ class PingPreview:
         meshes: the scene, ready to be cast.
         planes: that could mirror.
         bottoms: names of the surfaces that are the floor.
+        boxes_m: lowest and highest corner of each surface, map frame; without end if it moves,
+            (S, 2, 3).
         fan: the coarse rays.
         end_m: where each met something, infinite for nothing, (N,).
         echoes: what they met in range, points included.
@@ -99,6 +131,7 @@ class PingPreview:
     meshes: Meshes
     planes: tuple[MirrorPlane, ...]
     bottoms: frozenset[str]
+    boxes_m: NDArray[np.float64]
     fan: CoarseFan
     end_m: NDArray[np.float64]
     echoes: Echoes
@@ -275,9 +308,15 @@ class PingPreview:
 
     def picture_of_clouds(self, clouds: tuple[VisibleCloud, ...]) -> NDArray[np.float64]:
         """Expected power of a pixel by bubbles and sediment in clouds, (rows, COLUMNS)."""
+        return self._clouds_by(clouds, self.fan, self.end_m)
+
+    def _clouds_by(
+        self, clouds: tuple[VisibleCloud, ...], fan: CoarseFan, end_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """The same by some of the coarse rays."""
         picture = np.zeros((self.grid.rows, COLUMNS))
         for cloud in clouds:
-            filled = cloud_filling(cloud.box, self.grid, self.fan, self.map_T_sonar, self.end_m)
+            filled = cloud_filling(cloud.box, self.grid, fan, self.map_T_sonar, end_m)
             picture += self.open_water * cloud.matter.strength * filled
         return picture
 
@@ -355,3 +394,50 @@ class PingPreview:
         """The same where only the echoes' powers (N,) differ; their tail is left as it is."""
         other = self.picture - self.echo_picture + self.grid.picture(self.echoes, power)
         return self.change_db(np.maximum(other, 0.0), tolerance)
+
+    def change_beyond_db(
+        self, limits_rad: tuple[float, float], tolerance: Tolerance, slack: PoseSlack
+    ) -> float:
+        """The same without what may lie below and above two elevations; its tail is left as it is.
+
+        Args:
+            limits_rad: the lower and the upper elevation.
+            tolerance: by which pictures are compared.
+            slack: how far the ping's pose may be from the view's.
+        """
+        outside = slack.outside(self.echoes.up, self.echoes.range_m, limits_rad)
+        power = np.where(outside, self.echo_power, 0.0)
+        other = self.picture - self.grid.picture(self.echoes, power)
+        if self.clouds:
+            sines = self.fan.directions[:, 2]
+            rays = np.flatnonzero(slack.outside(sines, np.inf, limits_rad))
+            fan = replace(
+                self.fan,
+                directions=self.fan.directions[rays],
+                column=self.fan.column[rays],
+                solid_angle_sr=self.fan.solid_angle_sr[rays],
+            )
+            other -= self._clouds_by(self.clouds, fan, self.end_m[rays])
+        return self.change_db(np.maximum(other, 0.0), tolerance)
+
+    def unseen_reach_rad(self, slack: PoseSlack) -> tuple[float, float]:
+        """How far down and up surfaces may reach that no coarse ray met: small or hidden ones.
+
+        Elevations of vertices in range and ahead; 0 without any.
+        """
+        sonar_m, reach_m = self.map_T_sonar.position_m, self.sonar.range_m + slack.move_m
+        unseen = np.ones(len(self.boxes_m), dtype=np.bool_)
+        unseen[self.echoes.surface[self.echoes.surface >= 0]] = False
+        nearest_m = np.clip(sonar_m, self.boxes_m[:, 0], self.boxes_m[:, 1])
+        unseen &= np.linalg.norm(nearest_m - sonar_m, axis=1) < reach_m
+        down = up = 0.0
+        for number in np.flatnonzero(unseen):
+            away_m = self.scene.surfaces[number].vertices_at_m(self.time_s) - sonar_m
+            local_m = chunked_matmul(away_m, self.map_T_sonar.rotation)
+            range_m = np.linalg.norm(local_m, axis=1)
+            near = (range_m < reach_m) & (local_m[:, 0] > -slack.move_m)
+            range_m = np.maximum(range_m[near], 1e-9)
+            elevation, slack_rad = np.arcsin(local_m[near, 2] / range_m), slack.angle_rad(range_m)
+            down = max(down, float((slack_rad - elevation).max(initial=0.0)))
+            up = max(up, float((slack_rad + elevation).max(initial=0.0)))
+        return down, up

@@ -40,6 +40,7 @@ class Previewer:
         self._fan = coarse_fan(sonar)
         self._planes = mirror_planes(scene, sonar)
         self._bottoms = floor_surfaces(scene)
+        self._boxes_m = np.array([_box_m(s) for s in scene.surfaces]).reshape(-1, 2, 3)
 
     @property
     def sonar(self) -> SonarSettings:
@@ -100,6 +101,7 @@ class Previewer:
             meshes=self._meshes,
             planes=self._planes,
             bottoms=self._bottoms,
+            boxes_m=self._boxes_m,
             fan=self._fan,
             end_m=met.range_m,
             echoes=_joined(echoes, points),
@@ -145,6 +147,13 @@ def floor_surfaces(scene: Scene) -> frozenset[str]:
         for s in solid
         if s.vertices_m[:, 2].min() < foot_m + FOOT_M and _levelness(s) > LEVEL
     )
+
+
+def _box_m(surface: Surface) -> list[NDArray[np.float64]]:
+    """Lowest and highest corner, map frame; without end if it moves."""
+    if surface.motion is not None or len(surface.vertices_m) == 0:
+        return [np.full(3, -np.inf), np.full(3, np.inf)]
+    return [surface.vertices_m.min(axis=0), surface.vertices_m.max(axis=0)]
 
 
 def _levelness(surface: Surface) -> float:

@@ -1,9 +1,14 @@
 """Mirrors: sound is reflected by a mirror's own faces, and nowhere else on its plane."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from sonar_sim import _core
+from sonar_sim.geometry.pose import FramePose
 from sonar_sim.propagation.physics import Mirror
+from sonar_sim.raycast.fan import RayFan
 from sonar_sim.raycast.meshes import Meshes
 
 FLAT_M = 2e-3
@@ -13,6 +18,38 @@ PARALLEL = 0.9999
 MIRROR_GAP_M = 0.02
 """An endless mirror is met though a mesh lies so near before it: the mesh stands for it."""
 RELATIVE_GAP = 1e-3
+
+
+def mirrored_fan(
+    fan: RayFan, mirror: Mirror, image: FramePose, height_m: float, reach_m: float
+) -> RayFan:
+    """The part of a fan whose cells may meet the mirror from the sonar's image.
+
+    Args:
+        fan: of rays from the image.
+        mirror: a plane, or a part of it.
+        image: the sonar's mirror image.
+        height_m: of the sonar over the plane.
+        reach_m: maximum range to the plane.
+    """
+    kept = _core.cells_through_window(
+        fan.directions,
+        fan.cell,
+        np.append(image.rotation, image.position_m),
+        np.append(mirror.normal, height_m),
+        np.stack([mirror.low_m, mirror.high_m]),
+        MIRROR_GAP_M,
+        reach_m,
+    )
+    number = np.full(len(fan.directions) + 1, -1, dtype=np.int32)
+    number[kept] = np.arange(len(kept))
+    return replace(
+        fan,
+        directions=fan.directions.take(kept, axis=0),
+        cell=fan.cell.take(kept, axis=0),
+        column=fan.column.take(kept),
+        grid=replace(fan.grid, rays=number[fan.grid.rays]),
+    )
 
 
 def reaches_mirror(

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from sonar_sim.raycast.fan import USUAL_ELEVATIONS_RAD
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mirror:
@@ -18,12 +20,15 @@ class Mirror:
         reflection: of pressure, signed, coherence included.
         surface: whose faces in the plane are the mirror, by place in the scene or `meshes.SEA`;
             None is all of the plane.
+        low_m, high_m: corners of a box that holds the mirror, map frame.
     """
 
     point_m: NDArray[np.float64]
     normal: NDArray[np.float64]
     reflection: float
     surface: int | None = None
+    low_m: NDArray[np.float64] = field(default_factory=lambda: np.full(3, -np.inf))
+    high_m: NDArray[np.float64] = field(default_factory=lambda: np.full(3, np.inf))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +105,8 @@ class Physics:
         specular: smooth materials add their lobe.
         sea_surface: the sea's surface scatters; else it only ends the water.
         silent: names of surfaces that cast shadows but do not scatter.
-        all_elevations: surfaces steeply above and below are looked for; else those up to 40°.
+        elevations_rad: lowest and highest elevation at which surfaces are looked for.
+        mirrored_elevations_rad: the same of what is seen in mirrors.
         shadows: what is hit first hides the rest. Off: surfaces behind are heard too.
         mirrors: planes of multipath.
         clouds: volumes that absorb and scatter.
@@ -133,7 +139,8 @@ class Physics:
     specular: bool = False
     sea_surface: bool = False
     silent: frozenset[str] = frozenset()
-    all_elevations: bool = False
+    elevations_rad: tuple[float, float] = USUAL_ELEVATIONS_RAD
+    mirrored_elevations_rad: tuple[float, float] = USUAL_ELEVATIONS_RAD
     shadows: bool = False
     mirrors: tuple[Mirror, ...] = ()
     clouds: tuple[Cloud, ...] = ()

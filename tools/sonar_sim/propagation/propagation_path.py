@@ -10,7 +10,12 @@ from sonar_sim import _core
 from sonar_sim.geometry.matmul import chunked_matmul, rows_dot
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.clouds import cloud_gain
-from sonar_sim.propagation.mirror import MIRROR_GAP_M, RELATIVE_GAP, reaches_mirror
+from sonar_sim.propagation.mirror import (
+    MIRROR_GAP_M,
+    RELATIVE_GAP,
+    mirrored_fan,
+    reaches_mirror,
+)
 from sonar_sim.propagation.physics import Mirror, Physics
 from sonar_sim.raycast.fan import RayFan
 from sonar_sim.raycast.meshes import NOTHING, Hits, Meshes
@@ -283,7 +288,7 @@ def _seen_in_mirror(
 
     return trace(
         here.meshes,
-        fan,
+        mirrored_fan(fan, mirror, image, height, 2.0 * here.range_m),
         image,
         here.time_s,
         2.0 * here.range_m,

@@ -7,6 +7,7 @@ s = -y (starboard) and w = z (up), and a cell covers ds dw / x of solid angle.
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,10 @@ from sonar_sim.scene.sonar import SonarSettings
 
 MAX_ELEVATION_RAD = math.radians(40.0)
 """Out to the vertical pattern's first side lobe and a little beyond."""
+USUAL_ELEVATIONS_RAD = (-MAX_ELEVATION_RAD, MAX_ELEVATION_RAD)
+ALL_ELEVATIONS_RAD = (-math.pi / 2.0, math.pi / 2.0)
 STEEP_STEP_RAD = math.radians(2.0)
-"""Between rays of a column beyond `MAX_ELEVATION_RAD`, where only a fan of all directions looks."""
+"""Between rays of a column beyond `MAX_ELEVATION_RAD`, where few fans look."""
 ELEVATIONS = 64
 CENTRE_SINE = 0.3
 """Half of a column would reach so high if all its rays were as close as on the fan's plane."""
@@ -111,24 +114,25 @@ def _swept_rad(
     return angle / STRIPS
 
 
+@lru_cache(maxsize=16)
 def ray_fan(
-    sonar: SonarSettings, elevations: int = ELEVATIONS, *, all_elevations: bool = False
+    sonar: SonarSettings,
+    elevations: int = ELEVATIONS,
+    limits_rad: tuple[float, float] = USUAL_ELEVATIONS_RAD,
 ) -> RayFan:
     """Lay the rays: one a beam pitch across, closest in the vertical pattern's main lobe.
 
     Args:
         sonar: its beams.
         elevations: rays of a column up to `MAX_ELEVATION_RAD` on both sides of the fan's plane.
-        all_elevations: whether rays also cover elevations from there to straight up and down.
+        limits_rad: lowest and highest elevation that rays cover, at least those.
     """
     columns = sonar.beams + 2 * MARGIN_BEAMS
     column = np.arange(columns, dtype=np.int32)
     s = (column - (columns - 1) / 2.0) * sonar.sine_pitch
     edges = _up_sines(elevations)
-    if all_elevations:
-        beyond = round((math.pi / 2.0 - MAX_ELEVATION_RAD) / STEEP_STEP_RAD)
-        steep = np.sin(np.linspace(MAX_ELEVATION_RAD, math.pi / 2.0, beyond + 1)[1:])
-        edges = np.concatenate([-steep[::-1], edges, steep])
+    below, above = (_steep_sines(limit) for limit in (-limits_rad[0], limits_rad[1]))
+    edges = np.concatenate([-below[::-1], edges, above])
     w, w_half = (edges[1:] + edges[:-1]) / 2.0, np.diff(edges) / 2.0
     ss, ww = (grid.ravel() for grid in np.meshgrid(s, w, indexing="ij"))
     # Cones near the array's axis hold no direction at high elevation: the last cells of a row are
@@ -155,6 +159,15 @@ def _up_sines(elevations: int) -> NDArray[np.float64]:
     part = np.linspace(-1.0, 1.0, elevations + 1)
     sines: NDArray[np.float64] = (
         CENTRE_SINE * part + (math.sin(MAX_ELEVATION_RAD) - CENTRE_SINE) * part**5
+    )
+    return sines
+
+
+def _steep_sines(limit_rad: float) -> NDArray[np.float64]:
+    """Upper edges of the cells from `MAX_ELEVATION_RAD` to a limit, sines of elevation."""
+    rows = math.ceil((limit_rad - MAX_ELEVATION_RAD) / STEEP_STEP_RAD - 1e-6)
+    sines: NDArray[np.float64] = np.sin(
+        MAX_ELEVATION_RAD + STEEP_STEP_RAD * (np.arange(max(rows, 0)) + 1.0)
     )
     return sines
 

@@ -34,6 +34,8 @@ mirror's glint on it is found by its normals."""
 MAX_HIDDEN_HITS = 3
 """Further hits followed behind the first one if shadows are off."""
 PAST_M = 1e-3
+MAX_GAP = 1e-6
+"""Of sines of elevation, between cells that touch."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,6 +91,8 @@ def trace(
     direction = chunked_matmul(fan.directions, turn)
     met = cast(direction)
     edges = edges_of(meshes, fan, direction, met)
+    # Where a part of the fan is left out, the next ray may be farther up.
+    edges = edges[np.abs(fan.cell[edges, 3] - fan.cell[edges + 1, 2]) < MAX_GAP]
     viewpoints = (map_T_sonar,) if real_sonar is None else (map_T_sonar, real_sonar)
     fan, source = refined_fan(
         meshes, fan, met, edges, viewpoints=viewpoints, time_s=time_s, reach_m=reach_m

@@ -64,11 +64,10 @@ def visible_points(rays: Trace, sonar: SonarSettings) -> NDArray[np.float64]:
     """First hits inside the -3 dB aperture, map frame, whether or not their echo can be heard."""
     met = rays.met[0]
     direction = rays.fan.directions
-    near = np.flatnonzero((met.face >= 0) & (met.range_m < sonar.range_m))
-    inside = near[
-        (np.abs(direction[:, 1].take(near)) <= np.sin(sonar.half_aperture_rad))
-        & (np.abs(direction[:, 2].take(near)) <= np.sin(sonar.vertical_width_rad / 2.0))
-    ]
+    seen = (met.face >= 0) & (met.range_m < sonar.range_m)
+    seen &= np.abs(direction[:, 1]) <= np.sin(sonar.half_aperture_rad)
+    seen &= np.abs(direction[:, 2]) <= np.sin(sonar.vertical_width_rad / 2.0)
+    inside = np.flatnonzero(seen)
     reach_m = met.range_m.take(inside).astype(np.float64)[:, None]
     points: NDArray[np.float64] = rays.origin_m + reach_m * rays.direction.take(inside, axis=0)
     return points

@@ -5,6 +5,7 @@ the beams' mean pitch in the sine of the bearing. Levels are dB re 1 µPa of a c
 """
 
 import math
+from functools import lru_cache
 from hashlib import blake2b
 
 import numpy as np
@@ -135,10 +136,17 @@ def tail_power(
     """
     kept = 10.0 ** (-tail.decay_db_per_m * row_m / 10.0)
     filled = lfilter([0.0, kept * tail.energy_per_m * row_m], [1.0, -kept], power, axis=0)
-    away = (sines[:, None] - (sines if heard is None else heard)) / TAIL_SPREAD_SINE
+    spread = _tail_spread(sines.tobytes(), (sines if heard is None else heard).tobytes())
+    return chunked_matmul(filled.astype(power.dtype), spread.astype(power.dtype))
+
+
+@lru_cache(maxsize=8)
+def _tail_spread(sines: bytes, heard: bytes) -> NDArray[np.float64]:
+    """Part of the tail at the first bearings (float64, as bytes) that is heard at the second."""
+    away = (np.frombuffer(sines)[:, None] - np.frombuffer(heard)) / TAIL_SPREAD_SINE
     spread = np.exp(-0.5 * np.square(away))
     spread /= spread.sum(axis=0)
-    return chunked_matmul(filled.astype(power.dtype), spread.astype(power.dtype))
+    return spread
 
 
 def diffuse_limit_m2(sonar: SonarSettings, mu: float) -> NDArray[np.float64]:

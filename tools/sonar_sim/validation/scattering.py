@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sonar_sim.engine import PingEngine
 from sonar_sim.propagation.physics import Physics
-from sonar_sim.raycast.fan import ELEVATIONS
+from sonar_sim.raycast.fan import ALL_ELEVATIONS_RAD, ELEVATIONS
 from sonar_sim.scene.scene import PointTarget, Scene
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.validation.case import ValidationCheck, ValidationResult
@@ -65,7 +65,7 @@ def v03_lambert_floor() -> ValidationResult:
 def _near_checks() -> list[ValidationCheck]:
     """Close to the foot: the level at 3 m, the foot itself, the ring."""
     sonar = narrow_sonar(8.0)
-    all_around = dataclasses.replace(MEAN, all_elevations=True)
+    all_around = dataclasses.replace(MEAN, elevations_rad=ALL_ELEVATIONS_RAD)
     level_pose = pose_at((0.0, 0.0, HEIGHT_M))
     power = cell_power(PingEngine(Scene((floor(),)), sonar), level_pose, all_around)
     level = ValidationCheck(

@@ -11,6 +11,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "mapperd/common/vec.hpp"
+
 namespace mapperd::acoustics {
 
 /// Triangles that lie together, to be passed over together. The last pack is padded with triangles
@@ -57,5 +59,25 @@ void cast_bundle(const std::vector<TrianglePack>& mesh, const RayBundle& rays,
 std::vector<std::int64_t> rays_near_ball(std::size_t count, const double* start_m,
                                          const float* direction, double reach_m,
                                          const double* middle_m, double radius_m);
+
+/// Directions of a fan, each the middle of a cell of sines s = -y, w = z; sonar x ahead.
+struct FanDirections {
+  std::size_t count;
+  const float* direction;  ///< unit vectors, (count, 3)
+  const float* cell;       ///< (count, 4): s from, s to, w from, w to
+};
+
+/// A part of a plane that rays of a fan may pass through.
+struct Window {
+  Transform map_T_fan;  ///< the rotation may reflect
+  Vec3 normal;          ///< of the plane, map frame, to the side that rays go to
+  double height_m;      ///< of the plane over the fan's origin, along the normal
+  Vec3 low_m, high_m;   ///< box that holds the window, map frame
+  double margin_m;      ///< by which the box is widened
+  double reach_m;       ///< maximum range to the plane
+};
+
+/// Indices of the cells of which a direction may pass through a window.
+std::vector<std::int64_t> cells_through_window(const FanDirections& fan, const Window& window);
 
 }  // namespace mapperd::acoustics
