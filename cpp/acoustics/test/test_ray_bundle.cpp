@@ -365,4 +365,57 @@ TEST_CASE("rays near a ball are all that come near it") {
   CHECK(expected.size() > 100);
 }
 
+TEST_CASE("cells through a window are all that hold a direction through it, and few more") {
+  // The fan looks along x from 1.5 m before a plane that leans, mirrored.
+  acoustics::Window window{};
+  window.map_T_fan.rows = {mapperd::Vec3{1, 0, 0}, mapperd::Vec3{0, -1, 0}, mapperd::Vec3{0, 0, 1}};
+  window.map_T_fan.translation = {1.0, 2.0, 3.0};
+  window.normal = {0.8, 0.6, 0.0};
+  window.height_m = 1.5;
+  window.low_m = {1.8, 2.3, 2.8};
+  window.high_m = {2.9, 3.5, 3.6};
+  window.reach_m = 4.0;
+  std::vector<float> directions, cells;
+  for (int column = 0; column < 60; ++column) {
+    for (int row = 0; row < 40; ++row) {
+      const double s0 = -0.9 + 0.03 * column, w0 = -0.8 + 0.04 * row;
+      const double s = s0 + 0.015, w = w0 + 0.02;
+      if (s * s + w * w >= 0.99) continue;
+      for (const double axis : {std::sqrt(1.0 - s * s - w * w), -s, w}) {
+        directions.push_back(static_cast<float>(axis));
+      }
+      for (const double edge : {s0, s0 + 0.03, w0, w0 + 0.04}) {
+        cells.push_back(static_cast<float>(edge));
+      }
+    }
+  }
+  const std::size_t count = directions.size() / 3;
+  const auto kept =
+      acoustics::cells_through_window({count, directions.data(), cells.data()}, window);
+  std::size_t expected = 0;
+  for (std::size_t i = 0; i < count; ++i) {
+    bool through = false;
+    for (int k = 0; k < 21 * 21 && !through; ++k) {
+      const float* cell = cells.data() + 4 * i;
+      const double s = static_cast<double>(cell[0]) + (k % 21) / 20.0 * 0.03;
+      const double w = static_cast<double>(cell[2]) + (k / 21) / 20.0 * 0.04;
+      const double x2 = 1.0 - s * s - w * w;
+      if (x2 <= 0.0) continue;
+      const mapperd::Vec3 way = window.map_T_fan.rotate({std::sqrt(x2), -s, w});
+      const double cosine = dot(way, window.normal);
+      if (cosine <= 0.0 || window.height_m / cosine > window.reach_m) continue;
+      const mapperd::Vec3 at = window.map_T_fan.translation + (window.height_m / cosine) * way;
+      through = true;
+      for (std::size_t axis = 0; axis < 3; ++axis) {
+        through = through && at[axis] > window.low_m[axis] && at[axis] < window.high_m[axis];
+      }
+    }
+    expected += through ? 1 : 0;
+    const bool found = std::binary_search(kept.begin(), kept.end(), static_cast<std::int64_t>(i));
+    CHECK((found || !through));
+  }
+  CHECK(expected > 30);
+  CHECK(kept.size() < count / 2);
+}
+
 }  // namespace

@@ -134,3 +134,23 @@ def test_a_face_belongs_to_one_mirror_only() -> None:
     wobbly = sheet.vertices_m + [1e-5, 0.0, 0.0] * (np.arange(len(sheet.vertices_m)) % 2)[:, None]
     scene = Scene((dataclasses.replace(sheet, vertices_m=wobbly, faces=turned),))
     assert len(mirror_planes(scene, narrow_sonar(7.0))) == 1
+
+
+@pytest.mark.parametrize("speckle", [False, True])
+def test_rays_that_pass_by_a_mirror_add_nothing(*, speckle: bool) -> None:
+    """The mirror's box spares the rays beside it, and those alone."""
+    scene = Scene((plate(2.8, 3.6), small()))
+    boxed = dataclasses.replace(
+        MIRROR, low_m=np.array([2.8, -2.0, -BELOW_M]), high_m=np.array([3.6, 2.0, -BELOW_M])
+    )
+    physics = dataclasses.replace(MEAN, specular=False, mirrors=(MIRROR,), speckle=speckle)
+    engine = PingEngine(scene, narrow_sonar(7.0, ROW_M), elevations=448)
+    for at in (HERE, pose_at((1.0, 0.3, 0.2)), pose_at((-1.0, 0.0, 0.5))):
+        every, fewer = (
+            engine.ping(at, dataclasses.replace(physics, mirrors=(mirror,))).amplitude
+            for mirror in (MIRROR, boxed)
+        )
+        np.testing.assert_array_equal(every, fewer)
+    elsewhere = dataclasses.replace(boxed, low_m=boxed.low_m + 2.0, high_m=boxed.high_m + 2.0)
+    assert ghosts(rows(scene, boxed)) == (True, True)
+    assert ghosts(rows(scene, elsewhere)) == (False, False)

@@ -138,7 +138,9 @@ def elevations_that_show(
 ) -> tuple[float, float]:
     """Lowest and highest elevation, rad, beyond which nothing shows.
 
-    What the coarse rays missed altogether may be small, but is not left out.
+    Only floor and water are left out. Anything else may be too small for the coarse rays, or hidden
+    from the view's pose and not from the ping's. A floor that reflects specularly cannot be judged
+    so: its flash moves with the sonar.
 
     Args:
         view: of a ping.
@@ -146,8 +148,8 @@ def elevations_that_show(
         allowed_db: change of level by all that is left out.
         slack: how far the ping's pose may be from the view's.
     """
-    down_rad, up_rad = (_first_at_least(reach) for reach in view.unseen_reach_rad(slack))
     full = LIMITS_RAD[-1]
+    down_rad, up_rad = (_first_at_least(reach) for reach in view.reach_rad(slack))
 
     def shows(limits_rad: tuple[float, float], part: float) -> bool:
         return view.change_beyond_db(limits_rad, tolerance, slack) > part * allowed_db

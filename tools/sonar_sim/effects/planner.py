@@ -34,6 +34,7 @@ from sonar_sim.effects.plan import AUTO, Decision, EffectPlan, EffectSelection
 from sonar_sim.effects.preview import PingInstance, PingPreview, PoseSlack
 from sonar_sim.effects.previewer import Previewer
 from sonar_sim.effects.registry import EFFECTS
+from sonar_sim.effects.scattering import SPECULAR
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.raycast.fan import MAX_ELEVATION_RAD
@@ -81,7 +82,8 @@ def decide_cell(
         return EffectPlan.make(view, selection, bright, names)
     plan = EffectPlan.make(view, selection, bright, frozenset(names) - frozenset(_BOUNDS))
     decisions = [_in_doubt_on(decision, view, selection, tolerance) for decision in plan.decisions]
-    decisions = [_within_limits(decision, view, selection, bright) for decision in decisions]
+    if not any(d.on and d.effect.name == SPECULAR.name for d in decisions):
+        decisions = [_within_limits(decision, view, selection, bright) for decision in decisions]
     for name, bound in _BOUNDS.items():
         if name in names:
             on = bound.may_show(view, tolerance)

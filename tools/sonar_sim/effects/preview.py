@@ -61,6 +61,21 @@ class VisibleCloud:
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Solids:
+    """All surfaces but the floor.
+
+    Attributes:
+        vertices_m: of surfaces of small faces, map frame, (V, 3).
+        large_m: lowest and highest corner of each of the others, map frame, (L, 2, 3).
+        moving: whether any surface moves.
+    """
+
+    vertices_m: NDArray[np.float64]
+    large_m: NDArray[np.float64]
+    moving: bool
+
+
 @dataclass(frozen=True, slots=True)
 class PoseSlack:
     """How far a ping's pose may be from that of its preview.
@@ -86,8 +101,9 @@ class PoseSlack:
     ) -> NDArray[np.bool_]:
         """Whether sines of elevation may lie outside of a lower and an upper limit."""
         elevation, slack_rad = np.arcsin(sines), self.angle_rad(range_m)
-        outside: NDArray[np.bool_] = elevation - slack_rad < limits_rad[0]
-        return outside | (elevation + slack_rad > limits_rad[1])
+        right = math.pi / 2.0
+        outside: NDArray[np.bool_] = np.maximum(elevation - slack_rad, -right) < limits_rad[0]
+        return outside | (np.minimum(elevation + slack_rad, right) > limits_rad[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,8 +128,7 @@ class PingPreview:
         meshes: the scene, ready to be cast.
         planes: that could mirror.
         bottoms: names of the surfaces that are the floor.
-        boxes_m: lowest and highest corner of each surface, map frame; without end if it moves,
-            (S, 2, 3).
+        solids: all surfaces but the floor.
         fan: the coarse rays.
         end_m: where each met something, infinite for nothing, (N,).
         echoes: what they met in range, points included.
@@ -131,7 +146,7 @@ class PingPreview:
     meshes: Meshes
     planes: tuple[MirrorPlane, ...]
     bottoms: frozenset[str]
-    boxes_m: NDArray[np.float64]
+    solids: Solids
     fan: CoarseFan
     end_m: NDArray[np.float64]
     echoes: Echoes
@@ -420,24 +435,20 @@ class PingPreview:
             other -= self._clouds_by(self.clouds, fan, self.end_m[rays])
         return self.change_db(np.maximum(other, 0.0), tolerance)
 
-    def unseen_reach_rad(self, slack: PoseSlack) -> tuple[float, float]:
-        """How far down and up surfaces may reach that no coarse ray met: small or hidden ones.
+    def reach_rad(self, slack: PoseSlack) -> tuple[float, float]:
+        """How far down and up all but the floor may reach: elevations of vertices in range.
 
-        Elevations of vertices in range and ahead; 0 without any.
+        A right angle where surfaces move or have large faces: their vertices do not tell.
         """
         sonar_m, reach_m = self.map_T_sonar.position_m, self.sonar.range_m + slack.move_m
-        unseen = np.ones(len(self.boxes_m), dtype=np.bool_)
-        unseen[self.echoes.surface[self.echoes.surface >= 0]] = False
-        nearest_m = np.clip(sonar_m, self.boxes_m[:, 0], self.boxes_m[:, 1])
-        unseen &= np.linalg.norm(nearest_m - sonar_m, axis=1) < reach_m
-        down = up = 0.0
-        for number in np.flatnonzero(unseen):
-            away_m = self.scene.surfaces[number].vertices_at_m(self.time_s) - sonar_m
-            local_m = chunked_matmul(away_m, self.map_T_sonar.rotation)
-            range_m = np.linalg.norm(local_m, axis=1)
-            near = (range_m < reach_m) & (local_m[:, 0] > -slack.move_m)
-            range_m = np.maximum(range_m[near], 1e-9)
-            elevation, slack_rad = np.arcsin(local_m[near, 2] / range_m), slack.angle_rad(range_m)
-            down = max(down, float((slack_rad - elevation).max(initial=0.0)))
-            up = max(up, float((slack_rad + elevation).max(initial=0.0)))
-        return down, up
+        low_m, high_m = self.solids.large_m[:, 0], self.solids.large_m[:, 1]
+        gap_m = np.linalg.norm(np.clip(sonar_m, low_m, high_m) - sonar_m, axis=1)
+        if self.solids.moving or np.any(gap_m < reach_m):
+            return math.pi / 2.0, math.pi / 2.0
+        local_m = chunked_matmul(self.solids.vertices_m - sonar_m, self.map_T_sonar.rotation)
+        range_m = np.linalg.norm(local_m, axis=1)
+        near = np.flatnonzero((range_m < reach_m) & (local_m[:, 0] > -slack.move_m))
+        range_m = np.maximum(range_m[near], 1e-9)
+        elevation, slack_rad = np.arcsin(local_m[near, 2] / range_m), slack.angle_rad(range_m)
+        down = float((slack_rad - elevation).max(initial=0.0))
+        return down, float((slack_rad + elevation).max(initial=0.0))

@@ -15,7 +15,7 @@ from sonar_sim.effects.echoes import (
     coarse_fan,
 )
 from sonar_sim.effects.planes import mirror_planes
-from sonar_sim.effects.preview import PingPreview
+from sonar_sim.effects.preview import PingPreview, Solids
 from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.raycast.meshes import Meshes
@@ -26,6 +26,8 @@ LEVEL = 0.7
 """A floor's mean |vertical part of the normal|, at least."""
 HIDDEN_RAY_STRIDE = 3
 """Every n-th ray is followed behind its hit: hidden objects are wide, or barely hidden."""
+LARGE = 0.1
+"""Of the sonar's range: longer edges make a face large."""
 FOOT_M = 0.5
 """How far above the scene's lowest point a floor's lowest point may lie."""
 
@@ -40,7 +42,7 @@ class Previewer:
         self._fan = coarse_fan(sonar)
         self._planes = mirror_planes(scene, sonar)
         self._bottoms = floor_surfaces(scene)
-        self._boxes_m = np.array([_box_m(s) for s in scene.surfaces]).reshape(-1, 2, 3)
+        self._solids = solids(scene, self._bottoms, sonar.range_m)
 
     @property
     def sonar(self) -> SonarSettings:
@@ -101,7 +103,7 @@ class Previewer:
             meshes=self._meshes,
             planes=self._planes,
             bottoms=self._bottoms,
-            boxes_m=self._boxes_m,
+            solids=self._solids,
             fan=self._fan,
             end_m=met.range_m,
             echoes=_joined(echoes, points),
@@ -149,11 +151,20 @@ def floor_surfaces(scene: Scene) -> frozenset[str]:
     )
 
 
-def _box_m(surface: Surface) -> list[NDArray[np.float64]]:
-    """Lowest and highest corner, map frame; without end if it moves."""
-    if surface.motion is not None or len(surface.vertices_m) == 0:
-        return [np.full(3, -np.inf), np.full(3, np.inf)]
-    return [surface.vertices_m.min(axis=0), surface.vertices_m.max(axis=0)]
+def solids(scene: Scene, floors: frozenset[str], range_m: float) -> Solids:
+    """All surfaces but the floors; faces are large from a part of the sonar's range on."""
+    vertices, large = [np.empty((0, 3))], []
+    for surface in scene.surfaces:
+        if surface.name in floors or len(surface.faces) == 0:
+            continue
+        corners = surface.vertices_m[surface.faces]
+        edge_m = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
+        if edge_m > LARGE * range_m:
+            large.append([surface.vertices_m.min(axis=0), surface.vertices_m.max(axis=0)])
+        else:
+            vertices.append(surface.vertices_m)
+    moving = any(surface.motion is not None for surface in scene.surfaces)
+    return Solids(np.concatenate(vertices), np.array(large).reshape(-1, 2, 3), moving)
 
 
 def _levelness(surface: Surface) -> float:
