@@ -72,6 +72,11 @@ def spread_over_rows(
         (rows, columns).
     """
 
+def limited(
+    numbers: NDArray[np.floating], limit: float, factor: float = 1.0
+) -> NDArray[np.float32]:
+    """Numbers no less than 0 and no larger than a limit, times a factor; NaN counts as 0."""
+
 def pixel_change_db(
     first: NDArray[np.float32],
     second: NDArray[np.float32],
@@ -273,29 +278,46 @@ class FaceTable:
             table: mu, squared reflection, roughness in m, slope in rad, (M, 4).
         """
 
-    def normals(
+    def coarse_patches(
         self,
         face: NDArray[np.int32],
         group: NDArray[np.int32],
         range_m: NDArray[np.float32],
-        origin_m: NDArray[np.float64],
         direction: NDArray[np.float64],
+        solid_angle_sr: NDArray[np.float64],
+        s_step: float,
+        w_step: float,
+        map_T_sonar: NDArray[np.float64],  # noqa: N803
         map_T_group: NDArray[np.float64],  # noqa: N803
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Compute the normals and curvatures where rays hit.
+        reach_m: float,
+    ) -> tuple[
+        NDArray[np.int64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+    ]:
+        """Compute the patches of surface that coarse rays hit.
 
         Args:
             face: in the table, or negative for nothing, (N,).
             group: index of the face's pose, (N,).
             range_m: of the hit, (N,).
-            origin_m: of all rays, map frame, (3,).
-            direction: unit vectors, map frame, (N, 3).
-            map_T_group: rotation, row by row, and position of each frame of faces, (G, 12).
+            direction: unit vectors, sonar frame, (N, 3).
+            solid_angle_sr: of each ray's cell, (N,).
+            s_step: width of the cells in s = -y.
+            w_step: their height in w = z.
+            map_T_sonar: rotation, row by row, and position, (12,).
+            map_T_group: the same of each frame of faces, (G, 12).
+            reach_m: farther hits are left out.
 
         Returns:
-            Unit normals in the map frame, (N, 3). And (N, 3): sum of the squared principal
-            curvatures, 1/m²; square of their product, 1/m⁴; square of how fast the normal turns
-            along the ray's projection on the tangent plane, 1/m². Both are 0 without a hit.
+            Of P patches: their rays, (P,). Points and unit normals in the map frame, (P, 3).
+            Cosines of incidence, at least 0, areas in m² and extents in range in m, (P,).
+            Variances of the normal within the patch by its curvature, (P, 3): their sum, their
+            product, and what the ray's projection on the tangent plane has of them.
         """
 
 class Rays:

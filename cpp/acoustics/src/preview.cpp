@@ -32,29 +32,53 @@ void curvatures(const double* curved_normal, const Vec3& tangent, double* turn) 
   turn[2] = dot(along, along);
 }
 
+constexpr double kGrazing = 1e-3;  // cosine of incidence below which a patch has no size
+
+void store(const Vec3& v, double* to) {
+  for (std::size_t axis = 0; axis < 3; ++axis) to[axis] = v[axis];
+}
+
 }  // namespace
 
-void surface_normals(const Faces& faces, const CoarseRays& rays, const Transform* map_T_group,
-                     double* normal, double* turn) {
-  std::fill_n(normal, 3 * rays.count, 0.0);
-  std::fill_n(turn, 3 * rays.count, 0.0);
+std::size_t coarse_patches(const Faces& faces, const CoarseRays& rays, double reach_m,
+                           const Transform* map_T_group, const CoarsePatches& to) {
+  std::size_t count = 0;
   for (std::size_t i = 0; i < rays.count; ++i) {
-    if (rays.face[i] < 0) continue;
+    const auto range_m = static_cast<double>(rays.range_m[i]);
+    if (rays.face[i] < 0 || !(range_m < reach_m)) continue;
     const Face& face = faces.table[rays.face[i]];
     const Transform& map_T_object = map_T_group[rays.group[i]];
     const double* d = rays.direction + 3 * i;
     const Vec3 direction{d[0], d[1], d[2]};
+    const Vec3 map_direction = rays.map_T_sonar.rotate(direction);
+    const Vec3 point_m = rays.map_T_sonar.translation + range_m * map_direction;
     Vec3 n{face.plane[0], face.plane[1], face.plane[2]};
+    double turn[3] = {0.0, 0.0, 0.0};
     if (face.smooth >= 0) {
-      const Vec3 point_m = rays.origin_m + rays.range_m[i] * direction;
       const double* curved = faces.curved_normal + 12 * static_cast<std::ptrdiff_t>(face.smooth);
       n = curved_normal_at(curved, map_T_object.rotate_back(point_m - map_T_object.translation));
-      const Vec3 way = map_T_object.rotate_back(direction);
-      curvatures(curved, way - dot(way, n) * n, turn + 3 * i);
+      const Vec3 way = map_T_object.rotate_back(map_direction);
+      curvatures(curved, way - dot(way, n) * n, turn);
     }
     n = map_T_object.rotate(n);
-    for (std::size_t axis = 0; axis < 3; ++axis) normal[3 * i + axis] = n[axis];
+    // Over the patch's plane dR = -R (n.dd) / (n.d), and x dx = -(y dy + z dz).
+    const Vec3 seen = rays.map_T_sonar.rotate_back(n);
+    const double cosine = std::fabs(dot(seen, direction));
+    const double facing = std::max(cosine, kGrazing);
+    const double across = std::fabs(seen.x * d[1] / d[0] - seen.y) * rays.s_step;
+    const double along = std::fabs(seen.z - seen.x * d[2] / d[0]) * rays.w_step;
+    const double variance_m2 = range_m * rays.w_step * (range_m * rays.w_step) / 12.0;
+    to.ray[count] = static_cast<std::int64_t>(i);
+    store(point_m, to.point_m + 3 * count);
+    store(n, to.normal + 3 * count);
+    to.cos_incidence[count] = cosine;
+    to.area_m2[count] = range_m * range_m * rays.solid_angle_sr[i] / facing;
+    to.extent_m[count] = std::min(range_m / facing * (across + along), range_m);
+    store({turn[0] * variance_m2, turn[1] * variance_m2 * variance_m2, turn[2] * variance_m2},
+          to.turn + 3 * count);
+    ++count;
   }
+  return count;
 }
 
 void spread_over_rows(const Patches& patches, double row_m, std::size_t rows, std::size_t columns,
@@ -85,6 +109,14 @@ void spread_over_rows(const Patches& patches, double row_m, std::size_t rows, st
 }
 
 namespace {
+
+MAPPERD_VECTORISED void limit_each(const double* from, std::size_t count, double limit,
+                                   double factor, float* to) {
+  for (std::size_t i = 0; i < count; ++i) {
+    const double positive = from[i] > 0.0 ? from[i] : 0.0;
+    to[i] = static_cast<float>((positive < limit ? positive : limit) * factor);
+  }
+}
 
 using Picture = std::vector<float>;
 
@@ -217,6 +249,10 @@ float largest_but(const Picture& ratio, std::size_t exceeding) {
 }
 
 }  // namespace
+
+void limited(const double* from, std::size_t count, double limit, double factor, float* to) {
+  limit_each(from, count, limit, factor, to);
+}
 
 double pixel_change_db(const PicturePair& pictures, float largest_pixel, std::size_t exceeding) {
   const std::size_t size = pictures.rows * pictures.columns;

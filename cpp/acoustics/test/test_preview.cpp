@@ -14,36 +14,59 @@ namespace {
 using mapperd::Transform;
 using mapperd::Vec3;
 
-TEST_CASE("the normal of a round face is that of its ball, wherever and however it lies") {
+TEST_CASE("a patch of a ball has the ball's normal, wherever and however the ball lies") {
   constexpr double kRadiusM = 0.5;
   // A ball about its frame's origin: the normal at p is p over the radius.
   std::vector<double> ball(12, 0.0);
   for (const std::size_t i : {0U, 5U, 10U}) ball[i] = 1.0 / kRadiusM;
   const std::vector<acoustics::Face> faces{{{0.0, 0.0, 1.0, 0.0}, 0.0, 1, 0, -1},
                                            {{1.0, 0.0, 0.0, 0.5}, 2.0, 1, 0, 0}};
-  // A quarter turn about z, and an offset.
-  Transform map_T_ball;
-  map_T_ball.rows = {Vec3{0, -1, 0}, Vec3{1, 0, 0}, Vec3{0, 0, 1}};
-  map_T_ball.translation = {2.0, 1.0, 0.0};
-  // Past the middle by 0.3 of the radius of 0.5: it meets the ball at 0.4 before it.
-  const std::vector<double> direction{1, 0, 0, 1, 0, 0, 1, 0, 0};
-  const std::vector<std::int32_t> face{1, -1, 0};
-  const std::vector<std::int32_t> group{0, 0, 0};
-  const std::vector<float> range_m{1.6F, 1.0F, 1.0F};
-  std::vector<double> normal(9, 7.0);
-  std::vector<double> turn(9, 7.0);
-  acoustics::surface_normals(
-      {faces.data(), ball.data(), nullptr},
-      {3, face.data(), group.data(), range_m.data(), {0.0, 1.3, 0.0}, direction.data()},
-      &map_T_ball, normal.data(), turn.data());
-  const std::vector<double> expected{-0.8, 0.6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0};
-  for (std::size_t i = 0; i < 9; ++i) CHECK(normal[i] == near(expected[i], 1e-6));
-  // G is 2 times one. Its own trace counts the third direction too.
-  CHECK(turn[0] == near(12.0, 1e-9));
-  CHECK(turn[1] == near(std::pow((36.0 - 12.0) / 2.0, 2), 1e-9));
+  // A quarter turn about z, and an offset; the other group stands in the map.
+  std::vector<Transform> map_T_group(2);
+  map_T_group[0].rows = {Vec3{0, -1, 0}, Vec3{1, 0, 0}, Vec3{0, 0, 1}};
+  map_T_group[0].translation = {2.0, 1.0, 0.0};
+  // The sonar looks along y of the map. Past the ball's middle by 0.3 of 0.5: it is met at 0.4
+  // before the middle. A level face is seen at an angle of 30 degrees downwards.
+  Transform map_T_sonar;
+  map_T_sonar.rows = {Vec3{0, -1, 0}, Vec3{1, 0, 0}, Vec3{0, 0, 1}};
+  map_T_sonar.translation = {1.7, -3.0, 0.0};
+  const double cosine = std::sqrt(0.75);
+  const std::vector<double> direction{1, 0, 0, 1, 0, 0, cosine, 0, -0.5, 1, 0, 0};
+  const std::vector<double> solid_angle{1e-4, 1e-4, 2e-4, 1e-4};
+  const std::vector<std::int32_t> face{1, -1, 0, 1};
+  const std::vector<std::int32_t> group{0, 0, 1, 0};
+  const std::vector<float> range_m{3.6F, 1.0F, 2.0F, 9.0F};
+  std::vector<std::int64_t> ray(4);
+  std::vector<double> point(12), normal(12), cosines(4), area(4), extent(4), turn(12);
+  const acoustics::CoarseRays rays{
+      4,    face.data(), group.data(), range_m.data(), direction.data(), solid_angle.data(),
+      0.01, 0.02,        map_T_sonar};
+  const std::size_t count =
+      acoustics::coarse_patches({faces.data(), ball.data(), nullptr}, rays, 5.0, map_T_group.data(),
+                                {ray.data(), point.data(), normal.data(), cosines.data(),
+                                 area.data(), extent.data(), turn.data()});
+  REQUIRE(count == 2);  // one hit nothing, one lies out of range
+  CHECK((ray[0] == 0 && ray[1] == 2));
+  const std::vector<double> points{1.7, 0.6, 0.0, 1.7, -3.0 + 2.0 * cosine, -1.0};
+  const std::vector<double> normals{-0.6, -0.8, 0.0, 0.0, 0.0, 1.0};
+  for (std::size_t i = 0; i < 6; ++i) {
+    CHECK(point[i] == near(points[i], 1e-6));
+    CHECK(normal[i] == near(normals[i], 1e-6));
+  }
+  CHECK(cosines[0] == near(0.8, 1e-6));
+  CHECK(cosines[1] == near(0.5, 1e-9));
+  CHECK(area[0] == near(3.6 * 3.6 * 1e-4 / 0.8, 1e-6));
+  CHECK(area[1] == near(4.0 * 2e-4 / 0.5, 1e-9));
+  // Across the ball's slope of 0.6 / 0.8; along a floor at height h, R = h / -w.
+  CHECK(extent[0] == near(3.6 * 0.01 * 0.6 / 0.8, 1e-6));
+  CHECK(extent[1] == near(1.0 / 0.25 * 0.02, 1e-9));
+  // Of G, which is 2 times one; its trace counts the third direction too.
+  const double variance = 3.6 * 0.02 * 3.6 * 0.02 / 12.0;
+  CHECK(turn[0] == near(12.0 * variance, 1e-6));
+  CHECK(turn[1] == near(std::pow(12.0 * variance, 2), 1e-6));
   // In the tangent plane the ray keeps 0.6 of its length.
-  CHECK(turn[2] == near(4.0 * 0.36, 1e-6));
-  for (std::size_t i = 3; i < 9; ++i) CHECK(turn[i] == 0.0);
+  CHECK(turn[2] == near(4.0 * 0.36 * variance, 1e-6));
+  for (std::size_t i = 3; i < 6; ++i) CHECK(turn[i] == 0.0);
 }
 
 TEST_CASE("a patch fills the rows that it covers, and at least one") {

@@ -36,6 +36,15 @@ Array<double> spread_over_rows(const Array<std::int64_t>& column, const Array<do
   return picture;
 }
 
+Array<float> limited(const py::array_t<double, py::array::c_style | py::array::forcecast>& from,
+                     double limit, double factor) {
+  Array<float> to(std::vector<py::ssize_t>(from.shape(), from.shape() + from.ndim()));
+  float* const out = to.mutable_data();
+  const py::gil_scoped_release unlocked;
+  acoustics::limited(from.data(), static_cast<std::size_t>(from.size()), limit, factor, out);
+  return to;
+}
+
 acoustics::PicturePair pair_of(const Array<float>& first, const Array<float>& second, float gamma,
                                double row_cells, double column_cells) {
   require(first.ndim() == 2 && second.ndim() == 2 && first.shape(0) == second.shape(0) &&
@@ -79,6 +88,7 @@ void bind_previewing(py::module_& module) {
   using py::arg;
   module.def("spread_over_rows", &spread_over_rows, arg("column"), arg("range_m"), arg("extent_m"),
              arg("power"), arg("row_m"), arg("rows"), arg("columns"));
+  module.def("limited", &limited, arg("numbers"), arg("limit"), arg("factor") = 1.0);
   module.def("pixel_change_db", &pixel_change_db, arg("first"), arg("second"), arg("gamma"),
              arg("largest_pixel"), arg("exceeding"), arg("row_cells") = 0.0,
              arg("column_cells") = 0.0);

@@ -146,49 +146,62 @@ RayArrays rays_of(Array<std::int32_t> face, Array<std::int32_t> seen, Array<std:
   return {face, seen, transmit, receive, cell, span_m, gain, legs, both_ways};
 }
 
-std::vector<mapperd::Transform> transforms(const Array<double>& map_T_group) {
+mapperd::Transform transform(const double* m) {
+  return {{mapperd::Vec3{m[0], m[1], m[2]}, mapperd::Vec3{m[3], m[4], m[5]},
+           mapperd::Vec3{m[6], m[7], m[8]}},
+          {m[9], m[10], m[11]}};
+}
+
+py::tuple coarse_patches(const FaceTable& faces, const Array<std::int32_t>& face,
+                         const Array<std::int32_t>& group, const Array<float>& range_m,
+                         const Array<double>& direction, const Array<double>& solid_angle_sr,
+                         double s_step, double w_step, const Array<double>& map_T_sonar,
+                         const Array<double>& map_T_group, double reach_m) {
+  const py::ssize_t count = face.size();
+  require(group.size() == count && range_m.size() == count && solid_angle_sr.size() == count,
+          "face, group, range_m, solid_angle_sr must be (N,)");
+  require(direction.ndim() == 2 && direction.size() == 3 * count, "direction must be (N, 3)");
+  require(map_T_sonar.size() == 12, "map_T_sonar must be (12,)");
   require(map_T_group.ndim() == 2 && map_T_group.shape(1) == 12, "map_T_group must be (G, 12)");
   std::vector<mapperd::Transform> poses;
   for (py::ssize_t i = 0; i < map_T_group.shape(0); ++i) {
-    const double* m = map_T_group.data() + 12 * i;
-    poses.push_back({{mapperd::Vec3{m[0], m[1], m[2]}, mapperd::Vec3{m[3], m[4], m[5]},
-                      mapperd::Vec3{m[6], m[7], m[8]}},
-                     {m[9], m[10], m[11]}});
+    poses.push_back(transform(map_T_group.data() + 12 * i));
   }
-  return poses;
-}
-
-py::tuple surface_normals(const FaceTable& faces, const Array<std::int32_t>& face,
-                          const Array<std::int32_t>& group, const Array<float>& range_m,
-                          const Array<double>& origin_m, const Array<double>& direction,
-                          const Array<double>& map_T_group) {
-  const py::ssize_t count = face.size();
-  require(group.size() == count && range_m.size() == count, "face, group, range_m must be (N,)");
-  require(direction.ndim() == 2 && direction.size() == 3 * count, "direction must be (N, 3)");
-  require(origin_m.ndim() == 1 && origin_m.size() == 3, "origin_m must be (3,)");
-  const std::vector<mapperd::Transform> poses = transforms(map_T_group);
   const auto all = static_cast<std::int32_t>(faces.faces.size());
+  py::ssize_t most = 0;
   for (py::ssize_t i = 0; i < count; ++i) {
     if (face.data()[i] < 0) continue;
+    ++most;
     require(face.data()[i] < all, "face out of the table");
     require(group.data()[i] >= 0 && static_cast<std::size_t>(group.data()[i]) < poses.size(),
             "group out of map_T_group");
   }
-  Array<double> normal(std::vector<py::ssize_t>{count, 3});
-  Array<double> turn(std::vector<py::ssize_t>{count, 3});
+  Array<std::int64_t> ray(most);
+  const std::vector<py::ssize_t> vectors{most, 3};
+  Array<double> point_m(vectors), normal(vectors), turn(vectors);
+  Array<double> cos_incidence(most), area_m2(most), extent_m(most);
   const acoustics::CoarseRays rays{static_cast<std::size_t>(count),
                                    face.data(),
                                    group.data(),
                                    range_m.data(),
-                                   {origin_m.at(0), origin_m.at(1), origin_m.at(2)},
-                                   direction.data()};
-  double* const out = normal.mutable_data();
-  double* const turns = turn.mutable_data();
+                                   direction.data(),
+                                   solid_angle_sr.data(),
+                                   s_step,
+                                   w_step,
+                                   transform(map_T_sonar.data())};
+  const acoustics::CoarsePatches to{ray.mutable_data(),     point_m.mutable_data(),
+                                    normal.mutable_data(),  cos_incidence.mutable_data(),
+                                    area_m2.mutable_data(), extent_m.mutable_data(),
+                                    turn.mutable_data()};
+  py::ssize_t found = 0;
   {
     const py::gil_scoped_release unlocked;
-    acoustics::surface_normals(faces.view(), rays, poses.data(), out, turns);
+    found = static_cast<py::ssize_t>(
+        acoustics::coarse_patches(faces.view(), rays, reach_m, poses.data(), to));
   }
-  return py::make_tuple(normal, turn);
+  const py::slice some(0, found, 1);
+  return py::make_tuple(ray[some], point_m[some], normal[some], cos_incidence[some], area_m2[some],
+                        extent_m[some], turn[some]);
 }
 
 }  // namespace
@@ -198,8 +211,9 @@ void bind_scatter(py::module_& module) {
   py::class_<FaceTable>(module, "FaceTable")
       .def(py::init(&face_table), arg("planes"), arg("objects"), arg("materials"), arg("smooth"),
            arg("curved_normal"), arg("table"))
-      .def("normals", &surface_normals, arg("face"), arg("group"), arg("range_m"), arg("origin_m"),
-           arg("direction"), arg("map_T_group"));
+      .def("coarse_patches", &coarse_patches, arg("face"), arg("group"), arg("range_m"),
+           arg("direction"), arg("solid_angle_sr"), arg("s_step"), arg("w_step"),
+           arg("map_T_sonar"), arg("map_T_group"), arg("reach_m"));
   py::class_<RayArrays>(module, "Rays")
       .def(py::init(&rays_of), arg("face"), arg("seen"), arg("transmit"), arg("receive"),
            arg("cell"), arg("span_m"), arg("gain"), arg("legs"), arg("both_ways") = false);

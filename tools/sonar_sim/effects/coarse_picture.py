@@ -138,13 +138,14 @@ def change_db(
     """
     rows, columns = before.shape
     cells = tolerance.cells * rows / sonar.rows, tolerance.cells * columns / sonar.beams
-    brighter = 10.0 ** (tolerance.brighter_db / 20.0)
     return level_change_db(
-        np.minimum(before, 1.0) * brighter,
-        np.minimum(after, 1.0) * brighter,
+        before,
+        after,
         sonar,
         tolerance.share,
         cells if displaced else (0.0, 0.0),
+        limit=1.0,
+        brighter=10.0 ** (tolerance.brighter_db / 20.0),
     )
 
 

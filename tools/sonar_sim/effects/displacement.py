@@ -142,40 +142,40 @@ def visible_parts(view: PingPreview) -> VisibleParts:
 
 def _parts_of(view: PingPreview) -> VisibleParts:
     place, its, total = _seen(view)
-    u, range_m = view.echoes.direction[its], view.echoes.range_m[its]
-    leaving = object_velocity_mps(view)[its] @ view.map_T_sonar.rotation
-    along = np.sum(leaving * u, axis=1)
+    u, range_m = view.echoes.direction.take(its, axis=0), view.echoes.range_m[its]
+    shares = csc_matrix(
+        (view.echo_power[its] / total[place], place, np.arange(len(its) + 1)),
+        shape=(len(total), len(its)),
+    )
+
+    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Of each part, weighted by power, (P, ...)."""
+        of_parts: NDArray[np.float64] = shares @ values
+        return of_parts
+
+    away_m = mean(range_m[:, None] * u)
     # s = -y; the direction to a fixed point turns by -omega x u and passes by -(v - (v u) u) / R.
-    turned = np.stack([-u[:, 2], np.zeros(len(u)), u[:, 0]], axis=1)
     passed = -u[:, 1, None] * u
     passed[:, 1] += 1.0
-    values = np.column_stack(
-        [
-            range_m,
-            range_m * (path_bending(view).stretch[its] - 1.0),
-            u,
-            range_m[:, None] * u,
-            along,
-            range_m * along,
-            range_m[:, None] * turned,
-            passed,
-            np.sum(leaving * passed, axis=1),
-        ]
-    )
-    weights = csc_matrix(
-        (view.echo_power[its], place, np.arange(len(its) + 1)), shape=(len(total), len(its))
-    )
-    mean: NDArray[np.float64] = (weights @ values) / total[:, None]
+    none = np.zeros(len(total))
+    stretched_m = leaving_mps = leaving_m2ps = passing_mps = none
+    if view.scene.water.profile is not None:
+        stretched_m = mean(range_m * (path_bending(view).stretch[its] - 1.0))
+    if view.solids.moving or any(target.motion is not None for target in view.scene.targets):
+        leaving = object_velocity_mps(view)[its] @ view.map_T_sonar.rotation
+        along = np.sum(leaving * u, axis=1)
+        leaving_mps, leaving_m2ps = mean(along), mean(range_m * along)
+        passing_mps = mean(np.sum(leaving * passed, axis=1))
     return VisibleParts(
-        mean[:, 0],
-        mean[:, 1],
-        mean[:, 2:5],
-        mean[:, 5:8],
-        mean[:, 8],
-        mean[:, 9],
-        mean[:, 10:13],
-        mean[:, 13:16],
-        mean[:, 16],
+        mean(range_m),
+        stretched_m,
+        mean(u),
+        away_m,
+        leaving_mps,
+        leaving_m2ps,
+        np.stack([-away_m[:, 2], none, away_m[:, 0]], axis=1),
+        mean(passed),
+        passing_mps,
     )
 
 

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.geometry.pose import FramePose
-from sonar_sim.raycast import meshes
 from sonar_sim.raycast.fan import solid_angle_sr
+from sonar_sim.raycast.meshes import SEA, Hits, Meshes
 from sonar_sim.scene.material import specular_lobe
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
@@ -18,58 +18,6 @@ SEA_SURFACE = -1
 NO_SURFACE = -2
 SKIP_M = 1e-3
 """A second cast starts this far behind the first hit, so as not to meet the same face again."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CoarseHits:
-    """What rays met.
-
-    Attributes:
-        range_m: along the ray, inf for nothing, (N,).
-        normal: unit, map frame; its side means nothing, (N, 3).
-        surface: place in the scene's surfaces, or `SEA_SURFACE`, or `NO_SURFACE`, (N,).
-        turn: of the curvatures: sum of squares, 1/m²; square of the product, 1/m⁴; square of how
-            fast the normal turns along the ray's own part in the tangent plane, 1/m², (N, 3).
-    """
-
-    range_m: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    surface: NDArray[np.int64]
-    turn: NDArray[np.float64]
-
-
-def cast(
-    scene: meshes.Meshes,
-    origin_m: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    time_s: float,
-    reach_m: float,
-    *,
-    near_m: NDArray[np.float64] | None = None,
-) -> CoarseHits:
-    """Find what rays of one origin meet first.
-
-    Args:
-        scene: its triangles.
-        origin_m: map frame, (3,).
-        direction: unit vectors, map frame, (N, 3).
-        time_s: at which moving objects are met.
-        reach_m: maximum range of a hit.
-        near_m: minimum range, (N,).
-    """
-    near_m = None if near_m is None else near_m.astype(np.float32)
-    found = scene.cast(
-        origin_m, direction.astype(np.float32), time_s, reach_m, threads=1, near_m=near_m
-    )
-    poses = [np.append(pose.rotation, pose.position_m) for pose in scene.poses(time_s)]
-    normal, turn = scene.faces.normals(
-        found.face, found.group, found.range_m, origin_m, direction, np.array(poses)
-    )
-    number = scene.surface[found.face].astype(np.int64)
-    number[number == meshes.SEA] = SEA_SURFACE
-    surface = np.where(found.face < 0, NO_SURFACE, number)
-    range_m = np.where(found.face < 0, np.inf, found.range_m).astype(np.float64)
-    return CoarseHits(range_m, normal, surface, turn)
 
 
 COLUMNS = 96
@@ -170,29 +118,48 @@ def coarse_echoes(
     scene: Scene,
     sonar: SonarSettings,
     fan: CoarseFan,
+    found: Meshes,
+    hits: Hits,
+    *,
     map_T_sonar: FramePose,  # noqa: N803 frames in the name
-    met: CoarseHits,
+    time_s: float,
 ) -> Echoes:
-    """Give what the rays met its scattering strengths; what is out of range is left out."""
-    near = np.flatnonzero(met.range_m < sonar.range_m)
-    direction, range_m, normal = fan.directions[near], met.range_m[near], met.normal[near]
-    local = normal @ map_T_sonar.rotation
-    cos_incidence = np.abs(np.sum(local * direction, axis=1))
-    facing = np.maximum(cos_incidence, GRAZING)
-    area_m2 = np.square(range_m) * fan.solid_angle_sr[near] / facing
-    patch_m2 = np.square(range_m * fan.up_step) / 12.0
-    turn = met.turn[near] * patch_m2[:, None] ** [1, 2, 1]
-    surface = met.surface[near]
+    """Give what the rays hit its scattering strengths; what is out of range is left out.
+
+    Args:
+        scene: its materials.
+        sonar: its range and frequency.
+        fan: the rays.
+        found: the scene's triangles.
+        hits: of the rays.
+        map_T_sonar: where they start.
+        time_s: at which moving objects are met.
+    """
+    poses = [np.append(pose.rotation, pose.position_m) for pose in found.poses(time_s)]
+    ray, point_m, normal, cos_incidence, area_m2, extent_m, turn = found.faces.coarse_patches(
+        hits.face,
+        hits.group,
+        hits.range_m,
+        fan.directions,
+        fan.solid_angle_sr,
+        fan.sine_step,
+        fan.up_step,
+        np.append(map_T_sonar.rotation, map_T_sonar.position_m),
+        np.array(poses),
+        sonar.range_m,
+    )
+    surface = found.surface[hits.face[ray]].astype(np.int64)
+    surface[surface == SEA] = SEA_SURFACE
     mu, lobe = _scattering(
         scene, sonar, fan, surface=surface, cos_incidence=cos_incidence, turn=turn
     )
     return Echoes(
-        column=fan.column[near],
-        direction=direction,
-        point_m=(direction * range_m[:, None]) @ map_T_sonar.rotation.T + map_T_sonar.position_m,
+        column=fan.column[ray],
+        direction=fan.directions.take(ray, axis=0),
+        point_m=point_m,
         normal=normal,
-        range_m=range_m,
-        extent_m=_extent_m(direction, local, range_m, facing, fan),
+        range_m=hits.range_m[ray].astype(np.float64),
+        extent_m=extent_m,
         surface=surface,
         cos_incidence=cos_incidence,
         lambert_m2=mu * np.square(cos_incidence) * area_m2,
@@ -213,7 +180,7 @@ def _scattering(
     """Lambert's coefficient, and the mirror lobe's scattering per unit area, of each patch.
 
     `turn` holds the variances of the normal within a patch by its curvature: their sum, their
-    product, and what the ray's part in the tangent plane has of them (see `CoarseHits`).
+    product, and what the ray's part in the tangent plane has of them.
     """
     wave_number = 2.0 * math.pi * sonar.frequency_hz / scene.water.speed_of_sound_mps
     materials = [s.material for s in scene.surfaces]
@@ -239,22 +206,6 @@ def _scattering(
     lobe = specular_lobe(np.cos(incidence), reflection, roughness_m, np.sqrt(variance), wave_number)
     lobe *= variance / np.sqrt(both)
     return mu, np.where(reflection != 0.0, lobe, 0.0)
-
-
-def _extent_m(
-    direction: NDArray[np.float64],
-    normal: NDArray[np.float64],
-    range_m: NDArray[np.float64],
-    facing: NDArray[np.float64],
-    fan: CoarseFan,
-) -> NDArray[np.float64]:
-    """How far a ray's cell reaches in range over its patch's plane: dR = -R (n.dd) / (n.d)."""
-    x, y, z = direction.T
-    nx, ny, nz = normal.T
-    across = np.abs(nx * y / x - ny) * fan.sine_step
-    along = np.abs(nz - nx * z / x) * fan.up_step
-    extent: NDArray[np.float64] = np.minimum(range_m / facing * (across + along), range_m)
-    return extent
 
 
 def is_sea(echoes: Echoes) -> NDArray[np.bool_]:

@@ -41,6 +41,8 @@ def level_change_db(
     cells: tuple[float, float] = (0.0, 0.0),
     *,
     ignore_dark_shift: bool = False,
+    limit: float = MAX_AMPLITUDE,
+    brighter: float = 1.0,
 ) -> float:
     """Difference of level that no more than a share of the pixels exceeds.
 
@@ -51,11 +53,13 @@ def level_change_db(
         share: of the pixels.
         cells: displacement that does not count, in rows and in columns.
         ignore_dark_shift: whether that displacement is also ignored in the mean of dark pixels.
+        limit: of the amplitudes: what is larger counts as this.
+        brighter: factor to amplitudes so limited.
 
     Returns:
         dB, at least 0.
     """
-    a, b = (np.minimum(picture, MAX_AMPLITUDE).astype(np.float32) for picture in (first, second))
+    a, b = (_core.limited(picture, limit, brighter) for picture in (first, second))
     gamma, scale = gamma_of(sonar), full_scale(sonar)
     change_db = _core.pixel_change_db(a, b, gamma, scale, int(share * a.size), *cells)
     if change_db > CLEAR_CHANGE_DB:

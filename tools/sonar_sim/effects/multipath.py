@@ -66,35 +66,41 @@ def _wave_number_per_m(view: PingPreview) -> float:
 
 def _ghosts_in(view: PingPreview, plane: MirrorPlane) -> Ghosts | None:
     sonar_m, echoes = view.map_T_sonar.position_m, view.echoes
-    sonar_height = float((sonar_m - plane.point_m) @ plane.normal)
-    normal = plane.normal * math.copysign(1.0, sonar_height)
-    height = rows_dot(echoes.point_m - plane.point_m, normal)
-    away = echoes.point_m - 2.0 * height[:, None] * normal - sonar_m
-    bounced_m = np.linalg.norm(away, axis=1)
-    away /= bounced_m[:, None]
-    cos_bounce = np.maximum(-rows_dot(away, normal), GRAZING)
-    foot = sonar_m + away * (abs(sonar_height) / cos_bounce)[:, None]
-    on_plane = np.all((foot > plane.low_m - NEAR_M) & (foot < plane.high_m + NEAR_M), axis=1)
-    local = away @ view.map_T_sonar.rotation
-    usable = (height > NEAR_M) & on_plane & (local[:, 0] > 0.0)
-    usable &= (echoes.range_m + bounced_m) / 2.0 < view.sonar.range_m
+    side = math.copysign(1.0, float((sonar_m - plane.point_m) @ plane.normal))
+    normal = side * plane.normal
+    sonar_height_m = float((sonar_m - plane.point_m) @ normal)
+    # The way to the image of a point is as long as that by the mirror, and as steep.
+    height_m = rows_dot(echoes.point_m, normal) - float(plane.point_m @ normal)
+    bounced_m = np.sqrt(np.square(echoes.range_m) + np.maximum(4.0 * sonar_height_m * height_m, 0))
+    cos_bounce = np.maximum((sonar_height_m + height_m) / bounced_m, GRAZING)
     gamma = abs(plane.reflection) * coherence(
         _wave_number_per_m(view), plane.roughness_m, cos_bounce
     )
-    its = np.flatnonzero(usable & (gamma > MIN_REFLECTION))
+    usable = (height_m > NEAR_M) & (gamma > MIN_REFLECTION)
+    usable &= (echoes.range_m + bounced_m) / 2.0 < view.sonar.range_m
+    its = np.flatnonzero(usable)
     if len(its) == 0:
         return None
-    its = its[_bounces(view, plane, foot[its])]
-    image_m = sonar_m - 2.0 * abs(sonar_height) * normal
-    past_m = (abs(sonar_height) + NEAR_M) / cos_bounce[its]
-    its = its[_free(view, image_m, echoes.point_m[its], past_m)]
-    if len(its) == 0:
+    away = echoes.point_m[its] - 2.0 * height_m[its, None] * normal - sonar_m
+    away /= bounced_m[its, None]
+    local = away @ view.map_T_sonar.rotation
+    foot_m = sonar_m + away * (sonar_height_m / cos_bounce[its])[:, None]
+    there = np.all((foot_m > plane.low_m - NEAR_M) & (foot_m < plane.high_m + NEAR_M), axis=1)
+    some = np.flatnonzero(there & (local[:, 0] > 0.0))
+    if len(some) == 0:
         return None
-    local, bounced_m, gamma = local[its], bounced_m[its], gamma[its]
+    some = some[_bounces(view, plane, foot_m[some])]
+    image_m = sonar_m - 2.0 * sonar_height_m * normal
+    past_m = (sonar_height_m + NEAR_M) / cos_bounce[its[some]]
+    some = some[_free(view, image_m, echoes.point_m[its[some]], past_m)]
+    if len(some) == 0:
+        return None
+    its, local, away = its[some], local[some], away[some]
+    bounced_m, gamma = bounced_m[its], gamma[its]
     echoes, power = echoes.take(its), view.echo_power[its]
     pattern = vertical_two_way_power(local[:, 2], view.sonar.vertical_width_rad)
     pattern = np.sqrt(pattern / np.maximum(view.pattern[its], 1e-12))
-    ratio = np.square(gamma) * _ratio(view, echoes, pattern, away[its], bounced_m)
+    ratio = np.square(gamma) * _ratio(view, echoes, pattern, away, bounced_m)
     column = _column(view, local)
     beside = np.clip(column, 0, COLUMNS - 1)
     inside = column == beside

@@ -9,8 +9,8 @@ from sonar_sim.effects.echoes import (
     COLUMNS,
     NO_SURFACE,
     SKIP_M,
+    CoarseFan,
     Echoes,
-    cast,
     coarse_echoes,
     coarse_fan,
 )
@@ -18,7 +18,7 @@ from sonar_sim.effects.planes import mirror_planes
 from sonar_sim.effects.preview import PingPreview, Solids
 from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.geometry.pose import FramePose, SonarMotion
-from sonar_sim.raycast.meshes import Meshes
+from sonar_sim.raycast.meshes import Hits, Meshes
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.sonar import SonarSettings
 
@@ -72,16 +72,26 @@ class Previewer:
         motion: SonarMotion | None = None,
     ) -> PingPreview:
         """Cast the coarse rays; once more from behind what they met if that is asked for."""
-        turned = chunked_matmul(self._fan.directions, map_T_sonar.rotation.T)
-        origin_m = map_T_sonar.position_m
-        met = cast(self._meshes, origin_m, turned, time_s, self._sonar.range_m)
-        echoes = coarse_echoes(self._scene, self._sonar, self._fan, map_T_sonar, met)
+        turned = chunked_matmul(self._fan.directions, map_T_sonar.rotation.T).astype(np.float32)
+        origin_m, reach_m = map_T_sonar.position_m, self._sonar.range_m
+        met = self._meshes.cast(origin_m, turned, time_s, reach_m, threads=1)
+
+        def echoes_of(fan: CoarseFan, hits: Hits) -> Echoes:
+            return coarse_echoes(
+                self._scene,
+                self._sonar,
+                fan,
+                self._meshes,
+                hits,
+                map_T_sonar=map_T_sonar,
+                time_s=time_s,
+            )
 
         def hidden() -> Echoes:
             some = slice(None, None, HIDDEN_RAY_STRIDE)
-            past_m = np.minimum(met.range_m[some] + SKIP_M, self._sonar.range_m)
-            behind = cast(
-                self._meshes, origin_m, turned[some], time_s, self._sonar.range_m, near_m=past_m
+            past_m = np.minimum(met.range_m[some] + np.float32(SKIP_M), np.float32(reach_m))
+            behind = self._meshes.cast(
+                origin_m, turned[some], time_s, reach_m, threads=1, near_m=past_m
             )
             fan = replace(
                 self._fan,
@@ -90,7 +100,7 @@ class Previewer:
                 up_step=HIDDEN_RAY_STRIDE * self._fan.up_step,
                 solid_angle_sr=HIDDEN_RAY_STRIDE * self._fan.solid_angle_sr[some],
             )
-            return coarse_echoes(self._scene, self._sonar, fan, map_T_sonar, behind)
+            return echoes_of(fan, behind)
 
         points = self._points(map_T_sonar, time_s)
         return PingPreview(
@@ -105,8 +115,8 @@ class Previewer:
             bottoms=self._bottoms,
             solids=self._solids,
             fan=self._fan,
-            end_m=met.range_m,
-            echoes=_joined(echoes, points),
+            end_m=met.range_m.astype(np.float64),
+            echoes=_joined(echoes_of(self._fan, met), points),
             cast_hidden=hidden,
         )
 

@@ -14,25 +14,38 @@
 
 namespace mapperd::acoustics {
 
-/// What coarse rays hit; borrowed, not copied.
+/// What coarse rays hit; borrowed, not copied. Each ray stands for a cell of sines s = -y, w = z.
 struct CoarseRays {
   std::size_t count;
-  const std::int32_t* face;   ///< (count,); negative: nothing
-  const std::int32_t* group;  ///< (count,): index of the face's frame
-  const float* range_m;       ///< (count,)
-  Vec3 origin_m;              ///< of all rays, map frame
-  const double* direction;    ///< unit vectors, map frame, (count, 3)
+  const std::int32_t* face;      ///< (count,); negative: nothing
+  const std::int32_t* group;     ///< (count,): index of the face's frame
+  const float* range_m;          ///< (count,)
+  const double* direction;       ///< unit vectors, sonar frame, (count, 3)
+  const double* solid_angle_sr;  ///< (count,)
+  double s_step, w_step;         ///< edges of each cell
+  Transform map_T_sonar;
 };
 
-/// Normals and curvatures of the surfaces that rays hit.
+/// Where coarse rays hit a surface, one number or vector for each hit.
+struct CoarsePatches {
+  std::int64_t* ray;
+  double* point_m;        ///< map frame, (count, 3)
+  double* normal;         ///< unit, map frame, (count, 3)
+  double* cos_incidence;  ///< at least 0
+  double* area_m2;        ///< of the cell's part of the surface
+  double* extent_m;       ///< in range
+  double* turn;  ///< variances of the normal by curvature: their sum, their product, and what the
+                 ///< ray's projection on the tangent plane has of them, (count, 3)
+};
+
+/// Computes the patches of surface that rays hit.
 ///
+/// \param reach_m farther hits are left out
 /// \param map_T_group of each frame
-/// \param[out] normal unit, map frame, (count, 3); 0 for a ray that hit nothing
-/// \param[out] turn (count, 3): sum of the squared principal curvatures, 1/m²; square of their
-///     product, 1/m⁴; square of how fast the normal turns along the ray's projection on the tangent
-///     plane, 1/m². 0 for flat faces.
-void surface_normals(const Faces& faces, const CoarseRays& rays, const Transform* map_T_group,
-                     double* normal, double* turn);
+/// \param[out] to has room for all rays
+/// \return the number of patches
+std::size_t coarse_patches(const Faces& faces, const CoarseRays& rays, double reach_m,
+                           const Transform* map_T_group, const CoarsePatches& to);
 
 /// Patches that send echoes back; borrowed, not copied.
 struct Patches {
@@ -47,6 +60,9 @@ struct Patches {
 /// over at least one. The picture is (rows, columns).
 void spread_over_rows(const Patches& patches, double row_m, std::size_t rows, std::size_t columns,
                       double* picture);
+
+/// Numbers no larger than a limit, times a factor; no number counts as 0.
+void limited(const double* from, std::size_t count, double limit, double factor, float* to);
 
 /// Two pictures of expected amplitudes of full scale, (rows, columns), and how they are compared.
 struct PicturePair {
