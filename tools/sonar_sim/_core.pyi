@@ -130,6 +130,21 @@ def block_powers(
         threads: that share the rows.
     """
 
+@overload
+def decaying_sum(power: NDArray[np.float32], energy: float, kept: float) -> NDArray[np.float32]: ...
+@overload
+def decaying_sum(power: NDArray[np.float64], energy: float, kept: float) -> NDArray[np.float64]:
+    """Sum of a part of all earlier rows, that fades from row to row, in double precision.
+
+    Args:
+        power: (rows, columns).
+        energy: part of a row that is in the next one.
+        kept: part of the sum that is left a row later.
+
+    Returns:
+        (rows, columns); the first row is 0.
+    """
+
 def add_cloud(
     power: NDArray[np.float32],
     enter_row: NDArray[np.float64],
@@ -527,6 +542,32 @@ def rays_near_ball(
         reach_m: maximum range.
         middle_m: of the ball, (3,).
         radius_m: of the ball.
+
+    Raises:
+        ValueError: sizes differ.
+    """
+
+def visible_points(
+    direction: NDArray[np.float32],
+    map_direction: NDArray[np.float32],
+    face: NDArray[np.int32],
+    hit_m: NDArray[np.float32],
+    origin_m: NDArray[np.float64],
+    range_m: float,
+    bearing_sine: float,
+    elevation_sine: float,
+) -> NDArray[np.float64]:
+    """Points of hits within a range and within sines of bearing and elevation, map frame, (P, 3).
+
+    Args:
+        direction: unit vectors of the rays, sonar frame, (N, 3).
+        map_direction: the same in the map frame, (N, 3).
+        face: that each ray hit, or negative for nothing, (N,).
+        hit_m: range of the hit, (N,).
+        origin_m: of the rays, map frame, (3,).
+        range_m: farther hits are left out.
+        bearing_sine: largest |y| of the direction.
+        elevation_sine: largest |z|.
 
     Raises:
         ValueError: sizes differ.

@@ -109,6 +109,32 @@ void block_powers(const float* cells, std::size_t parts, std::size_t rows, std::
   });
 }
 
+namespace {
+
+template <typename Real>
+void sum_rows(const Real* power, std::size_t rows, std::size_t columns, double energy, double kept,
+              Real* out) {
+  std::vector<double> sum(columns, 0.0);
+  for (std::size_t row = 0; row < rows; ++row) {
+    for (std::size_t i = 0; i < columns; ++i) {
+      out[row * columns + i] = static_cast<Real>(sum[i]);
+      sum[i] = energy * static_cast<double>(power[row * columns + i]) + kept * sum[i];
+    }
+  }
+}
+
+}  // namespace
+
+void decaying_sum(const float* power, std::size_t rows, std::size_t columns, double energy,
+                  double kept, float* out) {
+  sum_rows(power, rows, columns, energy, kept, out);
+}
+
+void decaying_sum(const double* power, std::size_t rows, std::size_t columns, double energy,
+                  double kept, double* out) {
+  sum_rows(power, rows, columns, energy, kept, out);
+}
+
 void add_cloud(float* power, std::size_t rows, std::size_t columns, const CloudRays& rays,
                const CloudFade& fade) {
   // Growth of the sum from the row before.

@@ -516,6 +516,23 @@ std::vector<std::int64_t> rays_near_ball(std::size_t count, const double* start_
   return near;
 }
 
+std::vector<double> visible_points(const SeenRays& rays, double range_m, double bearing_sine,
+                                   double elevation_sine) {
+  std::vector<double> points;
+  points.reserve(3 * rays.count);
+  for (std::size_t i = 0; i < rays.count; ++i) {
+    const auto reach_m = static_cast<double>(rays.range_m[i]);
+    if (rays.face[i] < 0 || !(reach_m < range_m)) continue;
+    if (std::fabs(static_cast<double>(rays.direction[3 * i + 1])) > bearing_sine) continue;
+    if (std::fabs(static_cast<double>(rays.direction[3 * i + 2])) > elevation_sine) continue;
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      points.push_back(rays.origin_m[axis] +
+                       reach_m * static_cast<double>(rays.map_direction[3 * i + axis]));
+    }
+  }
+  return points;
+}
+
 std::vector<std::int64_t> cells_through_window(const FanDirections& fan, const Window& window) {
   // Cells that reach nearer to the plane across the sonar than this sine are curved.
   constexpr double kMinAhead = 0.1;

@@ -126,6 +126,36 @@ py::array rays_near_ball(const Array<double>& start_m, const Array<float>& direc
   return Array<std::int64_t>(static_cast<py::ssize_t>(near.size()), near.data());
 }
 
+template <typename T>
+py::array rows_of(const std::vector<T>& values, py::ssize_t wide) {
+  const auto count = static_cast<py::ssize_t>(values.size()) / wide;
+  if (wide == 1) return Array<T>(count, values.data());
+  return Array<T>({count, wide}, values.data());
+}
+
+py::array visible_points(const Array<float>& direction, const Array<float>& map_direction,
+                         const Array<std::int32_t>& face, const Array<float>& hit_m,
+                         const Array<double>& origin_m, double range_m, double bearing_sine,
+                         double elevation_sine) {
+  const py::ssize_t count = face.size();
+  require(direction.size() == 3 * count && map_direction.size() == 3 * count &&
+              hit_m.size() == count && origin_m.size() == 3,
+          "face, hit_m must be (N,), direction, map_direction (N, 3), origin_m (3,)");
+  const double* o = origin_m.data();
+  std::vector<double> points;
+  {
+    const py::gil_scoped_release unlocked;
+    points = acoustics::visible_points({static_cast<std::size_t>(count),
+                                        direction.data(),
+                                        map_direction.data(),
+                                        face.data(),
+                                        hit_m.data(),
+                                        {o[0], o[1], o[2]}},
+                                       range_m, bearing_sine, elevation_sine);
+  }
+  return rows_of(points, 3);
+}
+
 py::array cells_through_window(const Array<float>& direction, const Array<float>& cell,
                                const Array<double>& map_T_fan, const Array<double>& plane,
                                const Array<double>& box_m, double margin_m, double reach_m) {
@@ -161,13 +191,6 @@ acoustics::SeenMesh mesh_view(const acoustics::MeshEdges& table, const Array<dou
   acoustics::SeenMesh mesh{&table, {}, {p[9], p[10], p[11]}, {p[12], p[13], p[14]}};
   std::copy_n(p, 9, mesh.rotation.begin());
   return mesh;
-}
-
-template <typename T>
-py::array rows_of(const std::vector<T>& values, py::ssize_t wide) {
-  const auto count = static_cast<py::ssize_t>(values.size()) / wide;
-  if (wide == 1) return Array<T>(count, values.data());
-  return Array<T>({count, wide}, values.data());
 }
 
 acoustics::SoundLayers sound_layers(const Array<double>& table) {
@@ -286,6 +309,9 @@ void bind_tracing(py::module_& module) {
       .def(py::init(&mesh_view), arg("table"), arg("pose"), py::keep_alive<1, 2>());
   module.def("rays_near_ball", &rays_near_ball, arg("start_m"), arg("direction"), arg("reach_m"),
              arg("middle_m"), arg("radius_m"));
+  module.def("visible_points", &visible_points, arg("direction"), arg("map_direction"), arg("face"),
+             arg("hit_m"), arg("origin_m"), arg("range_m"), arg("bearing_sine"),
+             arg("elevation_sine"));
   module.def("cells_through_window", &cells_through_window, arg("direction"), arg("cell"),
              arg("map_T_fan"), arg("plane"), arg("box_m"), arg("margin_m"), arg("reach_m"));
   module.def("turned_rays", &turned_rays, arg("layers"), arg("points"), arg("directions"),

@@ -79,8 +79,9 @@ class PingGeometry:
     threads: int
 
     def echoes(self, face: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Which hits send something back, (N,), by their faces; -1 is none."""
-        echoes: NDArray[np.bool_] = self.heard[self.meshes.material[face]] & (face >= 0)
+        """Which hits send something back, (N,), by their faces; negative is no hit."""
+        echoes: NDArray[np.bool_] = self.heard.take(self.meshes.material.take(face))
+        echoes &= face >= 0
         return echoes
 
 

@@ -6,11 +6,13 @@ hidden behind something nearer. How loud its echo was plays no part: a patch see
 angle that nothing came back counts as seen.
 """
 
+import math
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sonar_sim import _core
 from sonar_sim.raycast.tracing import Trace
 from sonar_sim.scene.sonar import SonarSettings
 
@@ -63,11 +65,13 @@ def _cell_keys(points_m: NDArray[np.float64]) -> NDArray[np.int64]:
 def visible_points(rays: Trace, sonar: SonarSettings) -> NDArray[np.float64]:
     """First hits inside the -3 dB aperture, map frame, whether or not their echo can be heard."""
     met = rays.met[0]
-    direction = rays.fan.directions
-    seen = (met.face >= 0) & (met.range_m < sonar.range_m)
-    seen &= np.abs(direction[:, 1]) <= np.sin(sonar.half_aperture_rad)
-    seen &= np.abs(direction[:, 2]) <= np.sin(sonar.vertical_width_rad / 2.0)
-    inside = np.flatnonzero(seen)
-    reach_m = met.range_m.take(inside).astype(np.float64)[:, None]
-    points: NDArray[np.float64] = rays.origin_m + reach_m * rays.direction.take(inside, axis=0)
-    return points
+    return _core.visible_points(
+        rays.fan.directions,
+        rays.direction,
+        met.face,
+        met.range_m,
+        rays.origin_m,
+        sonar.range_m,
+        math.sin(sonar.half_aperture_rad),
+        math.sin(sonar.vertical_width_rad / 2.0),
+    )

@@ -10,7 +10,6 @@ from hashlib import blake2b
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from sonar_sim import _core
 from sonar_sim.geometry.matmul import Real, chunked_matmul
@@ -135,9 +134,9 @@ def tail_power(
         heard: sines of the bearings of the tail, (M,); without them those of the echoes.
     """
     kept = 10.0 ** (-tail.decay_db_per_m * row_m / 10.0)
-    filled = lfilter([0.0, kept * tail.energy_per_m * row_m], [1.0, -kept], power, axis=0)
+    filled = _core.decaying_sum(power, kept * tail.energy_per_m * row_m, kept)
     spread = _tail_spread(sines.tobytes(), (sines if heard is None else heard).tobytes())
-    return chunked_matmul(filled.astype(power.dtype), spread.astype(power.dtype))
+    return chunked_matmul(filled, spread.astype(power.dtype))
 
 
 @lru_cache(maxsize=8)

@@ -33,6 +33,13 @@ void add_gaussian_power(float* field, std::size_t rows, std::size_t columns, con
 void block_powers(const float* cells, std::size_t parts, std::size_t rows, std::size_t columns,
                   std::size_t width, float* out, unsigned threads);
 
+/// Sum of a part of all earlier rows, that fades from row to row: out[r + 1] = energy power[r] +
+/// kept out[r], (rows, columns).
+void decaying_sum(const float* power, std::size_t rows, std::size_t columns, double energy,
+                  double kept, float* out);
+void decaying_sum(const double* power, std::size_t rows, std::size_t columns, double energy,
+                  double kept, double* out);
+
 /// Rays through a cloud, one array per quantity.
 struct CloudRays {
   std::size_t count;

@@ -60,6 +60,21 @@ std::vector<std::int64_t> rays_near_ball(std::size_t count, const double* start_
                                          const float* direction, double reach_m,
                                          const double* middle_m, double radius_m);
 
+/// Hits of the rays of one origin.
+struct SeenRays {
+  std::size_t count;
+  const float* direction;      ///< unit vectors, sonar frame, (count, 3)
+  const float* map_direction;  ///< the same in the map frame, (count, 3)
+  const std::int32_t* face;    ///< (count,); negative: nothing
+  const float* range_m;        ///< (count,)
+  Vec3 origin_m;               ///< map frame
+};
+
+/// Points of hits within a range and within sines of bearing and elevation, map frame, three
+/// numbers each.
+std::vector<double> visible_points(const SeenRays& rays, double range_m, double bearing_sine,
+                                   double elevation_sine);
+
 /// Directions of a fan, each the middle of a cell of sines s = -y, w = z; sonar x ahead.
 struct FanDirections {
   std::size_t count;
