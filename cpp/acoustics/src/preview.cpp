@@ -81,8 +81,8 @@ std::size_t coarse_patches(const Faces& faces, const CoarseRays& rays, double re
   return count;
 }
 
-void spread_over_rows(const Patches& patches, double row_m, std::size_t rows, std::size_t columns,
-                      double* picture) {
+void spread_over_rows(const RangePatches& patches, double row_m, std::size_t rows,
+                      std::size_t columns, double* picture) {
   // Where patches begin less where they end, then summed along the rows.
   std::vector<double> steps((rows + 1) * columns, 0.0);
   // No number counts as the first row.

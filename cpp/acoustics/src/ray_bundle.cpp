@@ -533,7 +533,8 @@ std::vector<double> visible_points(const SeenRays& rays, double range_m, double 
   return points;
 }
 
-std::vector<std::int64_t> cells_through_window(const FanDirections& fan, const Window& window) {
+std::vector<std::int64_t> cells_through_window(const FanDirections& fan,
+                                               const MirrorWindow& window) {
   // Cells that reach nearer to the plane across the sonar than this sine are curved.
   constexpr double kMinAhead = 0.1;
   const Vec3& o = window.map_T_fan.translation;

@@ -367,7 +367,7 @@ TEST_CASE("rays near a ball are all that come near it") {
 
 TEST_CASE("cells through a window are all that hold a direction through it, and few more") {
   // The fan looks along x from 1.5 m before a plane that leans, mirrored.
-  acoustics::Window window{};
+  acoustics::MirrorWindow window{};
   window.map_T_fan.rows = {mapperd::Vec3{1, 0, 0}, mapperd::Vec3{0, -1, 0}, mapperd::Vec3{0, 0, 1}};
   window.map_T_fan.translation = {1.0, 2.0, 3.0};
   window.normal = {0.8, 0.6, 0.0};

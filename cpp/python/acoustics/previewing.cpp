@@ -29,8 +29,8 @@ Array<double> spread_over_rows(const Array<std::int64_t>& column, const Array<do
           "column out of the picture");
   Array<double> picture(std::vector<std::size_t>{rows, columns});
   double* const out = picture.mutable_data();
-  const acoustics::Patches patches{static_cast<std::size_t>(count), at, range_m.data(),
-                                   extent_m.data(), power.data()};
+  const acoustics::RangePatches patches{static_cast<std::size_t>(count), at, range_m.data(),
+                                        extent_m.data(), power.data()};
   const py::gil_scoped_release unlocked;
   acoustics::spread_over_rows(patches, row_m, rows, columns, out);
   return picture;

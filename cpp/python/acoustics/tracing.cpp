@@ -167,15 +167,16 @@ py::array cells_through_window(const Array<float>& direction, const Array<float>
   const double* m = map_T_fan.data();
   const double* p = plane.data();
   const double* b = box_m.data();
-  const acoustics::Window window{{{mapperd::Vec3{m[0], m[1], m[2]}, mapperd::Vec3{m[3], m[4], m[5]},
-                                   mapperd::Vec3{m[6], m[7], m[8]}},
-                                  {m[9], m[10], m[11]}},
-                                 {p[0], p[1], p[2]},
-                                 p[3],
-                                 {b[0], b[1], b[2]},
-                                 {b[3], b[4], b[5]},
-                                 margin_m,
-                                 reach_m};
+  const acoustics::MirrorWindow window{
+      {{mapperd::Vec3{m[0], m[1], m[2]}, mapperd::Vec3{m[3], m[4], m[5]},
+        mapperd::Vec3{m[6], m[7], m[8]}},
+       {m[9], m[10], m[11]}},
+      {p[0], p[1], p[2]},
+      p[3],
+      {b[0], b[1], b[2]},
+      {b[3], b[4], b[5]},
+      margin_m,
+      reach_m};
   std::vector<std::int64_t> through;
   {
     const py::gil_scoped_release unlocked;

@@ -62,7 +62,7 @@ class VisibleCloud:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solids:
+class SolidObjects:
     """All surfaces but the floor.
 
     Attributes:
@@ -146,7 +146,7 @@ class PingPreview:
     meshes: Meshes
     planes: tuple[MirrorPlane, ...]
     bottoms: frozenset[str]
-    solids: Solids
+    solids: SolidObjects
     fan: CoarseFan
     end_m: NDArray[np.float64]
     echoes: Echoes

@@ -15,7 +15,7 @@ from sonar_sim.effects.echoes import (
     coarse_fan,
 )
 from sonar_sim.effects.planes import mirror_planes
-from sonar_sim.effects.preview import PingPreview, Solids
+from sonar_sim.effects.preview import PingPreview, SolidObjects
 from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.raycast.meshes import Hits, Meshes
@@ -161,7 +161,7 @@ def floor_surfaces(scene: Scene) -> frozenset[str]:
     )
 
 
-def solids(scene: Scene, floors: frozenset[str], range_m: float) -> Solids:
+def solids(scene: Scene, floors: frozenset[str], range_m: float) -> SolidObjects:
     """All surfaces but the floors; faces are large from a part of the sonar's range on."""
     vertices, large = [np.empty((0, 3))], []
     for surface in scene.surfaces:
@@ -174,7 +174,7 @@ def solids(scene: Scene, floors: frozenset[str], range_m: float) -> Solids:
         else:
             vertices.append(surface.vertices_m)
     moving = any(surface.motion is not None for surface in scene.surfaces)
-    return Solids(np.concatenate(vertices), np.array(large).reshape(-1, 2, 3), moving)
+    return SolidObjects(np.concatenate(vertices), np.array(large).reshape(-1, 2, 3), moving)
 
 
 def _levelness(surface: Surface) -> float:

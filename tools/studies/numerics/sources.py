@@ -110,10 +110,15 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
         ),
         SIMULATOR + "page/scene_view.py",
     ),
-    "serves the rules that decide on effects, to tenths of a decibel": _in(
-        SIMULATOR,
-        "effects/coarse_picture.py effects/echoes.py effects/image_difference.py "
-        "effects/multipath.py effects/previewer.py effects/rule_check.py effects/texture.py",
+    "serves the rules that decide on effects, to tenths of a decibel": (
+        ACOUSTICS + "preview.cpp",
+        HEARD + "preview.hpp",
+        "cpp/python/acoustics/previewing.cpp",
+        *_in(
+            SIMULATOR,
+            "effects/coarse_picture.py effects/image_difference.py "
+            "effects/multipath.py effects/previewer.py effects/rule_check.py effects/texture.py",
+        ),
     ),
     "the published plugin's arithmetic in the widths that it has": _in(
         SIMULATOR + "classic/",

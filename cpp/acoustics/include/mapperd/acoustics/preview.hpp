@@ -48,7 +48,7 @@ std::size_t coarse_patches(const Faces& faces, const CoarseRays& rays, double re
                            const Transform* map_T_group, const CoarsePatches& to);
 
 /// Patches that send echoes back; borrowed, not copied.
-struct Patches {
+struct RangePatches {
   std::size_t count;
   const std::int64_t* column;  ///< (count,), within the picture
   const double* range_m;       ///< of their middles, (count,)
@@ -58,8 +58,8 @@ struct Patches {
 
 /// Adds up the patches' power per length of range: each spreads evenly over the rows it covers, and
 /// over at least one. The picture is (rows, columns).
-void spread_over_rows(const Patches& patches, double row_m, std::size_t rows, std::size_t columns,
-                      double* picture);
+void spread_over_rows(const RangePatches& patches, double row_m, std::size_t rows,
+                      std::size_t columns, double* picture);
 
 /// Numbers no larger than a limit, times a factor; no number counts as 0.
 void limited(const double* from, std::size_t count, double limit, double factor, float* to);

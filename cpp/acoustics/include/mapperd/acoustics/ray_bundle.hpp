@@ -83,7 +83,7 @@ struct FanDirections {
 };
 
 /// A part of a plane that rays of a fan may pass through.
-struct Window {
+struct MirrorWindow {
   Transform map_T_fan;  ///< the rotation may reflect
   Vec3 normal;          ///< of the plane, map frame, to the side that rays go to
   double height_m;      ///< of the plane over the fan's origin, along the normal
@@ -93,6 +93,7 @@ struct Window {
 };
 
 /// Indices of the cells of which a direction may pass through a window.
-std::vector<std::int64_t> cells_through_window(const FanDirections& fan, const Window& window);
+std::vector<std::int64_t> cells_through_window(const FanDirections& fan,
+                                               const MirrorWindow& window);
 
 }  // namespace mapperd::acoustics
