@@ -4,10 +4,12 @@ Rows are ranges, nearest first. A field is complex64, a power float32. How many 
 changes a byte of what comes out. Arrays of wrong shape raise ValueError.
 """
 
-from typing import Literal, overload
+from typing import Literal, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
+
+_Real = TypeVar("_Real", np.float32, np.float64)
 
 def complex_gaussian(key: int, count: int) -> NDArray[np.complex64]:
     """Circular complex Gaussian numbers of mean power 1, (count,), of a 64-bit key's stream."""
@@ -70,6 +72,9 @@ def spread_over_rows(
 
     Returns:
         (rows, columns).
+
+    Raises:
+        ValueError: sizes differ, or a column lies outside of the picture.
     """
 
 def limited(
@@ -96,6 +101,9 @@ def pixel_change_db(
         exceeding: number of pixels.
         row_cells: displacement in rows that does not count.
         column_cells: the same in columns.
+
+    Raises:
+        ValueError: the pictures differ in shape, or gamma or a displacement is out of range.
     """
 
 def dark_change_db(
@@ -117,6 +125,9 @@ def dark_change_db(
         limit: amplitude below which pixels are dark.
         row_cells: displacement in rows that does not count.
         column_cells: the same in columns.
+
+    Raises:
+        ValueError: the pictures differ in shape, or gamma or a displacement is out of range.
     """
 
 def block_powers(
@@ -130,10 +141,7 @@ def block_powers(
         threads: that share the rows.
     """
 
-@overload
-def decaying_sum(power: NDArray[np.float32], energy: float, kept: float) -> NDArray[np.float32]: ...
-@overload
-def decaying_sum(power: NDArray[np.float64], energy: float, kept: float) -> NDArray[np.float64]:
+def decaying_sum(power: NDArray[_Real], energy: float, kept: float) -> NDArray[_Real]:
     """Sum of a part of all earlier rows, that fades from row to row, in double precision.
 
     Args:
@@ -143,6 +151,9 @@ def decaying_sum(power: NDArray[np.float64], energy: float, kept: float) -> NDAr
 
     Returns:
         (rows, columns); the first row is 0.
+
+    Raises:
+        ValueError: the power is not two-dimensional, or neither float32 nor float64.
     """
 
 def add_cloud(
@@ -332,7 +343,10 @@ class FaceTable:
             Of P patches: their rays, (P,). Points and unit normals in the map frame, (P, 3).
             Cosines of incidence, at least 0, areas in m² and extents in range in m, (P,).
             Variances of the normal within the patch by its curvature, (P, 3): their sum, their
-            product, and what the ray's projection on the tangent plane has of them.
+            product, and the variance along the ray's projection on the tangent plane.
+
+        Raises:
+            ValueError: sizes differ, or a face or group does not exist.
         """
 
 class Rays:

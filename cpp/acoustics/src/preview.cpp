@@ -32,7 +32,8 @@ void curvatures(const double* curved_normal, const Vec3& tangent, double* turn) 
   turn[2] = dot(along, along);
 }
 
-constexpr double kGrazing = 1e-3;  // cosine of incidence below which a patch has no size
+constexpr double kGrazing = 1e-3;  // cosine of incidence below which a patch has no size; the
+                                   // rules have the same
 
 void store(const Vec3& v, double* to) {
   for (std::size_t axis = 0; axis < 3; ++axis) to[axis] = v[axis];
@@ -286,6 +287,8 @@ double change_of_dark_db(const float* first, const float* second, const PictureP
                          const DarkPixels& dark) {
   const std::size_t band = shape.rows / kBands * shape.columns;
   const float per_amplitude = static_cast<float>(dark.entries) / dark.limit;
+  // Of a gamma next to 0 no amplitude is dark.
+  if (!std::isfinite(per_amplitude)) return 0.0;
   double change_db = 0.0;
   for (std::size_t k = 0; k < kBands; ++k) {
     std::size_t count = 0;

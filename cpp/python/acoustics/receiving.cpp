@@ -114,9 +114,7 @@ py::array_t<float> block_powers(const py::array& cells, std::size_t width, unsig
 }
 
 template <typename Real>
-py::array_t<Real> decaying_sum(const py::array_t<Real, py::array::c_style>& power, double energy,
-                               double kept) {
-  demand(power.ndim() == 2, "power is two-dimensional");
+py::array sum_of(const py::array_t<Real, py::array::c_style>& power, double energy, double kept) {
   const std::size_t rows = size_of(power, 0);
   const std::size_t columns = size_of(power, 1);
   py::array_t<Real> sum(std::vector<std::size_t>{rows, columns});
@@ -125,6 +123,13 @@ py::array_t<Real> decaying_sum(const py::array_t<Real, py::array::c_style>& powe
   const py::gil_scoped_release unlocked;
   acoustics::decaying_sum(from, rows, columns, energy, kept, out);
   return sum;
+}
+
+py::array decaying_sum(const py::array& power, double energy, double kept) {
+  demand(power.ndim() == 2, "power is two-dimensional");
+  if (power.dtype().is(py::dtype::of<float>())) return sum_of<float>(power, energy, kept);
+  demand(power.dtype().is(py::dtype::of<double>()), "power is float32 or float64");
+  return sum_of<double>(power, energy, kept);
 }
 
 void add_cloud(py::array_t<float>& power, const Doubles& enter_row, const Doubles& leave_row,
@@ -246,9 +251,7 @@ void bind_receiving(py::module_& module) {
   module.def("add_gaussian_power", &add_gaussian_power, arg("field").noconvert(), arg("power"),
              arg("key"), arg("threads") = 2, arg("first") = 0.0, arg("step") = 1.0);
   module.def("block_powers", &block_powers, arg("cells"), arg("width"), arg("threads") = 2);
-  module.def("decaying_sum", &decaying_sum<float>, arg("power").noconvert(), arg("energy"),
-             arg("kept"));
-  module.def("decaying_sum", &decaying_sum<double>, arg("power"), arg("energy"), arg("kept"));
+  module.def("decaying_sum", &decaying_sum, arg("power"), arg("energy"), arg("kept"));
   module.def("add_cloud", &add_cloud, arg("power").noconvert(), arg("enter_row"), arg("leave_row"),
              arg("column"), arg("weight"), arg("row_fade"), arg("column_fade"), arg("level"));
   module.def("form_beams", &form_beams, arg("cells"), arg("taps"), arg("first"), arg("beams"),

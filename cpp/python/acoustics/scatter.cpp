@@ -146,12 +146,6 @@ RayArrays rays_of(Array<std::int32_t> face, Array<std::int32_t> seen, Array<std:
   return {face, seen, transmit, receive, cell, span_m, gain, legs, both_ways};
 }
 
-mapperd::Transform transform(const double* m) {
-  return {{mapperd::Vec3{m[0], m[1], m[2]}, mapperd::Vec3{m[3], m[4], m[5]},
-           mapperd::Vec3{m[6], m[7], m[8]}},
-          {m[9], m[10], m[11]}};
-}
-
 py::tuple coarse_patches(const FaceTable& faces, const Array<std::int32_t>& face,
                          const Array<std::int32_t>& group, const Array<float>& range_m,
                          const Array<double>& direction, const Array<double>& solid_angle_sr,
@@ -165,7 +159,7 @@ py::tuple coarse_patches(const FaceTable& faces, const Array<std::int32_t>& face
   require(map_T_group.ndim() == 2 && map_T_group.shape(1) == 12, "map_T_group must be (G, 12)");
   std::vector<mapperd::Transform> poses;
   for (py::ssize_t i = 0; i < map_T_group.shape(0); ++i) {
-    poses.push_back(transform(map_T_group.data() + 12 * i));
+    poses.push_back(transform_of(map_T_group.data() + 12 * i));
   }
   const auto all = static_cast<std::int32_t>(faces.faces.size());
   py::ssize_t most = 0;
@@ -188,7 +182,7 @@ py::tuple coarse_patches(const FaceTable& faces, const Array<std::int32_t>& face
                                    solid_angle_sr.data(),
                                    s_step,
                                    w_step,
-                                   transform(map_T_sonar.data())};
+                                   transform_of(map_T_sonar.data())};
   const acoustics::CoarsePatches to{ray.mutable_data(),     point_m.mutable_data(),
                                     normal.mutable_data(),  cos_incidence.mutable_data(),
                                     area_m2.mutable_data(), extent_m.mutable_data(),

@@ -159,24 +159,20 @@ py::array visible_points(const Array<float>& direction, const Array<float>& map_
 py::array cells_through_window(const Array<float>& direction, const Array<float>& cell,
                                const Array<double>& map_T_fan, const Array<double>& plane,
                                const Array<double>& box_m, double margin_m, double reach_m) {
+  require(direction.ndim() == 2 && direction.shape(1) == 3, "direction must be (N, 3)");
   const py::ssize_t count = direction.shape(0);
-  require(direction.ndim() == 2 && direction.shape(1) == 3 && cell.size() == 4 * count,
-          "direction must be (N, 3), cell (N, 4)");
+  require(cell.size() == 4 * count, "cell must be (N, 4)");
   require(map_T_fan.size() == 12 && plane.size() == 4 && box_m.size() == 6,
           "map_T_fan must be (12,), plane (4,), box_m (2, 3)");
-  const double* m = map_T_fan.data();
   const double* p = plane.data();
   const double* b = box_m.data();
-  const acoustics::MirrorWindow window{
-      {{mapperd::Vec3{m[0], m[1], m[2]}, mapperd::Vec3{m[3], m[4], m[5]},
-        mapperd::Vec3{m[6], m[7], m[8]}},
-       {m[9], m[10], m[11]}},
-      {p[0], p[1], p[2]},
-      p[3],
-      {b[0], b[1], b[2]},
-      {b[3], b[4], b[5]},
-      margin_m,
-      reach_m};
+  const acoustics::MirrorWindow window{transform_of(map_T_fan.data()),
+                                       {p[0], p[1], p[2]},
+                                       p[3],
+                                       {b[0], b[1], b[2]},
+                                       {b[3], b[4], b[5]},
+                                       margin_m,
+                                       reach_m};
   std::vector<std::int64_t> through;
   {
     const py::gil_scoped_release unlocked;

@@ -1,6 +1,7 @@
 """Rays of `auto` end where no echo shows, for every ping of a cell of poses."""
 
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -74,6 +75,12 @@ def test_what_the_coarse_rays_miss_is_not_left_out() -> None:
         assert limits(Scene((floor(), beyond)))[1] == MAX_ELEVATION_RAD
 
 
+def test_a_ping_that_leans_looks_over_what_is_a_little_behind() -> None:
+    scene = Scene((floor(), thread(-0.3, 2.0)))
+    assert limits(scene)[1] == MAX_ELEVATION_RAD
+    assert limits(scene, PoseSlack(turn_rad=0.1))[1] == math.pi / 2.0
+
+
 def test_large_faces_and_moving_things_may_reach_anywhere() -> None:
     """Vertices out of range do not tell where a face is."""
     full = (-math.pi / 2.0, math.pi / 2.0)
@@ -88,6 +95,19 @@ def test_large_faces_and_moving_things_may_reach_anywhere() -> None:
 def test_a_cloud_above_keeps_its_rays() -> None:
     plume = CloudSpec("plume", (0.2, -1.0, -2.0), (1.0, 1.0, -1.0), Bubbles(5e-4, 1e6))
     assert limits(Scene((floor(),), clouds=(plume,)))[1] > math.radians(60.0)
+    # It lies less than 68 degrees up, but not for a ping that has come nearer.
+    small = CloudSpec("small", (0.9, -0.2, -2.0), (1.2, 0.2, -1.0), Bubbles(5e-4, 1e6))
+    near = [limits(Scene((floor(),), clouds=(small,)), PoseSlack(move_m=m))[1] for m in (0.0, 0.5)]
+    assert near[0] < near[1]
+
+
+def test_a_plan_can_be_sent_to_another_process() -> None:
+    sonar = replace(LOUD, demanded_range_m=8.0)
+    planner = Planner(Previewer(NEAR, sonar), EffectSelection.read("auto"), Tolerance())
+    plan = planner.at(pose()).plan
+    sent = pickle.loads(pickle.dumps(plan))  # noqa: S301 our own bytes
+    view = planner.at(pose()).view
+    assert sent.physics(view).elevations_rad == plan.physics(view).elevations_rad
 
 
 def test_a_fan_of_some_elevations_is_a_part_of_the_whole_one() -> None:

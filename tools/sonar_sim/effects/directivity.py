@@ -4,6 +4,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -164,7 +165,7 @@ def _first_at_least(reach_rad: float) -> float:
 
 
 def _least(from_rad: float, shows: Callable[[float], bool]) -> float:
-    """The first limit beyond which nothing shows; what lies beyond the last one does not exist."""
+    """The first limit beyond which nothing shows; the last one is a right angle."""
     limits = [limit for limit in LIMITS_RAD if limit >= from_rad]
     return limits[bisect_left(limits[:-1], 1, key=lambda limit: 0 if shows(limit) else 1)]
 
@@ -177,12 +178,12 @@ def configure_all_elevations(physics: Physics, view: PingPreview) -> None:
 
 def within_elevations(effect: Effect, limits_rad: tuple[float, float]) -> Effect:
     """The effect, looking only so far down and up, but in mirrors everywhere."""
+    return replace(effect, configure=partial(_configure_limits, limits_rad))
 
-    def configure(physics: Physics, view: PingPreview) -> None:
-        effect.configure(physics, view)
-        physics.elevations_rad = limits_rad
 
-    return replace(effect, configure=configure)
+def _configure_limits(limits_rad: tuple[float, float], physics: Physics, view: PingPreview) -> None:
+    configure_all_elevations(physics, view)
+    physics.elevations_rad = limits_rad
 
 
 ALL_ELEVATIONS = Effect(
@@ -191,8 +192,8 @@ ALL_ELEVATIONS = Effect(
     needs="surfaces more than 40° off the fan's plane",
     formula="rays up to 90° off the fan's plane; what lies behind the sonar is not heard",
     source="geometry; the pattern of `vertical_pattern`",
-    rule="the picture without these echoes differs by more than the tolerance; rays end where no "
-    "echo shows",
+    rule="the picture without these echoes differs by more than the tolerance; `auto` ends rays "
+    "where floor and water no longer show",
     cost=Cost.RAY,
     parameters=(EffectParameter("sonar.vertical_width_rad", "rad", "-3 dB full width, one way"),),
     decide=decide_all_elevations,

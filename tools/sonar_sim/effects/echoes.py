@@ -27,7 +27,7 @@ TOP = 1.0
 MIN_AHEAD = 1e-3
 """Sine of the angle to the plane across the sonar below which a ray is ignored."""
 GRAZING = 1e-3
-"""Cosine of incidence below which a patch has no size worth naming."""
+"""Cosine of incidence below which a patch has no size worth naming; the kernels have the same."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,7 +180,7 @@ def _scattering(
     """Lambert's coefficient, and the mirror lobe's scattering per unit area, of each patch.
 
     `turn` holds the variances of the normal within a patch by its curvature: their sum, their
-    product, and what the ray's part in the tangent plane has of them.
+    product, and the variance along the ray's projection on the tangent plane.
     """
     wave_number = 2.0 * math.pi * sonar.frequency_hz / scene.water.speed_of_sound_mps
     materials = [s.material for s in scene.surfaces]

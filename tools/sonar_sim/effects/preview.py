@@ -67,11 +67,13 @@ class SolidObjects:
 
     Attributes:
         vertices_m: of surfaces of small faces, map frame, (V, 3).
+        half_edge_m: half of the longest edge between these.
         large_m: lowest and highest corner of each of the others, map frame, (L, 2, 3).
         moving: whether any surface moves.
     """
 
     vertices_m: NDArray[np.float64]
+    half_edge_m: float
     large_m: NDArray[np.float64]
     moving: bool
 
@@ -424,8 +426,11 @@ class PingPreview:
         power = np.where(outside, self.echo_power, 0.0)
         other = self.picture - self.grid.picture(self.echoes, power)
         if self.clouds:
-            sines = self.fan.directions[:, 2]
-            rays = np.flatnonzero(slack.outside(sines, np.inf, limits_rad))
+            boxes_m = np.array([(cloud.spec.low_m, cloud.spec.high_m) for cloud in self.clouds])
+            sonar_m, sines = self.map_T_sonar.position_m, self.fan.directions[:, 2]
+            away_m = np.clip(sonar_m, boxes_m[:, 0], boxes_m[:, 1]) - sonar_m
+            nearest_m = max(float(np.linalg.norm(away_m, axis=1).min()), 1e-9)
+            rays = np.flatnonzero(slack.outside(sines, nearest_m, limits_rad))
             fan = replace(
                 self.fan,
                 directions=self.fan.directions[rays],
@@ -438,8 +443,10 @@ class PingPreview:
     def reach_rad(self, slack: PoseSlack) -> tuple[float, float]:
         """How far down and up all but the floor may reach: elevations of vertices in range.
 
-        A right angle where surfaces move or have large faces: their vertices do not tell.
+        A right angle where surfaces move or have large faces: their vertices do not tell. The
+        middle of a small face is half an edge from a vertex at most.
         """
+        slack = PoseSlack(slack.move_m + self.solids.half_edge_m, slack.turn_rad)
         sonar_m, reach_m = self.map_T_sonar.position_m, self.sonar.range_m + slack.move_m
         low_m, high_m = self.solids.large_m[:, 0], self.solids.large_m[:, 1]
         gap_m = np.linalg.norm(np.clip(sonar_m, low_m, high_m) - sonar_m, axis=1)
@@ -447,7 +454,9 @@ class PingPreview:
             return math.pi / 2.0, math.pi / 2.0
         local_m = chunked_matmul(self.solids.vertices_m - sonar_m, self.map_T_sonar.rotation)
         range_m = np.linalg.norm(local_m, axis=1)
-        near = np.flatnonzero((range_m < reach_m) & (local_m[:, 0] > -slack.move_m))
+        # A ping that leans looks over what lies a little behind.
+        behind_m = slack.move_m + math.sin(slack.turn_rad) * range_m
+        near = np.flatnonzero((range_m < reach_m) & (local_m[:, 0] > -behind_m))
         range_m = np.maximum(range_m[near], 1e-9)
         elevation, slack_rad = np.arcsin(local_m[near, 2] / range_m), slack.angle_rad(range_m)
         down = float((slack_rad - elevation).max(initial=0.0))

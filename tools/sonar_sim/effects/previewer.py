@@ -163,7 +163,7 @@ def floor_surfaces(scene: Scene) -> frozenset[str]:
 
 def solids(scene: Scene, floors: frozenset[str], range_m: float) -> SolidObjects:
     """All surfaces but the floors; faces are large from a part of the sonar's range on."""
-    vertices, large = [np.empty((0, 3))], []
+    vertices, large, longest_m = [np.empty((0, 3))], [], 0.0
     for surface in scene.surfaces:
         if surface.name in floors or len(surface.faces) == 0:
             continue
@@ -173,8 +173,10 @@ def solids(scene: Scene, floors: frozenset[str], range_m: float) -> SolidObjects
             large.append([surface.vertices_m.min(axis=0), surface.vertices_m.max(axis=0)])
         else:
             vertices.append(surface.vertices_m)
+            longest_m = max(longest_m, float(edge_m))
     moving = any(surface.motion is not None for surface in scene.surfaces)
-    return SolidObjects(np.concatenate(vertices), np.array(large).reshape(-1, 2, 3), moving)
+    boxes_m = np.array(large).reshape(-1, 2, 3)
+    return SolidObjects(np.concatenate(vertices), longest_m / 2.0, boxes_m, moving)
 
 
 def _levelness(surface: Surface) -> float:

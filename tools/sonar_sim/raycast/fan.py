@@ -114,7 +114,7 @@ def _swept_rad(
     return angle / STRIPS
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
 def ray_fan(
     sonar: SonarSettings,
     elevations: int = ELEVATIONS,
@@ -125,7 +125,8 @@ def ray_fan(
     Args:
         sonar: its beams.
         elevations: rays of a column up to `MAX_ELEVATION_RAD` on both sides of the fan's plane.
-        limits_rad: lowest and highest elevation that rays cover, at least those.
+        limits_rad: lowest and highest elevation that rays cover. They cover no less than
+            `USUAL_ELEVATIONS_RAD`, and beyond it whole steps of `STEEP_STEP_RAD`.
     """
     columns = sonar.beams + 2 * MARGIN_BEAMS
     column = np.arange(columns, dtype=np.int32)
@@ -145,13 +146,12 @@ def ray_fan(
     most = np.sqrt(1.0 - ww**2)
     middle = (np.clip(ss - half, -most, most) + np.clip(ss + half, -most, most)) / 2.0
     rays = np.where(real, np.cumsum(real, dtype=np.int32) - 1, -1).astype(np.int32)
-    return RayFan(
-        *_rays(middle, ww, (ss - half, ss + half), halves),
-        np.repeat(column, len(w))[real],
-        columns,
-        sonar.sine_pitch,
-        FanCells(edges, rays.reshape(columns, len(w))),
-    )
+    directions, cell = _rays(middle, ww, (ss - half, ss + half), halves)
+    ray_column = np.repeat(column, len(w))[real]
+    for shared in (directions, cell, ray_column, edges, rays):
+        shared.setflags(write=False)
+    grid = FanCells(edges, rays.reshape(columns, len(w)))
+    return RayFan(directions, cell, ray_column, columns, sonar.sine_pitch, grid)
 
 
 def _up_sines(elevations: int) -> NDArray[np.float64]:

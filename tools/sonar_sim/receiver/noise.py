@@ -145,6 +145,7 @@ def _tail_spread(sines: bytes, heard: bytes) -> NDArray[np.float64]:
     away = (np.frombuffer(sines)[:, None] - np.frombuffer(heard)) / TAIL_SPREAD_SINE
     spread = np.exp(-0.5 * np.square(away))
     spread /= spread.sum(axis=0)
+    spread.setflags(write=False)
     return spread
 
 

@@ -34,8 +34,8 @@ struct CoarsePatches {
   double* cos_incidence;  ///< at least 0
   double* area_m2;        ///< of the cell's part of the surface
   double* extent_m;       ///< in range
-  double* turn;  ///< variances of the normal by curvature: their sum, their product, and what the
-                 ///< ray's projection on the tangent plane has of them, (count, 3)
+  double* turn;  ///< variances of the normal by curvature: their sum, their product, and that
+                 ///< along the ray's projection on the tangent plane, (count, 3)
 };
 
 /// Computes the patches of surface that rays hit.
