@@ -67,8 +67,7 @@ class Check:
         """Return the first test that does not pass and its end; otherwise the end of the last."""
         test, end = "", End("passed")
         for test in mutation.killed_by:
-            if mutation.is_cpp:
-                self._copy.build(targets_of(test))
+            self._copy.build(targets_of(test))
             end = run_test(self._copy, test, mutation)
             if end.how != "passed":
                 break
