@@ -3,7 +3,7 @@
 import copy
 import time
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -257,7 +257,7 @@ class PingEngine:
     def _setting(self, physics: Physics, taps: NDArray[np.float32]) -> _core.ScatterSetting:
         return _core.ScatterSetting(
             loss=self._loss(physics),
-            vertical=_vertical(physics),
+            vertical=_vertical_pattern(physics.vertical_width_rad),
             taps=taps,
             columns=self._fan.columns,
             row_m=self.sonar.range_resolution_m,
@@ -366,12 +366,12 @@ class _StageTimer:
         self._last_s = now
 
 
-def _vertical(physics: Physics) -> NDArray[np.float32]:
+@lru_cache(maxsize=8)
+def _vertical_pattern(width_rad: float | None) -> NDArray[np.float32]:
     """One-way pressure of the vertical pattern over the sine of elevation from 0 to 1."""
-    if physics.vertical_width_rad is None:
+    if width_rad is None:
         return np.ones(2, dtype=np.float32)
     up = np.linspace(0.0, 1.0, VERTICAL_STEPS)
-    pressure: NDArray[np.float32] = (
-        vertical_two_way_power(up, physics.vertical_width_rad) ** 0.25
-    ).astype(np.float32)
+    pressure = (vertical_two_way_power(up, width_rad) ** 0.25).astype(np.float32)
+    pressure.setflags(write=False)
     return pressure

@@ -37,8 +37,8 @@ def vertical_two_way_power(
         Factor, 1 on the axis.
     """
     stretch = HALF_POWER_SINC / math.sin(width_rad / 2.0)
-    power: NDArray[np.float64] = np.sinc(stretch * sin_elevation) ** 4
-    return power
+    one_way: NDArray[np.float64] = np.square(np.sinc(stretch * sin_elevation))
+    return np.square(one_way)
 
 
 def azimuth_amplitude(
