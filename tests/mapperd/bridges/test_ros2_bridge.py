@@ -874,14 +874,14 @@ def test_a_peer_in_another_domain_hears_nothing(monkeypatch: pytest.MonkeyPatch)
     assert sum("nobody subscribes" in line for line in heard.lines) == 1
 
 
-async def beside_late_peers(number: int, act: Callable[[int], Awaitable[None]]) -> list[str]:
-    """Run a bridge with a map; peers come and go one after the other."""
+async def beside_late_peers(number: int, act: Callable[[list[str]], Awaitable[None]]) -> list[str]:
+    """Run a bridge with a map; peers come and go one after the other, beside the bridge's lines."""
     stream, lines = BridgeStream(), list[str]()
     feed_everything(stream)
     serving = asyncio.create_task(serve(stream, of_rov(), lines.append))
     try:
-        for each in range(number):
-            await act(each)
+        for _ in range(number):
+            await act(lines)
     finally:
         serving.cancel()
         await asyncio.wait((serving,))
@@ -894,12 +894,17 @@ def test_a_peer_that_comes_late_gets_the_map_and_one_that_goes_is_a_line(
     monkeypatch.setattr("mapperd.bridges.ros2.ALONE_S", 0.0)
 
     async def run() -> None:
-        async def act(_: int) -> None:
+        async def act(lines: list[str]) -> None:
+            def last() -> str:
+                return next((line for line in reversed(lines) if "subscribe" in line), "")
+
             late = Heard()
             async with late.listening(DOMAIN):
                 await until(lambda: late["/map"] and late["/rov/my_cloud"])
+                await until(lambda: "have subscribers" in last())
             assert len(late["/map"]) == 1
-            await asyncio.sleep(0.5)
+            # The next peer comes once the bridge knows that this one has gone.
+            await until(lambda: "nobody subscribes" in last())
 
         lines = await beside_late_peers(2, act)
         assert sum("have subscribers" in line for line in lines) == 2
@@ -931,7 +936,7 @@ def test_peers_that_come_and_go_leave_nothing_behind(peers: int) -> None:
     async def run() -> None:
         sizes: list[int] = []
 
-        async def act(_: int) -> None:
+        async def act(_: list[str]) -> None:
             words = ["-c", COMES_AND_GOES, str(DOMAIN), str(peers), str(PEER.parent)]
             process = await asyncio.create_subprocess_exec(sys.executable, *words)
             assert await process.wait() == 0
