@@ -86,7 +86,7 @@ void spread_over_rows(const RangePatches& patches, double row_m, std::size_t row
                       std::size_t columns, double* picture) {
   // Where patches begin less where they end, then summed along the rows.
   std::vector<double> steps((rows + 1) * columns, 0.0);
-  // No number counts as the first row.
+  // NaN counts as the first row.
   const auto row_of = [rows](double row) {
     return row > 0.0 ? static_cast<std::size_t>(std::min(row, static_cast<double>(rows))) : 0;
   };
@@ -184,6 +184,7 @@ void widen_along_columns(const Picture& low, const Picture& high, std::size_t ro
 /// other.
 Picture nearest(const float* picture, const float* other, const PicturePair& pair) {
   const std::size_t size = pair.rows * pair.columns;
+  if (size == 0) return {};
   Picture low(size);
   square(other, size, low.data());
   Picture high = low;

@@ -118,7 +118,7 @@ def coarse_echoes(
     scene: Scene,
     sonar: SonarSettings,
     fan: CoarseFan,
-    found: Meshes,
+    meshes: Meshes,
     hits: Hits,
     *,
     map_T_sonar: FramePose,  # noqa: N803 frames in the name
@@ -130,13 +130,13 @@ def coarse_echoes(
         scene: its materials.
         sonar: its range and frequency.
         fan: the rays.
-        found: the scene's triangles.
+        meshes: the scene's triangles.
         hits: of the rays.
         map_T_sonar: where they start.
         time_s: at which moving objects are met.
     """
-    poses = [np.append(pose.rotation, pose.position_m) for pose in found.poses(time_s)]
-    ray, point_m, normal, cos_incidence, area_m2, extent_m, turn = found.faces.coarse_patches(
+    poses = [np.append(pose.rotation, pose.position_m) for pose in meshes.poses(time_s)]
+    ray, point_m, normal, cos_incidence, area_m2, extent_m, turn = meshes.faces.coarse_patches(
         hits.face,
         hits.group,
         hits.range_m,
@@ -148,7 +148,7 @@ def coarse_echoes(
         np.array(poses),
         sonar.range_m,
     )
-    surface = found.surface[hits.face[ray]].astype(np.int64)
+    surface = meshes.surface[hits.face[ray]].astype(np.int64)
     surface[surface == SEA] = SEA_SURFACE
     mu, lobe = _scattering(
         scene, sonar, fan, surface=surface, cos_incidence=cos_incidence, turn=turn

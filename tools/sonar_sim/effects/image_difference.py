@@ -71,13 +71,14 @@ def level_change_db(
 
 @lru_cache(maxsize=16)
 def _mean_pixels(gamma: float, scale: int) -> tuple[NDArray[np.float32], float]:
-    """Mean pixel of speckle over its rms amplitude, and the amplitude that is no longer dark.
+    """Mean pixel of speckle over its rms amplitude, up to the largest that is dark.
 
     Of speckle of rms m the pixel is at least k with probability exp(-(t / m)²), t the amplitude
     that is rounded to k; the sum over k is the mean pixel.
 
     Returns:
-        Means from 0 to the second, then 0, (entries + 1,); what is not dark, in rms of full scale.
+        Means at rms amplitudes from 0 to a limit, evenly spaced, then a 0, (entries + 1,). And the
+        limit, of full scale.
     """
     limit = (DARK_STEPS / scale) ** (1.0 / gamma)
     rms = np.maximum(np.arange(DARK_ENTRIES + 1) * (limit / DARK_ENTRIES), 1e-30)

@@ -41,7 +41,7 @@ def mirror_ghosts(view: PingPreview, planes: Sequence[MirrorPlane]) -> list[Ghos
     """Compute the ghosts in each plane; None if no ghost is in range."""
     near = _may_mirror(view, planes) if planes else ()
     return [
-        _ghosts_in(view, plane) if its else None for plane, its in zip(planes, near, strict=True)
+        _ghosts_in(view, plane) if may else None for plane, may in zip(planes, near, strict=True)
     ]
 
 

@@ -114,8 +114,9 @@ def _within_limits(
     slack = PoseSlack(math.sqrt(3.0) * half_step_m, math.sqrt(3.0) * 0.5 * ANGLE_STEP_RAD)
     limits_rad = elevations_that_show(view, tolerance, DOUBT * tolerance.level_db, slack)
     low_deg, high_deg = (round(math.degrees(limit)) for limit in limits_rad)
-    told = replace(verdict, reason=f"{verdict.reason}; rays from {low_deg}° to {high_deg}°")
-    return Decision(within_elevations(decision.effect, limits_rad), told, decision.on)
+    reason = f"{verdict.reason}; rays from {low_deg}° to {high_deg}°"
+    narrower = within_elevations(decision.effect, limits_rad)
+    return Decision(narrower, replace(verdict, reason=reason), decision.on)
 
 
 def _clouds_in_fan(view: PingPreview, kind: type[Bubbles] | type[Sediment]) -> bool:

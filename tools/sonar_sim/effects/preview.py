@@ -25,6 +25,7 @@ from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.physics import Cloud, Reverberation
+from sonar_sim.raycast.fan import ALL_ELEVATIONS_RAD
 from sonar_sim.raycast.meshes import Meshes
 from sonar_sim.receiver.gain import FULL_SCALE_DB, GAIN_DB_PER_PERCENT, noise_level_db
 from sonar_sim.receiver.noise import diffuse_limit_m2, tail_power
@@ -103,9 +104,9 @@ class PoseSlack:
     ) -> NDArray[np.bool_]:
         """Whether sines of elevation may lie outside of a lower and an upper limit."""
         elevation, slack_rad = np.arcsin(sines), self.angle_rad(range_m)
-        right = math.pi / 2.0
-        outside: NDArray[np.bool_] = np.maximum(elevation - slack_rad, -right) < limits_rad[0]
-        return outside | (np.minimum(elevation + slack_rad, right) > limits_rad[1])
+        low_rad, high_rad = ALL_ELEVATIONS_RAD
+        outside: NDArray[np.bool_] = np.maximum(elevation - slack_rad, low_rad) < limits_rad[0]
+        return outside | (np.minimum(elevation + slack_rad, high_rad) > limits_rad[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -99,9 +99,9 @@ def trace(
     )
     new = np.flatnonzero(source < 0)
     if len(new):
-        laid = chunked_matmul(fan.directions.take(new, axis=0), turn)
-        direction = merged(direction, source, laid)
-        more = cast(laid)
+        new_direction = chunked_matmul(fan.directions.take(new, axis=0), turn)
+        direction = merged(direction, source, new_direction)
+        more = cast(new_direction)
         met = Hits(
             merged(met.range_m, source, more.range_m),
             merged(met.face, source, more.face),

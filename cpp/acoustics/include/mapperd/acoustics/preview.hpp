@@ -1,6 +1,6 @@
 /// \file
-/// \brief The preview of a ping: normals and curvatures where coarse rays hit, the coarse picture
-/// of their echoes, and how much two such pictures differ.
+/// \brief The preview of a ping: patches of surface that coarse rays hit, the coarse picture of
+/// their echoes, and how much two such pictures differ.
 ///
 /// \par Threads
 /// Functions of their arguments: any thread may call them.
@@ -61,7 +61,7 @@ struct RangePatches {
 void spread_over_rows(const RangePatches& patches, double row_m, std::size_t rows,
                       std::size_t columns, double* picture);
 
-/// Numbers no larger than a limit, times a factor; no number counts as 0.
+/// Numbers no less than 0 and no larger than a limit, times a factor; NaN counts as 0.
 void limited(const double* from, std::size_t count, double limit, double factor, float* to);
 
 /// Two pictures of expected amplitudes of full scale, (rows, columns), and how they are compared.
@@ -71,8 +71,8 @@ struct PicturePair {
   std::size_t rows;
   std::size_t columns;
   float gamma;          ///< a pixel is amplitude^gamma times the largest pixel
-  double row_cells;     ///< displacement that does not count
-  double column_cells;  ///< the same along the rows
+  double row_cells;     ///< displacement in rows that does not count
+  double column_cells;  ///< the same in columns
 };
 
 /// Difference in dB that at most `exceeding` pixels exceed. Pixels that differ by less than a step
