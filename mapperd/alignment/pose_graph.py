@@ -1,10 +1,11 @@
 """The pose graph: odometry with drift, registrations and position fixes, solved robustly.
 
 Each node has a planar pose and three errors of the odometry that hold there: scale, crab (the
-direction of travel turns against the heading) and turn (the rate of the heading). These wander as
-Ornstein-Uhlenbeck processes, so drift may be constant or change. Loops are robust (Geman-McClure
-with graduated non-convexity: Yang, Antonante, Tzoumas and Carlone 2020); a loop may have several
-alternatives, of which the most likely counts (max-mixture: Olson and Agarwal 2013).
+direction of travel turns against the heading) and turn (the rate of the heading). These wander
+about their means over the dive as Ornstein-Uhlenbeck processes, so drift may be constant or change.
+The means, which are states too, carry what is known of the drift through a gap. Loops are robust
+(Geman-McClure with graduated non-convexity: Yang, Antonante, Tzoumas and Carlone 2020); a loop may
+have several alternatives, of which the most likely counts (max-mixture: Olson and Agarwal 2013).
 
 Registrations err, too: echoes of unknown elevation are placed too near or too far, alike in all
 submaps. Two errors, common to all loops, are estimated: a scale of the way between the submaps, and
@@ -59,11 +60,13 @@ STOP = 1e-5
 class DriftModel:
     """How odometry drifts and how registrations err alike; one standard deviation each.
 
+    Scale, crab and turn have a mean over the dive, and wander about it by as much again.
+
     Attributes:
         scale: error of distances, as a share.
         crab_rad: angle between the course made good and the stated one.
         turn_radps: drift of the heading.
-        memory_s: time over which these errors stay alike.
+        memory_s: time over which these errors stay alike, but for their means.
         noise_m: of a step, for each square root of a metre travelled.
         noise_rad: of a step, for each square root of a second.
         registration_scale: error of the distance between registered submaps, as a share.
@@ -78,6 +81,11 @@ class DriftModel:
     noise_rad: float = math.radians(0.05)
     registration_scale: float = 0.007
     registration_turn: float = 0.02
+
+    @property
+    def deviations(self) -> Floats:
+        """(3,) of scale, crab (rad) and turn (rad/s)."""
+        return np.array([self.scale, self.crab_rad, self.turn_radps])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,6 +208,7 @@ class PoseGraph:
         anchors: known poses: at first that of node 0.
         bias: (2,) common errors of the registrations: scale of the distance, and turn about the
             middle of the second submap by the sine of the turn between them.
+        mean_drift: (D, 3) of each dive: scale, crab (rad) and turn (rad/s).
     """
 
     start: Floats
@@ -210,22 +219,29 @@ class PoseGraph:
     anchors: list[PoseAnchor] = field(default_factory=list)
     _states: Floats = field(init=False)
     bias: Floats = field(init=False)
+    mean_drift: Floats = field(init=False)
+    _dive_of: NDArray[np.intp] = field(init=False)
     _step_weights: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         self._states = np.hstack([self.start, np.zeros_like(self.start)])
         self.bias = np.zeros(2)
+        self._dive_of = np.cumsum([step is None for step in self.steps]) - 1
+        self.mean_drift = np.zeros((int(self._dive_of[-1]) + 1, 3))
         self._step_weights = np.ones(len(self.start))
         if not self.anchors:
             self.anchors = [PoseAnchor(0, self.start[0].copy(), EXACT)]
 
-    def save(self) -> tuple[Floats, Floats, Floats]:
+    def save(self) -> tuple[Floats, ...]:
         """Return the present states, for `restore`."""
-        return self._states.copy(), self._step_weights.copy(), self.bias.copy()
+        present = self._states, self._step_weights, self.bias, self.mean_drift
+        return tuple(array.copy() for array in present)
 
-    def restore(self, saved: tuple[Floats, Floats, Floats]) -> None:
+    def restore(self, saved: tuple[Floats, ...]) -> None:
         """Return to states of `save`."""
-        self._states, self._step_weights, self.bias = (array.copy() for array in saved)
+        self._states, self._step_weights, self.bias, self.mean_drift = (
+            array.copy() for array in saved
+        )
 
     def begin_at(self, poses: Floats, drift: Floats) -> None:
         """Begin from other poses and drift, (N, 3) each."""
@@ -272,7 +288,10 @@ class PoseGraph:
             if step is not None:
                 _, residual, information = self._step_factor(k, step)
                 squared = float(residual @ information @ residual)
-                self._step_weights[k] = (control * STEP_GATE / (control * STEP_GATE + squared)) ** 2
+                # Narrower than the loops' kernel: else the loops about a step that failed are refused
+                # in its place.
+                limit = math.sqrt(control) * STEP_GATE
+                self._step_weights[k] = (limit / (limit + squared)) ** 2
 
     def _distance(self, loop: Loop) -> tuple[float, int]:
         """Return the least squared Mahalanobis distance of the alternatives, and which it is."""
@@ -310,15 +329,19 @@ class PoseGraph:
         """Take one step of Gauss and Newton; return the largest change of a pose."""
         builder = self._linearized()
         matrix, gradient = builder.matrix(), builder.gradient
-        *change, bias = splu(matrix).solve(-gradient).reshape(-1, STATES)
-        self._states += change
-        self.bias += bias[: len(self.bias)]
+        change = splu(matrix).solve(-gradient).reshape(-1, STATES)
+        count = len(self._states)
+        self._states += change[:count]
+        self.bias += change[count, : len(self.bias)]
+        self.mean_drift += change[count + 1 :, 3:]
         self._states[:, 2] = wrapped(self._states[:, 2])
-        return float(np.abs(np.array(change)[:, :3]).max())
+        return float(np.abs(change[:count, :3]).max())
 
     def _linearized(self) -> "_NormalEquations":
-        bias_node = len(self._states)  # its other states do nothing
-        normal = _NormalEquations(bias_node + 1)
+        # Behind the nodes come one with the common errors of the registrations, and one with the
+        # mean drift of each dive. Their other states do nothing.
+        bias_node = len(self._states)
+        normal = _NormalEquations(bias_node + 1 + len(self.mean_drift))
         deviation = np.array([self.model.registration_scale, self.model.registration_turn])
         of_bias = np.eye(len(deviation), STATES)
         normal.add([bias_node], [of_bias], self.bias, np.diag(deviation**-2.0))
@@ -328,17 +351,22 @@ class PoseGraph:
             residual[2] = math.remainder(residual[2], math.tau)
             information = np.diag(anchor.deviation**-2.0)
             normal.add([anchor.node], [np.eye(3, STATES)], residual, information)
-        model = self.model
-        spread = np.array([model.scale, model.crab_rad, model.turn_radps])
+        drift, spread = np.eye(3, STATES, 3), self.model.deviations
+        for dive, mean in enumerate(self.mean_drift):
+            own = [bias_node + 1 + dive]
+            normal.add(own, [drift], mean, np.diag(spread**-2.0))
+            normal.add(own, [np.eye(3, STATES)], np.zeros(3), 1e-6 * np.eye(3))
         for k, step in enumerate(self.steps):
-            drift = np.eye(3, STATES, 3)
+            dive = int(self._dive_of[k])
+            mean_node, away = bias_node + 1 + dive, self._states[k, 3:] - self.mean_drift[dive]
             if step is None:
-                normal.add([k], [drift], self._states[k, 3:], np.diag(spread**-2.0))
+                normal.add([k, mean_node], [drift, -drift], away, np.diag(spread**-2.0))
                 continue
-            keep = math.exp(-step.seconds / model.memory_s)
-            residual = self._states[k, 3:] - keep * self._states[k - 1, 3:]
+            keep = math.exp(-step.seconds / self.model.memory_s)
+            residual = away - keep * (self._states[k - 1, 3:] - self.mean_drift[dive])
             variance = spread**2 * max(1 - keep**2, 1e-6)
-            normal.add([k - 1, k], [-keep * drift, drift], residual, np.diag(1 / variance))
+            of_drift = [-keep * drift, drift, (keep - 1) * drift]
+            normal.add([k - 1, k, mean_node], of_drift, residual, np.diag(1 / variance))
             jacobians, residual, information = self._step_factor(k, step)
             normal.add([k - 1, k], jacobians, residual, self._step_weights[k] * information)
         for loop in self.loops:
@@ -416,9 +444,9 @@ class PoseGraph:
     def _columns(self, i: int) -> Floats:
         """(N, 3, 3) covariances of all poses with that of node i."""
         count = len(self._states)
-        right = np.zeros(((count + 1) * STATES, 3))
+        right = np.zeros((self._factor.shape[0], 3))
         right[i * STATES : i * STATES + 3] = np.eye(3)
-        columns: Floats = self._factor.solve(right).reshape(count + 1, STATES, 3)[:count, :3]
+        columns: Floats = self._factor.solve(right).reshape(-1, STATES, 3)[:count, :3]
         return columns
 
 

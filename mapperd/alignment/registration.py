@@ -349,7 +349,7 @@ def joined_submap(submaps: Sequence[SonarSubmap], poses: Floats) -> Submap | Non
             points.append(centres @ turn.T + [pose[0], pose[1], 0.0])
     if not sum(map(len, occupied)):
         return None
-    resolution_m = submaps[0].resolution_m
+    resolution_m = max(submap.resolution_m for submap in submaps)
     extent_m = np.ptp(np.vstack(occupied + free), axis=0) + MARGIN_M
     while (extent_m / resolution_m).prod() > MAX_VOXELS:  # a large site
         resolution_m *= 1.5

@@ -182,16 +182,18 @@ def maps_of(alignment: Alignment, readers: Sequence[DiveReader]) -> MapPair | No
     Returns:
         the voxels that are occupied in any submap; None without any.
     """
-    resolution_m = next((one.resolution_m for reader in readers for one in reader.submaps), None)
-    if resolution_m is None:
+    edges_m = [one.resolution_m for reader in readers for one in reader.submaps]
+    if not edges_m:
         return None
+    resolution_m = max(edges_m)
     before, after = [], []
     for dive, reader in zip(alignment.dives, readers, strict=True):
         if reader.submaps:
             odometry = dive.track.at(_anchors(reader.uncorrected))
-            before += _voxels_at_poses(reader.uncorrected, compose(dive.frame, odometry))
+            poses = compose(dive.frame, odometry)
+            before += _voxels_at_poses(reader.uncorrected, poses, resolution_m)
             submaps = reader.submaps if alignment.corrected else reader.uncorrected
-            after += _voxels_at_poses(submaps, dive.poses_at(_anchors(submaps)))
+            after += _voxels_at_poses(submaps, dive.poses_at(_anchors(submaps)), resolution_m)
     return MapPair(
         _merged_voxels(before, resolution_m), _merged_voxels(after, resolution_m), resolution_m
     )
@@ -201,14 +203,16 @@ def _anchors(submaps: Sequence[SonarSubmap]) -> Times:
     return np.array([submap.anchor_ns for submap in submaps], dtype=np.int64)
 
 
-def _voxels_at_poses(submaps: Sequence[SonarSubmap], poses: Floats) -> list[NDArray[np.int64]]:
-    """Voxels (N, 3) of each submap at its planar pose."""
+def _voxels_at_poses(
+    submaps: Sequence[SonarSubmap], poses: Floats, resolution_m: float
+) -> list[NDArray[np.int64]]:
+    """Voxels (N, 3) of each submap at its planar pose, of that edge."""
     placed = []
     for submap, (x, y, yaw) in zip(submaps, poses.tolist(), strict=True):
         ahead, port, up = ((submap.occupied + 0.5) * submap.resolution_m).T
         c, s = math.cos(yaw), math.sin(yaw)
         points_m = np.column_stack([x + c * ahead - s * port, y + s * ahead + c * port, up])
-        cells = np.floor(points_m / submap.resolution_m).astype(np.int64)
+        cells = np.floor(points_m / resolution_m).astype(np.int64)
         placed.append(np.unique(cells, axis=0))
     return placed
 
@@ -377,8 +381,9 @@ def _g2o_lines(alignment: Alignment, model: DriftModel) -> Iterator[str]:
 def _step_information(step: OdometryStep, model: DriftModel) -> Floats:
     path_m, seconds = step.path_m, step.seconds
     noise2 = model.noise_m**2 * max(path_m, 0.1) + step.extra_std_m**2
-    drift2 = (max(model.scale, model.crab_rad) * path_m) ** 2  # whatever the direction of travel
-    turn2 = model.noise_rad**2 * seconds + (model.turn_radps * seconds) ** 2 + 1e-6
+    # Drift has a mean and wanders about it; whatever the direction of travel.
+    drift2 = 2 * (max(model.scale, model.crab_rad) * path_m) ** 2
+    turn2 = model.noise_rad**2 * seconds + 2 * (model.turn_radps * seconds) ** 2 + 1e-6
     information = (
         1 / (noise2 + drift2),
         1 / (noise2 + drift2),

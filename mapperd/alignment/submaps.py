@@ -40,7 +40,11 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-MIN_RESOLUTION_M = 0.2
+MIN_RESOLUTION_M, SHORT_RESOLUTION_M, SHORT_RANGE_M = 0.2, 0.1, 10.5
+"""Smallest voxels, and those of submaps whose pings reach no farther than this. A moving sonar sees
+another side of a pile at each place, so registrations are too short by a share of the way, which at
+short range is several percent, and grows with the voxels."""
+
 MAX_SUBMAP_S, MAX_SUBMAP_M, MAX_SUBMAP_TURN_RAD = 8.0, 5.0, math.radians(60.0)
 """Ends of a submap: the first that is reached."""
 
@@ -236,7 +240,9 @@ class _SubmapMapper(SonarMap):
     """Accepts and refuses pings like a map, and makes submaps of them."""
 
     def __init__(self, config: Config, correction: "Correction | None") -> None:
-        super().__init__(config)
+        super().__init__(_submap_settings(config, MIN_RESOLUTION_M))
+        short = SonarMap(_submap_settings(config, SHORT_RESOLUTION_M))
+        self._maps = {SHORT_RANGE_M: short, math.inf: SonarMap(self.config)}
         self._correction = correction
         self.submaps: list[SonarSubmap] = []
         self.fragments: list[SonarSubmap] = []
@@ -258,7 +264,7 @@ class _SubmapMapper(SonarMap):
         matrix = posed.pose.pose.map_T_base
         yaw = math.atan2(matrix[1, 0], matrix[0, 0])
         base = np.array([matrix[0, 3], matrix[1, 3], yaw])
-        depth_m = RETURN_VOXELS * self.resolution_m
+        depth_m = RETURN_VOXELS * self._map_for(image.max_range_m).resolution_m
         filtering = self.config.filtering
         front = front_of_returns(image, filtering.intensity_threshold, filtering.min_range, depth_m)
         ping = _HeldPing(front, map_T_sonar, motion, posed.t_ns, base, posed.pose.segment)
@@ -268,6 +274,9 @@ class _SubmapMapper(SonarMap):
             self._path_m += math.dist(self._held[-1].base[:2], base[:2])
         self._held.append(ping)
         return PingStats()
+
+    def _map_for(self, range_m: float) -> SonarMap:
+        return next(one for reach_m, one in self._maps.items() if range_m <= reach_m)
 
     def _ends_before(self, ping: _HeldPing) -> bool:
         if not self._held:
@@ -299,6 +308,8 @@ class _SubmapMapper(SonarMap):
                 self.fragments.append(self._mapped(held[begin:end], corrections[begin:end]))
 
     def _mapped(self, held: Sequence[_HeldPing], corrections: Floats) -> SonarSubmap:
+        sonar_map = self._map_for(max(ping.image.max_range_m for ping in held))
+        resolution_m = sonar_map.resolution_m
         anchor = held[len(held) // 2]
         corrected_T_anchor = compose(corrections[len(held) // 2], anchor.base)  # noqa: N806 frames
         for ping, correction in zip(held, corrections, strict=True):
@@ -308,12 +319,12 @@ class _SubmapMapper(SonarMap):
                 turned_mps = anchor_T_map[:3, :3] @ motion.linear_mps
                 motion = replace(motion, linear_mps=turned_mps)
             try:
-                super().integrate(ping.image, anchor_T_map @ ping.map_T_sonar, motion)
+                sonar_map.integrate(ping.image, anchor_T_map @ ping.map_T_sonar, motion)
             except MapError:  # it was checked at a pose nearby
                 continue
-        kinds = (self.voxels(kind).centres_m for kind in ("occupied", "free"))
-        occupied, free = (np.floor(c / self.resolution_m).astype(np.int32) for c in kinds)
-        self.clear()
+        kinds = (sonar_map.voxels(kind).centres_m for kind in ("occupied", "free"))
+        occupied, free = (np.floor(c / resolution_m).astype(np.int32) for c in kinds)
+        sonar_map.clear()
         return SonarSubmap(
             held[0].t_ns,
             anchor.t_ns,
@@ -323,7 +334,7 @@ class _SubmapMapper(SonarMap):
             len(held),
             occupied,
             free,
-            self.resolution_m,
+            resolution_m,
         )
 
 
@@ -341,7 +352,7 @@ def read_submaps(
 
     Args:
         session: with sonar data and odometry.
-        config: the settings to map with; voxels are at least 0.2 m.
+        config: the settings to map with; voxels are at least 0.2 m, at short range 0.1 m.
         correction: of the odometry within each submap; None trusts it. Anchors and boundaries stay
             those of the odometry.
         progress: called with the share of the recording that is read.
@@ -350,9 +361,8 @@ def read_submaps(
         ReplayError: no pose of the vehicle is known.
         RecordingError: the recording cannot be read.
     """
-    config = _submap_settings(config)
     mapper = _SubmapMapper(config, correction)
-    run = as_asked(session, None, config)
+    run = as_asked(session, None, mapper.config)
     replay = run.replay(mapper, Window())
     poses = run.poses
     assert isinstance(poses, OdometryPoses)  # noqa: S101 no fixed pose was given
@@ -376,11 +386,11 @@ def read_submaps(
     return DiveSubmaps(track, mapper.submaps, mapper.fragments)
 
 
-def _submap_settings(config: Config) -> Config:
+def _submap_settings(config: Config, min_resolution_m: float) -> Config:
     return with_values(
         config,
         {
-            "octree.voxel_resolution": max(MIN_RESOLUTION_M, config.octree.voxel_resolution),
+            "octree.voxel_resolution": max(min_resolution_m, config.octree.voxel_resolution),
             "localization.mode": "off",
             "mapping.rule": "iwlo",
         },

@@ -6,6 +6,9 @@ from numpy.typing import NDArray
 
 from mapperd.alignment.submaps import (
     FIRST_RETURN_MAX_RANGE_M,
+    MIN_RESOLUTION_M,
+    SHORT_RANGE_M,
+    SHORT_RESOLUTION_M,
     _HeldPing,
     _SubmapMapper,
     front_of_returns,
@@ -73,17 +76,19 @@ def test_the_ringing_of_the_transmitter_hides_nothing(rows: int) -> None:
     assert [row for row in rows_kept(image, 1) if row > 3] == [20, 21, 22, 23]
 
 
-def mapper_of(heading: float, pings: int = 9) -> _SubmapMapper:
+def held_pings(heading: float, pings: int, range_m: float) -> list[_HeldPing]:
     """Pings at one place, at a speed along a heading of the map that displaces what they see."""
-    intensity = np.full((SHORT, 64), 20.0, dtype=np.float32)
+    intensity = np.full((round(range_m / EDGE_M), 64), 20.0, dtype=np.float32)
     intensity[60:64] = 200.0
     image = PingImage(intensity, np.linspace(-0.5, 0.5, 64), EDGE_M)
-    mapper = _SubmapMapper(Config(), None)
     start = np.array([3.0, -2.0, heading])
-    ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
-    for k in range(pings):
-        motion = PingMotion(30.0 * ahead, np.zeros(3), 0.0, 1500.0)
-        mapper._held.append(_HeldPing(image, matrix_of(start), motion, k * 10**8, start, 0))
+    motion = PingMotion(30.0 * matrix_of(start)[:3, 0], np.zeros(3), 0.0, 1500.0)
+    return [_HeldPing(image, matrix_of(start), motion, k * 10**8, start, 0) for k in range(pings)]
+
+
+def mapper_of(heading: float, pings: int = 9, range_m: float = 11.0) -> _SubmapMapper:
+    mapper = _SubmapMapper(Config(), None)
+    mapper._held = held_pings(heading, pings, range_m)
     mapper.finish()
     return mapper
 
@@ -103,3 +108,20 @@ def test_fragments_are_thirds_of_a_submap() -> None:
     assert [one.anchor_ns for one in mapper.fragments] == [10**8, 4 * 10**8, 7 * 10**8]
     assert mapper.submaps[0].anchor_ns == 4 * 10**8
     assert [len(mapper_of(0.0, pings).fragments) for pings in (3, 8)] == [0, 2]
+
+
+def test_voxels_are_finer_at_short_range() -> None:
+    short, long = (mapper_of(0.0, range_m=range_m) for range_m in (8.0, SHORT_RANGE_M + 1.0))
+    for mapper, edge_m in ((short, SHORT_RESOLUTION_M), (long, MIN_RESOLUTION_M)):
+        [submap] = mapper.submaps
+        assert {submap.resolution_m, *(f.resolution_m for f in mapper.fragments)} == {edge_m}
+        far_m = np.linalg.norm((submap.occupied[:, :2] + 0.5) * edge_m, axis=1).max()
+        assert far_m == pytest.approx(6.3 + 0.2, abs=0.4)  # the return, 0.2 m of speed
+
+
+def test_one_ping_of_long_range_makes_its_submap_coarse() -> None:
+    mapper = mapper_of(0.0, pings=0, range_m=8.0)
+    for source in (8.0, SHORT_RANGE_M + 1.0, 8.0):
+        mapper._held += held_pings(0.0, 1, source)
+    mapper.finish()
+    assert [submap.resolution_m for submap in mapper.submaps] == [MIN_RESOLUTION_M]
