@@ -47,8 +47,12 @@ MAX_RESIDUAL_M = 0.9
 FIX_GATE = 9.21
 """The same of a position fix, 2 degrees of freedom."""
 
-STEP_GATE = 16.0
-"""The same of a step of the odometry: where velocity fails it errs by far more than it drifts."""
+STEP_GATE, MIN_STEP_WEIGHT = 16.0, 1e-4
+"""The same of a step of the odometry: where velocity fails it errs by far more than it drifts. Yet
+even then the vehicle does not leave."""
+
+STEP_NARROWING = (1.0, 0.5)
+"""Powers of the loops' control that control the kernel of the steps."""
 
 ACCEPTED_WEIGHT = 0.3
 MAX_STEPS = 60
@@ -253,31 +257,52 @@ class PoseGraph:
         return self._states[:, :3]
 
     def solve(self) -> Solution:
-        """Solve the graph; sets weight and chosen alternative of all loops."""
-        for loop in self.loops:
-            loop.weight = 1.0
-        self._step_weights[:] = 1.0
-        # Graduated non-convexity: the kernel starts wide enough to be convex.
-        squared = [self._distance(loop)[0] / GATE for loop in self.loops]
-        squared += [self._distance_of_fix(fix) / FIX_GATE for fix in self.fixes]
-        control = max(1.0, 2 * max(squared, default=0.0))
-        while True:
-            last = control <= 1.0
-            for _ in range(MAX_STEPS if last else 4):
-                self._weigh(control)
-                if self._gauss_newton_step() < STOP:
-                    break
-            if last:
-                break
-            control = max(1.0, control / 2.0)
-        self._weigh(1.0)
+        """Solve the graph; sets weight and chosen alternative of all loops.
+
+        Where velocity fails, either the step or the loops about it must give way, and it depends on
+        the order in which their kernels narrow which do. Both are tried; the lower cost counts.
+        """
+        begin = self.save()
+        ends = []
+        for narrowing in STEP_NARROWING:
+            self.restore(begin)
+            self._minimize(narrowing)
+            ends.append((self._cost(), self.save()))
+        self.restore(min(ends, key=lambda end: end[0])[1])
+        self._weigh()
         for loop in self.loops:
             apart = self._loop_residuals(loop)[loop.chosen]
             if math.hypot(apart[0], apart[1]) > MAX_RESIDUAL_M:
                 loop.weight = 0.0
         return Solution(self._states[:, :3].copy(), self._states[:, 3:].copy())
 
-    def _weigh(self, control: float) -> None:
+    def _minimize(self, narrowing: float) -> None:
+        """Minimize by graduated non-convexity: the kernel starts wide enough to be convex."""
+        for loop in self.loops:
+            loop.weight = 1.0
+        self._step_weights[:] = 1.0
+        squared = [self._distance(loop)[0] / GATE for loop in self.loops]
+        squared += [self._distance_of_fix(fix) / FIX_GATE for fix in self.fixes]
+        control = max(1.0, 2 * max(squared, default=0.0))
+        while True:
+            last = control <= 1.0
+            for _ in range(MAX_STEPS if last else 4):
+                self._weigh(control, control**narrowing)
+                if self._gauss_newton_step() < STOP:
+                    break
+            if last:
+                break
+            control = max(1.0, control / 2.0)
+        self._weigh()
+
+    def _cost(self) -> float:
+        """The robust cost at the present states and weights."""
+        penalty = sum(GATE * (1 - math.sqrt(loop.weight)) ** 2 for loop in self.loops)
+        penalty += sum(FIX_GATE * (1 - math.sqrt(fix.weight)) ** 2 for fix in self.fixes)
+        penalty += float((STEP_GATE * (1 - np.sqrt(self._step_weights)) ** 2).sum())
+        return self._linearized().squared + penalty
+
+    def _weigh(self, control: float = 1.0, step_control: float = 1.0) -> None:
         for loop in self.loops:
             squared, loop.chosen = self._distance(loop)
             loop.weight = (control * GATE / (control * GATE + squared)) ** 2
@@ -288,10 +313,9 @@ class PoseGraph:
             if step is not None:
                 _, residual, information = self._step_factor(k, step)
                 squared = float(residual @ information @ residual)
-                # Narrower than the loops' kernel: else the loops about a step that failed are refused
-                # in its place.
-                limit = math.sqrt(control) * STEP_GATE
-                self._step_weights[k] = (limit / (limit + squared)) ** 2
+                limit = step_control * STEP_GATE
+                weight = (limit / (limit + squared)) ** 2
+                self._step_weights[k] = max(weight, MIN_STEP_WEIGHT)
 
     def _distance(self, loop: Loop) -> tuple[float, int]:
         """Return the least squared Mahalanobis distance of the alternatives, and which it is."""
@@ -456,6 +480,7 @@ class _NormalEquations:
     def __init__(self, nodes: int) -> None:
         self.size = nodes * STATES
         self.gradient = np.zeros(self.size)
+        self.squared = 0.0
         self._rows: list[NDArray[np.intp]] = []
         self._columns: list[NDArray[np.intp]] = []
         self._values: list[Floats] = []
@@ -467,6 +492,7 @@ class _NormalEquations:
         jacobian = np.hstack(jacobians)
         weighted = jacobian.T @ information
         self.gradient[places] += weighted @ residual
+        self.squared += float(residual @ information @ residual)
         self._rows.append(np.repeat(places, len(places)))
         self._columns.append(np.tile(places, len(places)))
         self._values.append((weighted @ jacobian).ravel())
