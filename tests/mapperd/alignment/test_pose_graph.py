@@ -206,6 +206,19 @@ def test_a_step_without_velocity_gives_way_to_revisits() -> None:
     assert all(loop.accepted for loop in graph.loops)
 
 
+def test_a_failed_step_still_limits_where_the_vehicle_is() -> None:
+    truth = circle()
+    graph = graph_of(truth)
+    graph.loops = revisits(truth)
+    graph.solve()
+    for lost in (7, 13):  # nothing but these steps holds the nodes between them
+        graph._states[lost:, 0] += 50.0
+    graph.loops = [loop for loop in graph.loops if not 7 <= loop.i <= 12]
+    graph._weigh()
+    deviation_m = np.sqrt(graph.prepare_covariances()[:, :2, :2].trace(axis1=1, axis2=2))
+    assert 1.0 < deviation_m.max() < 20.0
+
+
 def test_fixes_hold_positions() -> None:
     truth = circle(0.8)
     graph = graph_of(truth)
