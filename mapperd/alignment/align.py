@@ -97,7 +97,7 @@ MIN_FIXES = 3
 MIN_LOOPS = 6
 MIN_BETWEEN_DIVES = 4
 MIN_ACCEPTED_SHARE = 0.7
-MAX_UNCERTAINTY_SHARE = 0.45
+MAX_UNCERTAINTY_SHARE = 0.35
 MIN_CORRECTION_DEVIATIONS = 1.5
 MAX_SPLIT_M, MAX_SPLIT_SHARE = 0.25, 0.5
 """What an alignment must reach to be used: revisits and their accepted share; standard deviation as
@@ -645,7 +645,11 @@ def _align_jointly(singles: list[_SingleDive], options: AlignOptions) -> Alignme
     poses = [
         compose(f[None], single.solution.poses) for f, single in zip(frames, singles, strict=True)
     ]
-    graph.begin_at(np.vstack(poses), np.vstack([single.solution.drift for single in singles]))
+    graph.begin_at(
+        np.vstack(poses),
+        np.vstack([single.solution.drift for single in singles]),
+        np.vstack([single.graph.mean_drift for single in singles]),
+    )
     submaps = [submap for single in singles for submap in single.dive.submaps]
     nodes = [int(first[k]) + n for k, single in enumerate(singles) for n in single.dive.of_submap]
     dive_of = [k for k, single in enumerate(singles) for _ in single.dive.submaps]

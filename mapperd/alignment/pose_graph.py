@@ -48,11 +48,12 @@ FIX_GATE = 9.21
 """The same of a position fix, 2 degrees of freedom."""
 
 STEP_GATE, MIN_STEP_WEIGHT = 16.0, 1e-4
-"""The same of a step of the odometry: where velocity fails it errs by far more than it drifts. Yet
-even then the vehicle does not leave."""
+"""The same of a step of the odometry: where velocity fails it errs by far more than it drifts. Its
+weight stays above a minimum: a failed step is a hundred times as uncertain, not unlimited."""
 
 STEP_NARROWING = (1.0, 0.5)
-"""Powers of the loops' control that control the kernel of the steps."""
+"""While the kernels of loops are widened by a factor, those of steps are widened by this power of
+it: with 0.5 a failed step gives way before the loops about it."""
 
 ACCEPTED_WEIGHT = 0.3
 MAX_STEPS = 60
@@ -64,13 +65,14 @@ STOP = 1e-5
 class DriftModel:
     """How odometry drifts and how registrations err alike; one standard deviation each.
 
-    Scale, crab and turn have a mean over the dive, and wander about it by as much again.
+    Scale, crab and turn have a mean over the dive, and wander about it: each has the given
+    deviation, so the variance of both is twice as large.
 
     Attributes:
         scale: error of distances, as a share.
         crab_rad: angle between the course made good and the stated one.
         turn_radps: drift of the heading.
-        memory_s: time over which these errors stay alike, but for their means.
+        memory_s: time over which the deviations from the mean stay alike.
         noise_m: of a step, for each square root of a metre travelled.
         noise_rad: of a step, for each square root of a second.
         registration_scale: error of the distance between registered submaps, as a share.
@@ -247,9 +249,10 @@ class PoseGraph:
             array.copy() for array in saved
         )
 
-    def begin_at(self, poses: Floats, drift: Floats) -> None:
-        """Begin from other poses and drift, (N, 3) each."""
+    def begin_at(self, poses: Floats, drift: Floats, mean_drift: Floats) -> None:
+        """Begin from other poses and drift, (N, 3) each, and means of the drift, (D, 3)."""
         self._states = np.hstack([poses, drift])
+        self.mean_drift = mean_drift.copy()
 
     @property
     def poses(self) -> Floats:
@@ -259,8 +262,8 @@ class PoseGraph:
     def solve(self) -> Solution:
         """Solve the graph; sets weight and chosen alternative of all loops.
 
-        Where velocity fails, either the step or the loops about it must give way, and it depends on
-        the order in which their kernels narrow which do. Both are tried; the lower cost counts.
+        Where velocity failed, either the step or the loops about it give way: those whose kernel
+        narrows first. Both orders are tried, and the lower cost counts.
         """
         begin = self.save()
         ends = []
@@ -382,12 +385,13 @@ class PoseGraph:
             normal.add(own, [np.eye(3, STATES)], np.zeros(3), 1e-6 * np.eye(3))
         for k, step in enumerate(self.steps):
             dive = int(self._dive_of[k])
-            mean_node, away = bias_node + 1 + dive, self._states[k, 3:] - self.mean_drift[dive]
+            mean_node = bias_node + 1 + dive
+            from_mean = self._states[k, 3:] - self.mean_drift[dive]
             if step is None:
-                normal.add([k, mean_node], [drift, -drift], away, np.diag(spread**-2.0))
+                normal.add([k, mean_node], [drift, -drift], from_mean, np.diag(spread**-2.0))
                 continue
             keep = math.exp(-step.seconds / self.model.memory_s)
-            residual = away - keep * (self._states[k - 1, 3:] - self.mean_drift[dive])
+            residual = from_mean - keep * (self._states[k - 1, 3:] - self.mean_drift[dive])
             variance = spread**2 * max(1 - keep**2, 1e-6)
             of_drift = [-keep * drift, drift, (keep - 1) * drift]
             normal.add([k - 1, k, mean_node], of_drift, residual, np.diag(1 / variance))

@@ -206,7 +206,7 @@ def _anchors(submaps: Sequence[SonarSubmap]) -> Times:
 def _voxels_at_poses(
     submaps: Sequence[SonarSubmap], poses: Floats, resolution_m: float
 ) -> list[NDArray[np.int64]]:
-    """Voxels (N, 3) of each submap at its planar pose, of that edge."""
+    """Indices (N, 3) of the voxels of an edge that each submap fills at its planar pose."""
     placed = []
     for submap, (x, y, yaw) in zip(submaps, poses.tolist(), strict=True):
         ahead, port, up = ((submap.occupied + 0.5) * submap.resolution_m).T
@@ -381,7 +381,8 @@ def _g2o_lines(alignment: Alignment, model: DriftModel) -> Iterator[str]:
 def _step_information(step: OdometryStep, model: DriftModel) -> Floats:
     path_m, seconds = step.path_m, step.seconds
     noise2 = model.noise_m**2 * max(path_m, 0.1) + step.extra_std_m**2
-    # Drift has a mean and wanders about it; whatever the direction of travel.
+    # Twice: the variances of the mean and of what wanders about it. The larger one of scale and
+    # crab, for the direction of travel is not known.
     drift2 = 2 * (max(model.scale, model.crab_rad) * path_m) ** 2
     turn2 = model.noise_rad**2 * seconds + 2 * (model.turn_radps * seconds) ** 2 + 1e-6
     information = (

@@ -55,7 +55,7 @@ POSE_STEP_NS = 100_000_000
 
 FRAGMENTS = 3
 MIN_VOXELS, MIN_FRAGMENT_VOXELS = 150, 60
-"""Occupied voxels below which a submap and a fragment are not registered."""
+"""Occupied voxels below which a submap and a fragment are not registered, of either size."""
 
 MIN_PINGS = 3
 
@@ -237,7 +237,7 @@ class _HeldPing:
 
 
 class _SubmapMapper(SonarMap):
-    """Accepts and refuses pings like a map, and makes submaps of them."""
+    """Accepts and refuses pings like a map, and makes submaps of them; holds no voxels itself."""
 
     def __init__(self, config: Config, correction: "Correction | None") -> None:
         super().__init__(_submap_settings(config, MIN_RESOLUTION_M))
@@ -257,14 +257,15 @@ class _SubmapMapper(SonarMap):
         motion: PingMotion | None = None,
     ) -> PingStats:
         """Hold a ping until its submap is complete; raises like a map."""
-        self.blocks_of(image, map_T_sonar, motion)
+        sonar_map = self._map_for(image)
+        sonar_map.blocks_of(image, map_T_sonar, motion)
         posed = self.posed
         if posed is None or posed.t_ns is None or isinstance(posed.pose, Reject):
             return PingStats()
         matrix = posed.pose.pose.map_T_base
         yaw = math.atan2(matrix[1, 0], matrix[0, 0])
         base = np.array([matrix[0, 3], matrix[1, 3], yaw])
-        depth_m = RETURN_VOXELS * self._map_for(image.max_range_m).resolution_m
+        depth_m = RETURN_VOXELS * sonar_map.resolution_m
         filtering = self.config.filtering
         front = front_of_returns(image, filtering.intensity_threshold, filtering.min_range, depth_m)
         ping = _HeldPing(front, map_T_sonar, motion, posed.t_ns, base, posed.pose.segment)
@@ -275,8 +276,8 @@ class _SubmapMapper(SonarMap):
         self._held.append(ping)
         return PingStats()
 
-    def _map_for(self, range_m: float) -> SonarMap:
-        return next(one for reach_m, one in self._maps.items() if range_m <= reach_m)
+    def _map_for(self, image: PingImage) -> SonarMap:
+        return next(one for reach_m, one in self._maps.items() if image.max_range_m <= reach_m)
 
     def _ends_before(self, ping: _HeldPing) -> bool:
         if not self._held:
@@ -286,6 +287,7 @@ class _SubmapMapper(SonarMap):
         turn = abs(math.remainder(ping.base[2] - first.base[2], math.tau))
         return (
             ping.segment != last.segment
+            or self._map_for(ping.image) is not self._map_for(last.image)
             or not 0 <= step_s <= MAX_PAUSE_S
             or (ping.t_ns - first.t_ns) / 1e9 > MAX_SUBMAP_S
             or self._path_m > MAX_SUBMAP_M
@@ -308,7 +310,7 @@ class _SubmapMapper(SonarMap):
                 self.fragments.append(self._mapped(held[begin:end], corrections[begin:end]))
 
     def _mapped(self, held: Sequence[_HeldPing], corrections: Floats) -> SonarSubmap:
-        sonar_map = self._map_for(max(ping.image.max_range_m for ping in held))
+        sonar_map = self._map_for(held[0].image)
         resolution_m = sonar_map.resolution_m
         anchor = held[len(held) // 2]
         corrected_T_anchor = compose(corrections[len(held) // 2], anchor.base)  # noqa: N806 frames
@@ -352,7 +354,8 @@ def read_submaps(
 
     Args:
         session: with sonar data and odometry.
-        config: the settings to map with; voxels are at least 0.2 m, at short range 0.1 m.
+        config: the settings to map with. Voxels are at least 0.2 m, and at least 0.1 m in submaps
+            of short range.
         correction: of the odometry within each submap; None trusts it. Anchors and boundaries stay
             those of the odometry.
         progress: called with the share of the recording that is read.
@@ -453,7 +456,7 @@ class DiveReader:
 
 
 def _lifted(dive: DiveSubmaps, lift_m: float) -> DiveSubmaps:
-    """Return a dive with other heights; voxels move by whole edges."""
+    """Return a dive with other heights; voxels move by whole edges of the larger ones."""
     track = replace(dive.track, position_m=dive.track.position_m + np.array([0.0, 0.0, lift_m]))
     submaps, fragments = (
         [_lifted_submap(one, lift_m) for one in some] for some in (dive.submaps, dive.fragments)
@@ -462,5 +465,7 @@ def _lifted(dive: DiveSubmaps, lift_m: float) -> DiveSubmaps:
 
 
 def _lifted_submap(submap: SonarSubmap, lift_m: float) -> SonarSubmap:
-    up = np.array([0, 0, round(lift_m / submap.resolution_m)], dtype=np.int32)
+    step_m = max(submap.resolution_m, MIN_RESOLUTION_M)  # alike for voxels of both sizes
+    voxels = round(round(lift_m / step_m) * step_m / submap.resolution_m)
+    up = np.array([0, 0, voxels], dtype=np.int32)
     return replace(submap, occupied=submap.occupied + up, free=submap.free + up)

@@ -10,6 +10,7 @@ from mapperd.alignment.submaps import (
     SHORT_RANGE_M,
     SHORT_RESOLUTION_M,
     _HeldPing,
+    _lifted_submap,
     _SubmapMapper,
     front_of_returns,
     matrix_of,
@@ -119,9 +120,24 @@ def test_voxels_are_finer_at_short_range() -> None:
         assert far_m == pytest.approx(6.3 + 0.2, abs=0.4)  # the return, 0.2 m of speed
 
 
-def test_one_ping_of_long_range_makes_its_submap_coarse() -> None:
-    mapper = mapper_of(0.0, pings=0, range_m=8.0)
-    for source in (8.0, SHORT_RANGE_M + 1.0, 8.0):
-        mapper._held += held_pings(0.0, 1, source)
-    mapper.finish()
-    assert [submap.resolution_m for submap in mapper.submaps] == [MIN_RESOLUTION_M]
+def test_a_submap_ends_where_the_size_of_its_voxels_changes() -> None:
+    mapper = _SubmapMapper(Config(), None)
+    [first, same, longer] = (
+        held_pings(0.0, 1, range_m)[0] for range_m in (8.0, 9.0, SHORT_RANGE_M + 1.0)
+    )
+    mapper._held = [first]
+    assert not mapper._ends_before(same)
+    assert mapper._ends_before(longer)
+
+
+def test_submaps_are_lifted_alike_whatever_their_voxels() -> None:
+    places_m = []
+    for range_m in (8.0, SHORT_RANGE_M + 1.0):
+        [submap] = mapper_of(0.0, range_m=range_m).submaps
+        lifted = _lifted_submap(submap, 0.3)
+        assert (lifted.occupied[:, :2] == submap.occupied[:, :2]).all()
+        up_m = (lifted.occupied[:, 2] - submap.occupied[:, 2]) * submap.resolution_m
+        assert (lifted.free[:, 2] - submap.free[:, 2] == up_m[0] / submap.resolution_m).all()
+        places_m.append(float(up_m[0]))
+    assert places_m[0] == pytest.approx(places_m[1])
+    assert places_m[0] == pytest.approx(0.3, abs=0.101)
