@@ -21,8 +21,6 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
-from mapperd.alignment.submaps import compose, inverse
-
 __all__ = [
     "DriftModel",
     "Loop",
@@ -199,6 +197,36 @@ def wrapped(angle: Floats) -> Floats:
     return np.remainder(angle + math.pi, 2 * math.pi) - math.pi
 
 
+def measured_by(centre: Floats, relative: Floats, bias: Floats) -> tuple[Floats, Floats, Floats]:
+    """What registrations measure of i_T_j if they err alike.
+
+    Args:
+        centre: (L, 2) middle of the submap at j.
+        relative: (L, 3) i_T_j.
+        bias: (2,) as `PoseGraph.bias`.
+
+    Returns:
+        (L, 3), its derivatives by i_T_j (L, 3, 3) and by the bias (L, 3, 2).
+    """
+    scale, gain = bias
+    c, s = np.cos(relative[:, 2]), np.sin(relative[:, 2])
+    x, y = centre.T
+    # The lever from the centre to the submap's origin, turned by a right angle.
+    across = np.column_stack([s * x + c * y, -(c * x - s * y)])
+    moved = (1 + scale) * relative[:, :2] + gain * s[:, None] * across
+    measured = np.column_stack([moved, relative[:, 2] + gain * s])
+    by_pose = np.zeros((len(relative), 3, 3))
+    by_pose[:, 0, 0] = by_pose[:, 1, 1] = 1 + scale
+    by_pose[:, 2, 2] = 1 + gain * c
+    turned = np.column_stack([c * x - s * y, s * x + c * y])
+    by_pose[:, :2, 2] = gain * (c[:, None] * across + s[:, None] * turned)
+    by_bias = np.zeros((len(relative), 3, 2))
+    by_bias[:, :2, 0] = relative[:, :2]
+    by_bias[:, :2, 1] = s[:, None] * across
+    by_bias[:, 2, 1] = s
+    return measured, by_pose, by_bias
+
+
 @dataclass(eq=False)
 class PoseGraph:
     """A chain of nodes for each dive, and registrations between any nodes.
@@ -227,6 +255,7 @@ class PoseGraph:
     bias: Floats = field(init=False)
     mean_drift: Floats = field(init=False)
     _dive_of: NDArray[np.intp] = field(init=False)
+    _later: NDArray[np.intp] = field(init=False)
     _step_weights: Floats = field(init=False)
 
     def __post_init__(self) -> None:
@@ -235,6 +264,7 @@ class PoseGraph:
         self._dive_of = np.cumsum([step is None for step in self.steps]) - 1
         self.mean_drift = np.zeros((int(self._dive_of[-1]) + 1, 3))
         self._step_weights = np.ones(len(self.start))
+        self._later = np.flatnonzero([step is not None for step in self.steps])
         if not self.anchors:
             self.anchors = [PoseAnchor(0, self.start[0].copy(), EXACT)]
 
@@ -273,8 +303,7 @@ class PoseGraph:
             ends.append((self._cost(), self.save()))
         self.restore(min(ends, key=lambda end: end[0])[1])
         self._weigh()
-        for loop in self.loops:
-            apart = self._loop_residuals(loop)[loop.chosen]
+        for loop, apart in zip(self.loops, self._loop_factors()[1], strict=True):
             if math.hypot(apart[0], apart[1]) > MAX_RESIDUAL_M:
                 loop.weight = 0.0
         return Solution(self._states[:, :3].copy(), self._states[:, 3:].copy())
@@ -284,7 +313,7 @@ class PoseGraph:
         for loop in self.loops:
             loop.weight = 1.0
         self._step_weights[:] = 1.0
-        squared = [self._distance(loop)[0] / GATE for loop in self.loops]
+        squared = [distance / GATE for distance in self._loop_distances()[0].tolist()]
         squared += [self._distance_of_fix(fix) / FIX_GATE for fix in self.fixes]
         control = max(1.0, 2 * max(squared, default=0.0))
         while True:
@@ -306,51 +335,59 @@ class PoseGraph:
         return self._linearized().squared + penalty
 
     def _weigh(self, control: float = 1.0, step_control: float = 1.0) -> None:
-        for loop in self.loops:
-            squared, loop.chosen = self._distance(loop)
-            loop.weight = (control * GATE / (control * GATE + squared)) ** 2
+        squared, chosen = self._loop_distances()
+        weights = (control * GATE / (control * GATE + squared)) ** 2
+        for loop, weight, best in zip(self.loops, weights.tolist(), chosen.tolist(), strict=True):
+            loop.weight, loop.chosen = weight, best
         for fix in self.fixes:
             limit = control * FIX_GATE
             fix.weight = (limit / (limit + self._distance_of_fix(fix))) ** 2
-        for k, step in enumerate(self.steps):
-            if step is not None:
-                _, residual, information = self._step_factor(k, step)
-                squared = float(residual @ information @ residual)
-                limit = step_control * STEP_GATE
-                weight = (limit / (limit + squared)) ** 2
-                self._step_weights[k] = max(weight, MIN_STEP_WEIGHT)
+        _, residuals, information = self._step_factors()
+        limit = step_control * STEP_GATE
+        weights = (limit / (limit + (residuals**2 * information).sum(axis=1))) ** 2
+        self._step_weights[self._later] = np.maximum(weights, MIN_STEP_WEIGHT)
 
-    def _distance(self, loop: Loop) -> tuple[float, int]:
-        """Return the least squared Mahalanobis distance of the alternatives, and which it is."""
-        residual = self._loop_residuals(loop)
-        squared = np.einsum("ki,kij,kj->k", residual, loop.information, residual)
-        best = int(squared.argmin())
-        return float(squared[best]), best
-
-    def _loop_residuals(self, loop: Loop) -> Floats:
-        """(K, 3) residuals of the alternatives."""
-        relative = compose(inverse(self.poses[loop.i]), self.poses[loop.j])
-        residual = self.measured_by(loop, relative)[0] - loop.poses
-        residual[:, 2] = wrapped(residual[:, 2])
-        return residual
+    def _loop_distances(self) -> tuple[Floats, NDArray[np.intp]]:
+        """Of each loop, the least squared Mahalanobis distance of the alternatives, and which."""
+        counts = [len(loop.poses) for loop in self.loops]
+        if not counts:
+            return np.zeros(0), np.zeros(0, dtype=np.intp)
+        measured = np.repeat(self._measured()[0], counts, axis=0)
+        residuals = measured - np.concatenate([loop.poses for loop in self.loops])
+        residuals[:, 2] = wrapped(residuals[:, 2])
+        information = np.concatenate([loop.information for loop in self.loops])
+        squared = np.einsum("ki,kij,kj->k", residuals, information, residuals)
+        parts = np.split(squared, np.cumsum(counts)[:-1])
+        best = np.array([part.argmin() for part in parts])
+        return np.array([part.min() for part in parts]), best
 
     def _distance_of_fix(self, fix: PositionFix) -> float:
         residual = self.poses[fix.node, :2] - fix.position_m
         return float(residual @ residual) / fix.deviation_m**2
 
-    def measured_by(self, loop: Loop, relative: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return what a loop measures of i_T_j (3,), and its derivatives by i_T_j and the bias."""
-        scale, gain = self.bias
-        c, s = math.cos(relative[2]), math.sin(relative[2])
-        x, y = loop.centre
-        # The lever from the centre to the submap's origin, turned by a right angle.
-        across = np.array([s * x + c * y, -(c * x - s * y)])
-        moved = (1 + scale) * relative[:2] + gain * s * across
-        measured = np.append(moved, relative[2] + gain * s)
-        by_pose = np.diag([1 + scale, 1 + scale, 1 + gain * c])
-        by_pose[:2, 2] = gain * (c * across + s * np.array([c * x - s * y, s * x + c * y]))
-        by_bias = np.array([(relative[0], s * across[0]), (relative[1], s * across[1]), (0.0, s)])
-        return measured, by_pose, by_bias
+    def _measured(self) -> tuple[Floats, Floats, Floats, tuple[Floats, Floats]]:
+        """What the loops measure of i_T_j (L, 3), and its derivatives.
+
+        Returns:
+            the measurements; their derivatives by i_T_j (L, 3, 3) and by the common errors
+            (L, 3, 2); those of i_T_j by the states of i and j, (L, 3, 6) each.
+        """
+        ends = np.array([(loop.i, loop.j) for loop in self.loops], dtype=np.intp).reshape(-1, 2)
+        of_i, of_j, relative = self._relative(ends[:, 0], ends[:, 1], np.zeros((len(ends), 3)))
+        centre = np.array([loop.centre for loop in self.loops]).reshape(-1, 2)
+        return *measured_by(centre, relative, self.bias), (of_i, of_j)
+
+    def _loop_factors(self) -> tuple[Floats, Floats, Floats]:
+        """Jacobians (L, 3, 18) by both nodes and the common errors, residuals and information."""
+        measured, by_pose, by_bias, (of_i, of_j) = self._measured()
+        chosen = np.array([loop.poses[loop.chosen] for loop in self.loops]).reshape(-1, 3)
+        residuals = measured - chosen
+        residuals[:, 2] = wrapped(residuals[:, 2])
+        of_bias = np.zeros((len(residuals), 3, STATES))
+        of_bias[:, :, : by_bias.shape[2]] = by_bias
+        information = np.array([one.weight * one.information[one.chosen] for one in self.loops])
+        jacobians = np.concatenate([by_pose @ of_i, by_pose @ of_j, of_bias], axis=2)
+        return jacobians, residuals, information.reshape(-1, 3, 3)
 
     def _gauss_newton_step(self) -> float:
         """Take one step of Gauss and Newton; return the largest change of a pose."""
@@ -383,81 +420,87 @@ class PoseGraph:
             own = [bias_node + 1 + dive]
             normal.add(own, [drift], mean, np.diag(spread**-2.0))
             normal.add(own, [np.eye(3, STATES)], np.zeros(3), 1e-6 * np.eye(3))
-        for k, step in enumerate(self.steps):
-            dive = int(self._dive_of[k])
-            mean_node = bias_node + 1 + dive
-            from_mean = self._states[k, 3:] - self.mean_drift[dive]
-            if step is None:
-                normal.add([k, mean_node], [drift, -drift], from_mean, np.diag(spread**-2.0))
-                continue
-            keep = math.exp(-step.seconds / self.model.memory_s)
-            residual = from_mean - keep * (self._states[k - 1, 3:] - self.mean_drift[dive])
-            variance = spread**2 * max(1 - keep**2, 1e-6)
-            of_drift = [-keep * drift, drift, (keep - 1) * drift]
-            normal.add([k - 1, k, mean_node], of_drift, residual, np.diag(1 / variance))
-            jacobians, residual, information = self._step_factor(k, step)
-            normal.add([k - 1, k], jacobians, residual, self._step_weights[k] * information)
-        for loop in self.loops:
-            (of_i, of_j), relative = self._relative(loop.i, loop.j, np.zeros(3))
-            measured, by_pose, by_bias = self.measured_by(loop, relative)
-            residual = measured - loop.poses[loop.chosen]
-            residual[2] = math.remainder(residual[2], math.tau)
-            information = loop.weight * loop.information[loop.chosen]
-            jacobians = [by_pose @ of_i, by_pose @ of_j, by_bias @ of_bias]
-            normal.add([loop.i, loop.j, bias_node], jacobians, residual, information)
+        means = bias_node + 1 + self._dive_of
+        from_mean = self._states[:, 3:] - self.mean_drift[self._dive_of]
+        for k in np.setdiff1d(np.arange(bias_node), self._later).tolist():
+            both = [k, int(means[k])]
+            normal.add(both, [drift, -drift], from_mean[k], np.diag(spread**-2.0))
+        later = self._later
+        keep = np.exp(-self._of_steps("seconds") / self.model.memory_s)[:, None, None]
+        residuals = from_mean[later] - keep[:, :, 0] * from_mean[later - 1]
+        variances = spread**2 * np.maximum(1 - keep[:, :, 0] ** 2, 1e-6)
+        shares = np.concatenate([-keep, np.ones_like(keep), keep - 1], axis=2)
+        jacobians = np.kron(shares, drift)
+        nodes = np.column_stack([later - 1, later, means[later]])
+        normal.add_many(nodes, jacobians, residuals, np.eye(3) / variances[:, None])
+        jacobians, residuals, information = self._step_factors()
+        information = (self._step_weights[later, None] * information)[:, None] * np.eye(3)
+        normal.add_many(nodes[:, :2], jacobians, residuals, information)
+        ends = np.array([(loop.i, loop.j, bias_node) for loop in self.loops], dtype=np.intp)
+        normal.add_many(ends.reshape(-1, 3), *self._loop_factors())
         for fix in self.fixes:
             residual = self._states[fix.node, :2] - fix.position_m
             information = fix.weight / fix.deviation_m**2 * np.eye(2)
             normal.add([fix.node], [np.eye(2, STATES)], residual, information)
         return normal
 
-    def _step_factor(self, k: int, step: OdometryStep) -> tuple[list[Floats], Floats, Floats]:
-        """Jacobians by the states of the nodes k - 1 and k, residual and information of a step."""
-        scale, crab, turn = self._states[k - 1, 3:]
-        angle = crab + turn * step.seconds / 2
-        c, s = math.cos(angle), math.sin(angle)
-        x, y, yaw = step.motion
-        turned = np.array([c * x - s * y, s * x + c * y])
-        across = np.array([-turned[1], turned[0]])
-        drifted = np.append((1 + scale) * turned, yaw + turn * step.seconds)
-        jacobians, residual = self._relative(k - 1, k, drifted)
-        jacobians[0][:2, 3] -= turned
-        jacobians[0][:2, 4] -= (1 + scale) * across
-        jacobians[0][:2, 5] -= (1 + scale) * across * step.seconds / 2
-        jacobians[0][2, 5] -= step.seconds
-        model = self.model
-        variance_m2 = model.noise_m**2 * max(step.path_m, 0.1) + 0.01**2 + step.extra_std_m**2
-        variance_rad2 = model.noise_rad**2 * step.seconds + 1e-6 + step.extra_std_rad**2
-        return jacobians, residual, np.diag([1 / variance_m2, 1 / variance_m2, 1 / variance_rad2])
+    def _of_steps(self, name: str) -> Floats:
+        """(M, ...) an attribute of all steps."""
+        return np.array([getattr(step, name) for step in self.steps if step is not None])
 
-    def _relative(self, i: int, j: int, measured: Floats) -> tuple[list[Floats], Floats]:
-        """Jacobians of i_T_j less a measurement by the states of i and j, and the residual."""
+    def _step_factors(self) -> tuple[Floats, Floats, Floats]:
+        """Jacobians (M, 3, 12) of the steps by both nodes, residuals, and information (M, 3)."""
+        scale, crab, turn = self._states[self._later - 1, 3:].T
+        seconds = self._of_steps("seconds")
+        angle = crab + turn * seconds / 2
+        c, s = np.cos(angle), np.sin(angle)
+        x, y, yaw = self._of_steps("motion").reshape(-1, 3).T
+        turned = np.column_stack([c * x - s * y, s * x + c * y])
+        grown = (1 + scale)[:, None]
+        across = grown * np.column_stack([-turned[:, 1], turned[:, 0]])
+        drifted = np.column_stack([grown * turned, yaw + turn * seconds])
+        of_a, of_b, residuals = self._relative(self._later - 1, self._later, drifted)
+        of_a[:, :2, 3] -= turned
+        of_a[:, :2, 4] -= across
+        of_a[:, :2, 5] -= across * seconds[:, None] / 2
+        of_a[:, 2, 5] -= seconds
+        model, path_m = self.model, np.maximum(self._of_steps("path_m"), 0.1)
+        variance_m2 = model.noise_m**2 * path_m + 0.01**2 + self._of_steps("extra_std_m") ** 2
+        extra_rad = self._of_steps("extra_std_rad")
+        variance_rad2 = model.noise_rad**2 * seconds + 1e-6 + extra_rad**2
+        information = 1 / np.column_stack([variance_m2, variance_m2, variance_rad2])
+        return np.concatenate([of_a, of_b], axis=2), residuals, information
+
+    def _relative(
+        self, i: NDArray[np.intp], j: NDArray[np.intp], measured: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Jacobians (M, 3, 6) of i_T_j by the states of i and j; i_T_j less a measurement."""
         a, b = self._states[i, :3], self._states[j, :3]
-        c, s = math.cos(a[2]), math.sin(a[2])
-        dx, dy = b[:2] - a[:2]
+        c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+        dx, dy = (b[:, :2] - a[:, :2]).T
         x, y = c * dx + s * dy, -s * dx + c * dy
-        residual = np.array([x, y, b[2] - a[2]]) - measured
-        residual[2] = math.remainder(residual[2], math.tau)
-        of_i, of_j = np.zeros((3, STATES)), np.zeros((3, STATES))
-        of_i[:, :3] = np.array([(-c, -s, y), (s, -c, -x), (0.0, 0.0, -1.0)])
-        of_j[:, :3] = np.array([(c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)])
-        return [of_i, of_j], residual
+        residuals = np.column_stack([x, y, b[:, 2] - a[:, 2]]) - measured
+        residuals[:, 2] = wrapped(residuals[:, 2])
+        of_i, of_j = np.zeros((2, len(a), 3, STATES))
+        of_j[:, 0, 0], of_j[:, 0, 1] = c, s
+        of_j[:, 1, 0], of_j[:, 1, 1] = -s, c
+        of_j[:, 2, 2] = 1.0
+        of_i[:, :, :3] = -of_j[:, :, :3]
+        of_i[:, 0, 2], of_i[:, 1, 2] = y, -x
+        return of_i, of_j, residuals
 
     def covariance_of(self, i: int, others: Sequence[int]) -> Floats:
         """Return the covariances (M, 3, 3) of i_T_j for some nodes j, without the loops' outliers.
 
         `prepare_covariances` must have been called since the last change.
         """
-        joint = self._columns(i)
-        own = joint[i]
-        found = np.empty((len(others), 3, 3))
-        for row, j in enumerate(others):
-            jacobians, _ = self._relative(i, j, np.zeros(3))
-            a, b = jacobians[0][:, :3], jacobians[1][:, :3]
-            cross = joint[j]  # covariance of j with i
-            found[row] = (
-                a @ own @ a.T + a @ cross.T @ b.T + b @ cross @ a.T + b @ self._marginals[j] @ b.T
-            )
+        joint, nodes = self._columns(i), np.array(others, dtype=np.intp)
+        of_i, of_j, _ = self._relative(np.full(len(nodes), i), nodes, np.zeros((len(nodes), 3)))
+        a, b = of_i[:, :, :3], of_j[:, :, :3]
+        mixed = b @ joint[nodes] @ np.moveaxis(a, 1, 2)  # covariance of j with i
+        own = a @ joint[i] @ np.moveaxis(a, 1, 2)
+        other = b @ self._marginals[nodes] @ np.moveaxis(b, 1, 2)
+        found: Floats = own + np.moveaxis(mixed, 1, 2) + mixed + other
         return found
 
     def prepare_covariances(self) -> Floats:
@@ -492,14 +535,22 @@ class _NormalEquations:
     def add(
         self, nodes: list[int], jacobians: list[Floats], residual: Floats, information: Floats
     ) -> None:
-        places = np.concatenate([np.arange(n * STATES, (n + 1) * STATES) for n in nodes])
-        jacobian = np.hstack(jacobians)
-        weighted = jacobian.T @ information
-        self.gradient[places] += weighted @ residual
-        self.squared += float(residual @ information @ residual)
-        self._rows.append(np.repeat(places, len(places)))
-        self._columns.append(np.tile(places, len(places)))
-        self._values.append((weighted @ jacobian).ravel())
+        """Add one factor; Jacobians by the states of each node, (R, 6) each."""
+        jacobian = np.hstack(jacobians)[None]
+        self.add_many(np.array([nodes]), jacobian, residual[None], information[None])
+
+    def add_many(
+        self, nodes: NDArray[np.intp], jacobians: Floats, residuals: Floats, information: Floats
+    ) -> None:
+        """Add M factors of N nodes: (M, N), (M, R, 6 N), (M, R) and (M, R, R)."""
+        width = nodes.shape[1] * STATES
+        places = (nodes[:, :, None] * STATES + np.arange(STATES)).reshape(-1, width)
+        weighted = np.moveaxis(jacobians, 1, 2) @ information
+        np.add.at(self.gradient, places, (weighted @ residuals[:, :, None])[:, :, 0])
+        self.squared += float(np.einsum("mi,mij,mj->", residuals, information, residuals))
+        self._rows.append(np.repeat(places, width, axis=1).ravel())
+        self._columns.append(np.tile(places, (1, width)).ravel())
+        self._values.append((weighted @ jacobians).ravel())
 
     def matrix(self) -> csc_array:
         rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)

@@ -101,16 +101,18 @@ def front_of_returns(
         depth_m: that is kept from the first sample of a return.
     """
     intensity, edge_m = image.intensity, image.range_resolution_m
-    row = np.arange(len(intensity), dtype=np.int32)[:, None]
-    far = np.int32(-len(intensity) - math.ceil(RETURN_GAP_M / edge_m))
-    is_return = (intensity > threshold) & (row >= math.ceil(min_range_m / edge_m))
-    seen = np.where(is_return, row, far)
-    before = np.vstack([np.full_like(seen[:1], far), np.maximum.accumulate(seen[:-1], axis=0)])
-    begins = (seen == row) & (row - before > RETURN_GAP_M / edge_m)
-    front = np.maximum.accumulate(np.where(begins, row, far), axis=0)
+    far = -len(intensity) - math.ceil(RETURN_GAP_M / edge_m)
+    row = np.arange(len(intensity), dtype=np.int32)
+    is_return = intensity > threshold
+    is_return[: math.ceil(min_range_m / edge_m)] = False
     if image.max_range_m <= FIRST_RETURN_MAX_RANGE_M:
-        front = np.where(begins.any(axis=0), begins.argmax(axis=0), far)
-    kept = np.where(row - front <= depth_m / edge_m, intensity, np.float32(0.0))
+        front = np.where(is_return.any(axis=0), is_return.argmax(axis=0), far)
+    else:  # beam by beam, which is several times as fast as row by row
+        begins = np.ascontiguousarray(is_return.T)
+        last = np.maximum.accumulate(np.where(begins, row, np.int32(far)), axis=1)
+        begins[:, 1:] &= row[1:] - last[:, :-1] > RETURN_GAP_M / edge_m
+        front = np.maximum.accumulate(np.where(begins, row, np.int32(far)), axis=1).T
+    kept = np.where(row[:, None] - front <= depth_m / edge_m, intensity, np.float32(0.0))
     kept.setflags(write=False)
     return replace(image, intensity=kept)
 

@@ -16,6 +16,7 @@ from mapperd.alignment.pose_graph import (
     PoseAnchor,
     PoseGraph,
     PositionFix,
+    measured_by,
 )
 from mapperd.alignment.submaps import compose, inverse
 
@@ -293,18 +294,15 @@ def test_jacobians_of_steps_are_their_differences() -> None:
     graph = graph_of(circle(nodes=9))
     rng = np.random.default_rng(3)
     graph._states = graph._states + 0.05 * rng.standard_normal(graph._states.shape)
-    step = graph.steps[4]
-    assert step is not None
-    jacobians, _, _ = graph._step_factor(4, step)
-    saved = graph._states.copy()
-    for node, jacobian in zip((3, 4), jacobians, strict=True):
-        for k in range(6):
-            ends = []
-            for sign in (1.0, -1.0):
-                graph._states = saved.copy()
-                graph._states[node, k] += sign * 1e-6
-                ends.append(graph._step_factor(4, step)[1])
-            assert np.allclose((ends[0] - ends[1]) / 2e-6, jacobian[:, k], atol=1e-5)
+    saved, place = graph._states.copy(), 3  # the step to node 4
+    jacobian = graph._step_factors()[0][place]
+    for k in range(12):
+        ends = []
+        for sign in (1.0, -1.0):
+            graph._states = saved.copy()
+            graph._states[3 + k // 6, k % 6] += sign * 1e-6
+            ends.append(graph._step_factors()[1][place])
+        assert np.allclose((ends[0] - ends[1]) / 2e-6, jacobian[:, k], atol=1e-5)
 
 
 def test_compose_and_inverse_cancel() -> None:
@@ -340,24 +338,42 @@ def test_common_errors_of_registrations_are_found() -> None:
 
 
 def test_derivatives_with_common_errors_are_those_of_finite_differences() -> None:
-    truth = circle()
-    graph = graph_of(truth)
-    bias, centre = np.array([-0.02, 0.03]), np.array([5.0, -2.0])
-    graph.loops = [measured(truth, (i, i + 3), bias, centre) for i in (2, 9)]
-    graph.solve()
-    loop = graph.loops[0]
-    relative = compose(inverse(graph.poses[loop.i]), graph.poses[loop.j])
-    _, by_pose, by_bias = graph.measured_by(loop, relative)
-    step = 1e-6
+    rng = np.random.default_rng(6)
+    centre, relative = rng.uniform(-6, 6, (4, 2)), rng.uniform(-3, 3, (4, 3))
+    bias, step = np.array([-0.02, 0.03]), 1e-6
+    _, by_pose, by_bias = measured_by(centre, relative, bias)
     for k in range(3):
-        ahead, back = relative.copy(), relative.copy()
-        ahead[k], back[k] = ahead[k] + step, back[k] - step
-        slope = (graph.measured_by(loop, ahead)[0] - graph.measured_by(loop, back)[0]) / (2 * step)
-        assert slope == pytest.approx(by_pose[:, k], abs=1e-6)
+        shift = step * np.eye(3)[k]
+        ahead, back = (measured_by(centre, relative + sign * shift, bias)[0] for sign in (1, -1))
+        assert np.allclose((ahead - back) / (2 * step), by_pose[:, :, k], atol=1e-6)
     for k in range(2):
-        kept, ends = graph.bias.copy(), []
-        for sign in (1, -1):
-            graph.bias[k] = kept[k] + sign * step
-            ends.append(graph.measured_by(loop, relative)[0])
-        graph.bias[k] = kept[k]
-        assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(by_bias[:, k], abs=1e-6)
+        shift = step * np.eye(2)[k]
+        ahead, back = (measured_by(centre, relative, bias + sign * shift)[0] for sign in (1, -1))
+        assert np.allclose((ahead - back) / (2 * step), by_bias[:, :, k], atol=1e-6)
+
+
+def test_the_gradient_is_that_of_the_cost() -> None:
+    # Of two dives, with loops between them: all states, the common errors and the mean drifts.
+    truth = circle(nodes=9)
+    dives = [drifting(truth, scale, -0.02, 0.0005) for scale in (0.03, -0.02)]
+    start = np.vstack([reckoned(truth[0], steps) for steps in dives])
+    graph = PoseGraph(start, [*dives[0], *dives[1]], MODEL)
+    both = np.vstack([truth, truth])
+    graph.loops = [loop_of(both, 0, 5), loop_of(both, 2, 11), loop_of(both, 4, 16)]
+    graph.fixes = [PositionFix(3, truth[3, :2], 0.5)]
+    rng = np.random.default_rng(4)
+    graph._states = graph._states + 0.02 * rng.standard_normal(graph._states.shape)
+    graph.mean_drift = 0.02 * rng.standard_normal((2, 3))
+    graph.bias = np.array([0.01, -0.02])
+    gradient = graph._linearized().gradient.reshape(-1, 6)
+    parts = [(graph._states, gradient[:18]), (graph.bias, gradient[18, :2])]
+    for array, expected in [*parts, (graph.mean_drift, gradient[19:, 3:])]:
+        for place in np.ndindex(array.shape):
+            kept, ends = array[place], []
+            for sign in (1.0, -1.0):
+                array[place] = kept + sign * 1e-6
+                ends.append(graph._linearized().squared)
+            array[place] = kept
+            # Rounding of sums of 1e5, and of the whole.
+            slope = (ends[0] - ends[1]) / 4e-6
+            assert slope == pytest.approx(expected[place], rel=1e-4, abs=0.1)
