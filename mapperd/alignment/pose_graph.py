@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 __all__ = [
     "DriftModel",
@@ -393,7 +393,7 @@ class PoseGraph:
         """Take one step of Gauss and Newton; return the largest change of a pose."""
         builder = self._linearized()
         matrix, gradient = builder.matrix(), builder.gradient
-        change = splu(matrix).solve(-gradient).reshape(-1, STATES)
+        change = _factorized(matrix).solve(-gradient).reshape(-1, STATES)
         count = len(self._states)
         self._states += change[:count]
         self.bias += change[count, : len(self.bias)]
@@ -506,7 +506,7 @@ class PoseGraph:
     def prepare_covariances(self) -> Floats:
         """Factorize the present graph; return the covariance (N, 3, 3) of every node's pose."""
         count = len(self._states)
-        self._factor = splu(self._linearized().matrix())
+        self._factor = _factorized(self._linearized().matrix())
         self._marginals = np.empty((count, 3, 3))
         for i in range(count):
             self._marginals[i] = self._columns(i)[i]
@@ -519,6 +519,12 @@ class PoseGraph:
         right[i * STATES : i * STATES + 3] = np.eye(3)
         columns: Floats = self._factor.solve(right).reshape(-1, STATES, 3)[:count, :3]
         return columns
+
+
+def _factorized(matrix: csc_array) -> SuperLU:
+    """Factors of a symmetric positive definite matrix, whose symmetry saves half of the time."""
+    options = {"SymmetricMode": True}
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
 
 class _NormalEquations:
