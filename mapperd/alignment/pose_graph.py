@@ -352,8 +352,10 @@ class PoseGraph:
         counts = [len(loop.poses) for loop in self.loops]
         if not counts:
             return np.zeros(0), np.zeros(0, dtype=np.intp)
-        measured = np.repeat(self._measured()[0], counts, axis=0)
-        residuals = measured - np.concatenate([loop.poses for loop in self.loops])
+        *_, relative, centre = self._loop_ends()
+        measured, _, _ = measured_by(centre, relative, self.bias)
+        residuals = np.repeat(measured, counts, axis=0)
+        residuals -= np.concatenate([loop.poses for loop in self.loops])
         residuals[:, 2] = wrapped(residuals[:, 2])
         information = np.concatenate([loop.information for loop in self.loops])
         squared = np.einsum("ki,kij,kj->k", residuals, information, residuals)
@@ -365,21 +367,17 @@ class PoseGraph:
         residual = self.poses[fix.node, :2] - fix.position_m
         return float(residual @ residual) / fix.deviation_m**2
 
-    def _measured(self) -> tuple[Floats, Floats, Floats, tuple[Floats, Floats]]:
-        """What the loops measure of i_T_j (L, 3), and its derivatives.
-
-        Returns:
-            the measurements; their derivatives by i_T_j (L, 3, 3) and by the common errors
-            (L, 3, 2); those of i_T_j by the states of i and j, (L, 3, 6) each.
-        """
+    def _loop_ends(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Of the loops, the Jacobians (L, 3, 6) of i_T_j by i and j, i_T_j and the centre."""
         ends = np.array([(loop.i, loop.j) for loop in self.loops], dtype=np.intp).reshape(-1, 2)
         of_i, of_j, relative = self._relative(ends[:, 0], ends[:, 1], np.zeros((len(ends), 3)))
         centre = np.array([loop.centre for loop in self.loops]).reshape(-1, 2)
-        return *measured_by(centre, relative, self.bias), (of_i, of_j)
+        return of_i, of_j, relative, centre
 
     def _loop_factors(self) -> tuple[Floats, Floats, Floats]:
         """Jacobians (L, 3, 18) by both nodes and the common errors, residuals and information."""
-        measured, by_pose, by_bias, (of_i, of_j) = self._measured()
+        of_i, of_j, relative, centre = self._loop_ends()
+        measured, by_pose, by_bias = measured_by(centre, relative, self.bias)
         chosen = np.array([loop.poses[loop.chosen] for loop in self.loops]).reshape(-1, 3)
         residuals = measured - chosen
         residuals[:, 2] = wrapped(residuals[:, 2])

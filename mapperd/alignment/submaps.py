@@ -243,8 +243,8 @@ class _SubmapMapper(SonarMap):
 
     def __init__(self, config: Config, correction: "Correction | None") -> None:
         super().__init__(_submap_settings(config, MIN_RESOLUTION_M))
-        short = SonarMap(_submap_settings(config, SHORT_RESOLUTION_M))
-        self._maps = {SHORT_RANGE_M: short, math.inf: SonarMap(self.config)}
+        self._long_map = SonarMap(self.config)
+        self._short_map = SonarMap(_submap_settings(config, SHORT_RESOLUTION_M))
         self._correction = correction
         self.submaps: list[SonarSubmap] = []
         self.fragments: list[SonarSubmap] = []
@@ -279,7 +279,7 @@ class _SubmapMapper(SonarMap):
         return PingStats()
 
     def _map_for(self, image: PingImage) -> SonarMap:
-        return next(one for reach_m, one in self._maps.items() if image.max_range_m <= reach_m)
+        return self._short_map if image.max_range_m <= SHORT_RANGE_M else self._long_map
 
     def _ends_before(self, ping: _HeldPing) -> bool:
         if not self._held:
