@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _Real = TypeVar("_Real", np.float32, np.float64)
+_Number = TypeVar("_Number", np.float32, np.float64, np.int32)
 
 def complex_gaussian(key: int, count: int) -> NDArray[np.complex64]:
     """Circular complex Gaussian numbers of mean power 1, (count,), of a 64-bit key's stream."""
@@ -540,6 +541,47 @@ class MeshView:
             pose: rotation sonar from mesh, row by row; origin of the mesh in the sonar's frame;
                 the sonar in the mesh's frame, (15,).
         """
+
+def meet_sea(
+    direction: NDArray[np.float32],
+    depth_m: float,
+    near_m: NDArray[np.float32] | None,
+    sea_face: int,
+    sea_group: int,
+    range_m: NDArray[np.float32],
+    face: NDArray[np.int32],
+    group: NDArray[np.int32],
+) -> None:
+    """Enter where rays of one origin meet the sea's surface from below before anything else.
+
+    Args:
+        direction: unit vectors, map frame, (N, 3).
+        depth_m: of the origin; where it is not below the surface, nothing is met.
+        near_m: minimum range, (N,), or None.
+        sea_face: entered where a ray meets the surface.
+        sea_group: the same.
+        range_m: of the hits so far, (N,), changed in place.
+        face: the same.
+        group: the same.
+
+    Raises:
+        TypeError: an array to be changed is of another type or not contiguous.
+        ValueError: sizes differ, or an array to be changed is read-only.
+    """
+
+def merged(
+    known: NDArray[_Number], source: NDArray[np.int32], more: NDArray[_Number]
+) -> NDArray[_Number]:
+    """Rows of `known` (N, ...) where `source` names them, and those of `more`, in order, elsewhere.
+
+    Args:
+        known: rows to choose from.
+        source: of each row of the result, its place in `known`, or negative, (M,).
+        more: a row for each negative source, (K, ...).
+
+    Raises:
+        ValueError: the rows differ in type or shape, or their numbers do not fit `source`.
+    """
 
 def rays_near_ball(
     start_m: NDArray[np.float64],

@@ -46,7 +46,7 @@ from sonar_sim.scene.sonar import SonarSettings
 Image = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.uint32] | NDArray[np.float32]
 Cells = NDArray[np.complex64] | NDArray[np.float32]
 
-NODES_PER_BEAM = 9.0
+NODES_PER_BEAM = 8.0
 """Scatterers in a row of a beam's -3 dB width, about: the coefficient of variation of an even floor
 is then within 0.005 of Rayleigh's."""
 CAST_RANGE_FACTOR = 1.3

@@ -513,6 +513,11 @@ RefinedRays refined_rays(const FanGrid& grid, const FanHits& hits,
   }
   const std::vector<char> lower = lower_rays(hits, pairs, marked);
   RefinedRays to;
+  const std::size_t about = hits.count + hits.count / 2;
+  to.direction.reserve(3 * about);
+  to.cell.reserve(4 * about);
+  to.column.reserve(about);
+  to.from.reserve(about);
   Refiner refiner(hits, to);
   Cutter cutter;
   for (std::size_t cell = 0; cell < cells; ++cell) {

@@ -45,8 +45,8 @@ Reading reading_of(const BeamModel& m, double range_m, double quality) {
           range < m.max_range_m ? m.z_rand / m.max_range_m : m.z_max};
 }
 
-MAPPERD_VECTORISED_WIDE void mix(const Reading& reading, const double* expected,
-                                 const double* norms, double* out) {
+MAPPERD_VECTORISED void mix(const Reading& reading, const double* expected, const double* norms,
+                            double* out) {
   const Reading r = reading;
   for (std::size_t i = 0; i < kBlock; ++i) {
     const double off = r.range - expected[i];
@@ -59,8 +59,8 @@ MAPPERD_VECTORISED_WIDE void mix(const Reading& reading, const double* expected,
   }
 }
 
-MAPPERD_VECTORISED_WIDE void aim(const BlockPoses& poses, double cosine, double sine,
-                                 double* along_u, double* along_v) {
+MAPPERD_VECTORISED void aim(const BlockPoses& poses, double cosine, double sine, double* along_u,
+                            double* along_v) {
   for (std::size_t i = 0; i < kBlock; ++i) {
     along_u[i] = poses.cosine[i] * cosine - poses.sine[i] * sine;
     along_v[i] = poses.sine[i] * cosine + poses.cosine[i] * sine;

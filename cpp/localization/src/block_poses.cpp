@@ -2,9 +2,9 @@
 
 namespace mapperd::localization {
 
-MAPPERD_VECTORISED_WIDE void pose_block(const double* x, const double* y, const double* yaw,
-                                        std::size_t count, const GridTransform& to_grid,
-                                        BlockPoses& out) {
+MAPPERD_VECTORISED void pose_block(const double* x, const double* y, const double* yaw,
+                                   std::size_t count, const GridTransform& to_grid,
+                                   BlockPoses& out) {
   const GridTransform l = to_grid;
   for (std::size_t i = 0; i < count; ++i) {
     const double dx = x[i] - l.origin_x;

@@ -12,13 +12,13 @@ constexpr std::int32_t kFarCells = 1 << 20;
 constexpr std::size_t kRowsATask = 64;
 
 // One row of distances along columns: one more than the row before's, 0 where marked.
-MAPPERD_VECTORISED_WIDE void count_on(const std::uint8_t* marked, const std::int32_t* before,
-                                      std::int32_t* here, std::size_t columns) {
+MAPPERD_VECTORISED void count_on(const std::uint8_t* marked, const std::int32_t* before,
+                                 std::int32_t* here, std::size_t columns) {
   for (std::size_t c = 0; c < columns; ++c) here[c] = marked[c] != 0 ? 0 : before[c] + 1;
 }
 
-MAPPERD_VECTORISED_WIDE void count_back(const std::int32_t* after, std::int32_t* here,
-                                        std::size_t columns) {
+MAPPERD_VECTORISED void count_back(const std::int32_t* after, std::int32_t* here,
+                                   std::size_t columns) {
   for (std::size_t c = 0; c < columns; ++c) here[c] = std::min(here[c], after[c] + 1);
 }
 

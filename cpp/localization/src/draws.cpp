@@ -6,8 +6,8 @@
 
 namespace mapperd::localization {
 
-MAPPERD_VECTORISED_WIDE void draw_normals(const Stream& stream, Purpose purpose, std::size_t first,
-                                          std::size_t count, NormalBlock& out) {
+MAPPERD_VECTORISED void draw_normals(const Stream& stream, Purpose purpose, std::size_t first,
+                                     std::size_t count, NormalBlock& out) {
   const Stream fixed = stream;
   std::uint32_t words[4][kBlock];
   for (std::size_t i = 0; i < count; ++i) {

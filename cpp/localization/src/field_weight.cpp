@@ -51,7 +51,7 @@ MAPPERD_INLINE void likeliest(const BlockPoses& poses, const Task& task, std::si
   }
 }
 
-MAPPERD_VECTORISED_WIDE void cube_sums(const BlockPoses& poses, const Task& task, double* out) {
+MAPPERD_VECTORISED void cube_sums(const BlockPoses& poses, const Task& task, double* out) {
   double sum[kBlock] = {};
   float p[kBlock];
   for (std::size_t beam = 0; beam < task.quality.size(); ++beam) {
@@ -66,8 +66,8 @@ MAPPERD_VECTORISED_WIDE void cube_sums(const BlockPoses& poses, const Task& task
   for (std::size_t i = 0; i < kBlock; ++i) out[i] = fast_log(1.0 + sum[i]);
 }
 
-MAPPERD_VECTORISED_WIDE void products(const BlockPoses& poses, const Task& task, double kappa,
-                                      double* out) {
+MAPPERD_VECTORISED void products(const BlockPoses& poses, const Task& task, double kappa,
+                                 double* out) {
   Products product;
   product.start();
   float p[kBlock];

@@ -33,8 +33,8 @@ std::vector<std::uint8_t> obstacles(const OccupancyGrid& grid, bool only_boundar
 }
 
 // p of squared distances in cells; kBeyond is at the truncation.
-MAPPERD_VECTORISED_WIDE void densities(const std::int32_t* squared, std::size_t count,
-                                       const double* factors, float* out) {
+MAPPERD_VECTORISED void densities(const std::int32_t* squared, std::size_t count,
+                                  const double* factors, float* out) {
   const double per_cell = factors[0];  // exponent of one squared cell
   const double least = factors[1];     // exponent at the truncation
   const double peak = factors[2];

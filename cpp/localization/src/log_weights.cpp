@@ -11,8 +11,8 @@ namespace {
 
 constexpr double kNever = -std::numeric_limits<double>::infinity();
 
-MAPPERD_VECTORISED_WIDE void exponentials(const double* powers, std::size_t count, double largest,
-                                          double* out) {
+MAPPERD_VECTORISED void exponentials(const double* powers, std::size_t count, double largest,
+                                     double* out) {
   for (std::size_t i = 0; i < count; ++i) {
     const double power = powers[i] - largest;
     out[i] = power > -700.0 ? fast_exp(power) : 0.0;

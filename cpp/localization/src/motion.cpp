@@ -56,7 +56,7 @@ struct Scaled {
   double bearing;
 };
 
-MAPPERD_VECTORISED_WIDE void turn_go_turn(PoseBlock b, const Scaled& s, const NormalBlock& n) {
+MAPPERD_VECTORISED void turn_go_turn(PoseBlock b, const Scaled& s, const NormalBlock& n) {
   const Scaled d = s;
   for (std::size_t i = 0; i < b.count; ++i) {
     const double first = d.mean[0] + d.sigma[0] * n.number[0][i];
@@ -70,7 +70,7 @@ MAPPERD_VECTORISED_WIDE void turn_go_turn(PoseBlock b, const Scaled& s, const No
   }
 }
 
-MAPPERD_VECTORISED_WIDE void go_and_turn(PoseBlock b, const Scaled& s, const NormalBlock& n) {
+MAPPERD_VECTORISED void go_and_turn(PoseBlock b, const Scaled& s, const NormalBlock& n) {
   const Scaled d = s;
   for (std::size_t i = 0; i < b.count; ++i) {
     const double distance = d.mean[0] + d.sigma[0] * n.number[0][i];
@@ -83,7 +83,7 @@ MAPPERD_VECTORISED_WIDE void go_and_turn(PoseBlock b, const Scaled& s, const Nor
   }
 }
 
-MAPPERD_VECTORISED_WIDE void shake(PoseBlock b, const Scaled& s, const NormalBlock& n) {
+MAPPERD_VECTORISED void shake(PoseBlock b, const Scaled& s, const NormalBlock& n) {
   const Scaled d = s;
   for (std::size_t i = 0; i < b.count; ++i) {
     const double ahead = d.sigma[0] * n.number[0][i];

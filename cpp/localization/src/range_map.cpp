@@ -88,7 +88,7 @@ struct Steps {
 constexpr std::uint64_t kWhole = 0x4330000000000000ULL;  // a double whose lowest bits count ones
 
 // One step of all rays; how many went on.
-MAPPERD_VECTORISED_WIDE double step_on(const Steps& steps, March& march) {
+MAPPERD_VECTORISED double step_on(const Steps& steps, March& march) {
   const Steps s = steps;
   double went_on = 0.0;
   for (std::size_t i = 0; i < march.count; ++i) {

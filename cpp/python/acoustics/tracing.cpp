@@ -5,6 +5,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
+#include <functional>
+#include <numeric>
 #include <optional>
 #include <string>
 #include <vector>
@@ -109,6 +112,53 @@ void cast_bundle(const TriangleTable& table, const Array<double>& origin_m,
   std::int32_t* faces = face.mutable_data();
   const py::gil_scoped_release unlocked;
   acoustics::cast_bundle(table.packs, rays, first_face, threads, ranges, faces);
+}
+
+void meet_sea(const Array<float>& direction, double depth_m,
+              const std::optional<Array<float>>& near_m, std::int32_t sea_face,
+              std::int32_t sea_group, Array<float>& range_m, Array<std::int32_t>& face,
+              Array<std::int32_t>& group) {
+  const py::ssize_t count = range_m.size();
+  require(direction.size() == 3 * count && face.size() == count && group.size() == count &&
+              (!near_m || near_m->size() == count),
+          "direction must be (N, 3), near_m, range_m, face and group (N,)");
+  const acoustics::RayBundle rays{
+      static_cast<std::size_t>(count), {}, direction.data(), near_m ? near_m->data() : nullptr};
+  float* ranges = range_m.mutable_data();
+  std::int32_t* faces = face.mutable_data();
+  std::int32_t* groups = group.mutable_data();
+  const py::gil_scoped_release unlocked;
+  acoustics::meet_sea(rays, {depth_m, sea_face, sea_group}, ranges, faces, groups);
+}
+
+// Rows of one array where `source` names them, and of the other, in order, where it is negative.
+py::array merged(const py::array& known, const Array<std::int32_t>& source, const py::array& more) {
+  const py::array old = py::array::ensure(known, py::array::c_style);
+  const py::array fresh = py::array::ensure(more, py::array::c_style);
+  require(old.ndim() >= 1 && fresh.ndim() == old.ndim() && old.dtype().equal(fresh.dtype()) &&
+              std::equal(old.shape() + 1, old.shape() + old.ndim(), fresh.shape() + 1),
+          "known and more must be alike but for their lengths");
+  const std::int32_t* from = source.data();
+  const auto count = source.size();
+  require(std::all_of(from, from + count, [&](std::int32_t i) { return i < old.shape(0); }),
+          "source beyond what is known");
+  require(std::count_if(from, from + count, [](std::int32_t i) { return i < 0; }) == fresh.shape(0),
+          "more must have a row for each negative source");
+  std::vector<py::ssize_t> shape(old.shape(), old.shape() + old.ndim());
+  shape[0] = count;
+  py::array both(old.dtype(), shape);
+  const auto row = static_cast<std::size_t>(
+      std::accumulate(shape.begin() + 1, shape.end(), old.itemsize(), std::multiplies<>()));
+  auto* to = static_cast<char*>(both.mutable_data());
+  const auto* first = static_cast<const char*>(old.data());
+  const auto* next = static_cast<const char*>(fresh.data());
+  const py::gil_scoped_release unlocked;
+  for (py::ssize_t i = 0; i < count; ++i, to += row) {
+    const bool is_new = from[i] < 0;
+    std::memcpy(to, is_new ? next : first + row * static_cast<std::size_t>(from[i]), row);
+    if (is_new) next += row;
+  }
+  return both;
 }
 
 py::array rays_near_ball(const Array<double>& start_m, const Array<float>& direction,
@@ -304,6 +354,10 @@ void bind_tracing(py::module_& module) {
            arg("first_face"), arg("range_m").noconvert(), arg("face").noconvert(), arg("threads"));
   py::class_<acoustics::SeenMesh>(module, "MeshView")
       .def(py::init(&mesh_view), arg("table"), arg("pose"), py::keep_alive<1, 2>());
+  module.def("meet_sea", &meet_sea, arg("direction"), arg("depth_m"), arg("near_m"),
+             arg("sea_face"), arg("sea_group"), arg("range_m").noconvert(), arg("face").noconvert(),
+             arg("group").noconvert());
+  module.def("merged", &merged, arg("known"), arg("source"), arg("more"));
   module.def("rays_near_ball", &rays_near_ball, arg("start_m"), arg("direction"), arg("reach_m"),
              arg("middle_m"), arg("radius_m"));
   module.def("visible_points", &visible_points, arg("direction"), arg("map_direction"), arg("face"),

@@ -67,6 +67,7 @@ _BOUNDS = {
     "side_lobes": _Bound(lambda _view, _tolerance: True, "echoes have arcs"),
     "tvg": _Bound(lambda _view, _tolerance: True, "echoes have ranges"),
     "gain": _Bound(lambda view, _tolerance: view.gains.operator_db != 0.0, "it is not 0 dB"),
+    "quantisation": _Bound(lambda _view, _tolerance: True, "an Oculus sends integers"),
 }
 
 BY_BOUNDS = frozenset(_BOUNDS)

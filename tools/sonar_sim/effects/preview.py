@@ -410,6 +410,8 @@ class PingPreview:
 
     def change_of_echoes_db(self, power: NDArray[np.float64], tolerance: Tolerance) -> float:
         """The same where only the echoes' powers (N,) differ; their tail is left as it is."""
+        if np.array_equal(power, self.echo_power):
+            return 0.0
         other = self.picture - self.echo_picture + self.grid.picture(self.echoes, power)
         return self.change_db(np.maximum(other, 0.0), tolerance)
 

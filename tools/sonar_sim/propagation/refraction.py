@@ -18,7 +18,7 @@ from sonar_sim.propagation.physics import SoundSpeedProfile
 from sonar_sim.propagation.propagation_path import LEG_SIZE, PingGeometry
 from sonar_sim.raycast.fan import RayFan
 from sonar_sim.raycast.meshes import NOTHING, Hits
-from sonar_sim.raycast.tracing import MAX_HIDDEN_HITS, Trace, edges_of, merged, refined_fan, spans
+from sonar_sim.raycast.tracing import MAX_HIDDEN_HITS, Trace, edges_of, refined_fan, spans
 
 SEGMENTS = (2, 16)
 """Straight pieces of a bent ray: as few as keep each within `SAGITTA_M` of its arc."""
@@ -69,7 +69,7 @@ def refracted_paths(
     new = source < 0
     if new.any():
         more_start, more = _trace_refracted(here, layers, fan.directions[new], reach_m, speed_mps)
-        start = merged(start, source, more_start)
+        start = _core.merged(start, source, more_start)
         found = [a.with_more(source, b) for a, b in zip(found, more, strict=True)]
     mets = tuple(layer.met for layer in found)
     trace = Trace(fan, start.astype(np.float32), here.pose.position_m, mets)
@@ -258,13 +258,13 @@ class _RefractedHits:
         return cls(np.full(count, np.inf), face, group, start.copy(), np.zeros_like(start))
 
     def with_more(self, source: NDArray[np.int32], more: "_RefractedHits") -> "_RefractedHits":
-        """Of a finer fan's rays; see `merged`."""
+        """Of a finer fan's rays; see `_core.merged`."""
         return _RefractedHits(
-            merged(self.range_m, source, more.range_m),
-            merged(self.face, source, more.face),
-            merged(self.group, source, more.group),
-            merged(self.arrival, source, more.arrival),
-            merged(self.place_m, source, more.place_m),
+            _core.merged(self.range_m, source, more.range_m),
+            _core.merged(self.face, source, more.face),
+            _core.merged(self.group, source, more.group),
+            _core.merged(self.arrival, source, more.arrival),
+            _core.merged(self.place_m, source, more.place_m),
         )
 
     @property

@@ -219,7 +219,8 @@ class Meshes:
             group.triangles.cast_bundle(
                 start[0], local, near_m, group.first_face, met.range_m, met.face, threads
             )
-            met.group[met.face >= group.first_face] = number
+            if number > 0:
+                met.group[met.face >= group.first_face] = number
         self._meet_sea(met, origin_m, direction, near_m)
 
     def _cast_each(
@@ -258,17 +259,27 @@ class Meshes:
         """The sea's surface is the plane z = 0, met from below."""
         if not self._sea:
             return
+        sea_face = len(self.planes) - 1
+        if origin_m.ndim == 1:
+            _core.meet_sea(
+                direction,
+                -float(origin_m[2]),
+                near_m,
+                sea_face,
+                self.sea_group,
+                met.range_m,
+                met.face,
+                met.group,
+            )
+            return
         rising = np.flatnonzero(direction[:, 2] > 0.0)
-        height_m = -origin_m[2] if origin_m.ndim == 1 else -origin_m[rising, 2]
+        height_m = -origin_m[rising, 2]
         steepness = np.maximum(direction[:, 2].take(rising), np.float32(1e-9))
         range_m = (height_m / steepness).astype(np.float32)
-        meets = (height_m > 0.0) & (range_m < met.range_m.take(rising))
-        if near_m is not None:
-            meets &= range_m > near_m.take(rising)
-        its = rising[meets]
-        met.range_m[its] = range_m[meets]
-        met.face[its] = len(self.planes) - 1
-        met.group[its] = self.sea_group
+        its = np.flatnonzero((height_m > 0.0) & (range_m < met.range_m.take(rising)))
+        met.range_m[rising[its]] = range_m[its]
+        met.face[rising[its]] = sea_face
+        met.group[rising[its]] = self.sea_group
 
 
 def _in_frame(

@@ -12,7 +12,6 @@ ball it must not. Hits of neighbouring rays on the same surface tell the two apa
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +21,6 @@ from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.geometry.pose import FramePose
 from sonar_sim.raycast.fan import RayFan
 from sonar_sim.raycast.meshes import Hits, Meshes
-
-Number = TypeVar("Number", np.float32, np.float64, np.int32)
 
 MAX_SLOPE = 0.15
 """Neighbours met one surface if neither leaves the other's plane by more than this slope."""
@@ -100,12 +97,12 @@ def trace(
     new = np.flatnonzero(source < 0)
     if len(new):
         new_direction = chunked_matmul(fan.directions.take(new, axis=0), turn)
-        direction = merged(direction, source, new_direction)
+        direction = _core.merged(direction, source, new_direction)
         more = cast(new_direction)
         met = Hits(
-            merged(met.range_m, source, more.range_m),
-            merged(met.face, source, more.face),
-            merged(met.group, source, more.group),
+            _core.merged(met.range_m, source, more.range_m),
+            _core.merged(met.face, source, more.face),
+            _core.merged(met.group, source, more.group),
         )
     layers = [met]
     if not shadows:
@@ -175,15 +172,6 @@ def refined_fan(
         np.append(viewpoints[0].rotation[2], viewpoints[0].position_m[2]),
     )
     return RayFan(directions, cell, column, fan.columns, fan.sine_pitch, fan.grid), source
-
-
-def merged(
-    known: NDArray[Number], source: NDArray[np.int32], new: NDArray[Number]
-) -> NDArray[Number]:
-    """What rays of a finer fan met, (M, ...): the known of some, and the new ones, in order."""
-    both = known.take(source, axis=0)
-    both[source < 0] = new
-    return both
 
 
 def _behind(

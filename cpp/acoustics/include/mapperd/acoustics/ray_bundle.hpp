@@ -52,6 +52,19 @@ constexpr float kNearM = 1e-4F;
 void cast_bundle(const std::vector<TrianglePack>& mesh, const RayBundle& rays,
                  std::int32_t first_face, unsigned threads, float* range_m, std::int32_t* face);
 
+/// The sea's surface over a sonar.
+struct SeaSurface {
+  double depth_m;  ///< of the rays' origin; where it is not below, no ray meets the surface
+  std::int32_t face, group;  ///< entered where a ray meets it
+};
+
+/// Enters where rays meet the sea from below before anything else. `near_m` of the rays may be
+/// null: no limit.
+///
+/// \param range_m (count,), in: range of the hit so far; out: nearer ones replaced
+void meet_sea(const RayBundle& rays, const SeaSurface& sea, float* range_m, std::int32_t* face,
+              std::int32_t* group);
+
 /// Indices of the rays that pass through a ball within `reach_m`.
 ///
 /// \param start_m (count, 3)

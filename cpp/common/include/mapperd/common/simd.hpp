@@ -2,17 +2,15 @@
 /// \brief Loops that the compiler turns into vector code.
 #pragma once
 
-/// Functions marked MAPPERD_VECTORISED are compiled with and without AVX2, and chosen between when
-/// loaded; those marked MAPPERD_VECTORISED_WIDE with AVX-512 too. Every version does the same
-/// operations in the same order (contraction is off): the same bits. Sanitizers do not support such
-/// a choice, and other compilers do not know it.
+/// Functions marked MAPPERD_VECTORISED are compiled with AVX-512, with AVX2 and with neither, and
+/// chosen between when loaded. Every version does the same operations in the same order
+/// (contraction is off): the same bits. Sanitizers do not support such a choice, and other
+/// compilers do not know it.
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && \
     !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-#define MAPPERD_VECTORISED __attribute__((target_clones("avx2", "default")))
-#define MAPPERD_VECTORISED_WIDE __attribute__((target_clones("avx512f", "avx2", "default")))
+#define MAPPERD_VECTORISED __attribute__((target_clones("avx512f", "avx2", "default")))
 #else
 #define MAPPERD_VECTORISED
-#define MAPPERD_VECTORISED_WIDE
 #endif
 
 /// Before a loop: no iteration reads or writes what another one writes. The compiler then need not
