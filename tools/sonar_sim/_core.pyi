@@ -157,6 +157,24 @@ def decaying_sum(power: NDArray[_Real], energy: float, kept: float) -> NDArray[_
         ValueError: the power is not two-dimensional, or neither float32 nor float64.
     """
 
+def box_crossing(
+    box_m: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    direction: NDArray[np.float32],
+    reach_m: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Ranges between which rays of one origin are inside a box, (N,) each; equal for a miss.
+
+    Args:
+        box_m: lowest and highest corner, (2, 3).
+        origin_m: of the rays, (3,).
+        direction: unit vectors, (N, 3).
+        reach_m: where the rays end, (N,).
+
+    Raises:
+        ValueError: the shapes are wrong.
+    """
+
 def add_cloud(
     power: NDArray[np.float32],
     enter_row: NDArray[np.float64],

@@ -305,17 +305,19 @@ class PingEngine:
             add_random(
                 cells, row_rms, column_rms, stream_key(seed, "volume", ping_id), self._threads
             )
+        key = stream_key(seed, "noise", ping_id)
+        noise = noise_rms(self.sonar, physics, former.noise_gain)
         if physics.clouds:
+            # As new in each ping as noise: one draw for both.
             power = cloud_power(physics, self.sonar, rays, self._loss(physics))
+            power += np.square(noise)[:, None]
             if np.iscomplexobj(cells):
-                key = stream_key(seed, "clouds", ping_id)
                 _core.add_gaussian_power(cells, power, key, self._threads)  # type: ignore[arg-type]
             else:
                 cells += power
-        if physics.noise_level_db is not None:
-            row_rms = noise_rms(self.sonar, physics, former.noise_gain)
+        elif physics.noise_level_db is not None:
             level = np.ones(self._fan.columns, dtype=np.float32)
-            add_random(cells, row_rms, level, stream_key(seed, "noise", ping_id), self._threads)
+            add_random(cells, noise, level, key, self._threads)
         if physics.ring_down_db is not None:
             level_db = ring_down_power_db(self.sonar, physics.ring_down_db, self._assumed_db_per_m)
             rms = (10.0 ** (level_db / 20.0) / former.noise_gain).astype(np.float32)

@@ -135,6 +135,24 @@ void decaying_sum(const double* power, std::size_t rows, std::size_t columns, do
   sum_rows(power, rows, columns, energy, kept, out);
 }
 
+MAPPERD_VECTORISED void box_crossing(const double* low, const double* high, std::size_t count,
+                                     const float* direction, const double* reach_m, double* enter,
+                                     double* leave) {
+  constexpr double kMinAlong = 1e-12;  // keeps off 0 / 0 along a face
+  for (std::size_t i = 0; i < count; ++i) {
+    double from = 0.0, to = reach_m[i];
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      const auto given = static_cast<double>(direction[3 * i + axis]);
+      const double along = std::fabs(given) < kMinAlong ? kMinAlong : given;
+      const double a = low[axis] / along, b = high[axis] / along;
+      from = std::max(from, std::min(a, b));
+      to = std::min(to, std::max(a, b));
+    }
+    leave[i] = std::max(to, 0.0);
+    enter[i] = std::min(from, leave[i]);
+  }
+}
+
 void add_cloud(float* power, std::size_t rows, std::size_t columns, const CloudRays& rays,
                const CloudFade& fade) {
   // Growth of the sum from the row before.

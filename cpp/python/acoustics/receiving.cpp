@@ -161,6 +161,25 @@ void add_cloud(py::array_t<float>& power, const Doubles& enter_row, const Double
   acoustics::add_cloud(out, rows, columns, rays, fade);
 }
 
+py::tuple box_crossing(const Doubles& box_m, const Doubles& origin_m, const Floats& direction,
+                       const Doubles& reach_m) {
+  demand(box_m.size() == 6 && origin_m.size() == 3, "box_m is (2, 3), origin_m (3,)");
+  const py::ssize_t count = reach_m.size();
+  demand(direction.ndim() == 2 && direction.size() == 3 * count && reach_m.ndim() == 1,
+         "direction is (N, 3), reach_m (N,)");
+  double corner[6];
+  for (std::size_t k = 0; k < 6; ++k) corner[k] = box_m.data()[k] - origin_m.data()[k % 3];
+  Doubles enter(count), leave(count);
+  double* from = enter.mutable_data();
+  double* to = leave.mutable_data();
+  {
+    const py::gil_scoped_release unlocked;
+    acoustics::box_crossing(corner, corner + 3, static_cast<std::size_t>(count), direction.data(),
+                            reach_m.data(), from, to);
+  }
+  return py::make_tuple(enter, leave);
+}
+
 void demand_odd(const Floats& taps, const char* what) {
   demand(taps.ndim() == 1 && size_of(taps, 0) % 2 == 1, what);
 }
@@ -252,6 +271,8 @@ void bind_receiving(py::module_& module) {
              arg("key"), arg("threads") = 2, arg("first") = 0.0, arg("step") = 1.0);
   module.def("block_powers", &block_powers, arg("cells"), arg("width"), arg("threads") = 2);
   module.def("decaying_sum", &decaying_sum, arg("power"), arg("energy"), arg("kept"));
+  module.def("box_crossing", &box_crossing, arg("box_m"), arg("origin_m"), arg("direction"),
+             arg("reach_m"));
   module.def("add_cloud", &add_cloud, arg("power").noconvert(), arg("enter_row"), arg("leave_row"),
              arg("column"), arg("weight"), arg("row_fade"), arg("column_fade"), arg("level"));
   module.def("form_beams", &form_beams, arg("cells"), arg("taps"), arg("first"), arg("beams"),

@@ -31,17 +31,8 @@ def box_crossing(
         direction: map frame, (N, 3).
         reach_m: where the rays end, (N,).
     """
-    enter = np.zeros(len(direction))
-    leave = reach_m.astype(np.float64)
-    for axis in range(3):
-        along = direction[:, axis].astype(np.float64)
-        along[np.abs(along) < 1e-12] = 1e-12  # noqa: PLR2004
-        to_low = (cloud.low_m[axis] - origin_m[axis]) / along
-        to_high = (cloud.high_m[axis] - origin_m[axis]) / along
-        np.maximum(enter, np.minimum(to_low, to_high), out=enter)
-        np.minimum(leave, np.maximum(to_low, to_high), out=leave)
-    np.maximum(leave, 0.0, out=leave)
-    return np.minimum(enter, leave), leave
+    box_m = np.stack([cloud.low_m, cloud.high_m])
+    return _core.box_crossing(box_m, origin_m, direction, reach_m)
 
 
 def cloud_gain(

@@ -1,5 +1,5 @@
 /// \file
-/// \brief Reverberation and noise in the grid of cells, in addition to the echoes of surfaces.
+/// \brief Reverberation, noise and clouds in the grid of cells, in addition to echoes of surfaces.
 /// Fields are complex, (rows, columns), real and imaginary parts in turn.
 ///
 /// \par Threads
@@ -39,6 +39,15 @@ void decaying_sum(const float* power, std::size_t rows, std::size_t columns, dou
                   double kept, float* out);
 void decaying_sum(const double* power, std::size_t rows, std::size_t columns, double energy,
                   double kept, double* out);
+
+/// Ranges between which rays of one origin are inside a box; equal where they miss it.
+///
+/// \param low, high corners of the box, from the origin, (3,)
+/// \param direction unit vectors, (count, 3)
+/// \param reach_m where the rays end, (count,)
+/// \param enter, leave at least 0, (count,)
+void box_crossing(const double* low, const double* high, std::size_t count, const float* direction,
+                  const double* reach_m, double* enter, double* leave);
 
 /// Rays through a cloud, one array per quantity.
 struct CloudRays {
