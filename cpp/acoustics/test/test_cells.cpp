@@ -126,4 +126,27 @@ TEST_CASE("a cloud fills the rows between entry and exit in parts of a row, and 
   CHECK(power == expected);
 }
 
+TEST_CASE("rays are inside a box between its faces, and no farther than they reach") {
+  const double low[3] = {1.0, -1.0, -1.0}, high[3] = {3.0, 1.0, 1.0};
+  const float half = std::sqrt(0.5F);
+  const std::vector<float> rays{1, 0, 0, 1, 0, 0, 1, 0, 0, -1, 0, 0, half, half, 0, 0, 1, 0};
+  const std::vector<double> reach{10.0, 2.5, 0.5, 10.0, 10.0, 10.0};
+  const double root = std::sqrt(2.0);
+  const std::vector<double> from{1.0, 1.0, 0.5, 0.0, root, 0.0};
+  const std::vector<double> to{3.0, 2.5, 0.5, 0.0, root, 0.0};
+  std::vector<double> enter(6), leave(6);
+  acoustics::box_crossing(low, high, 6, rays.data(), reach.data(), enter.data(), leave.data());
+  for (std::size_t i = 0; i < 6; ++i) {
+    CAPTURE(i);
+    CHECK(enter[i] <= leave[i]);
+    CHECK(leave[i] - enter[i] == doctest::Approx(to[i] - from[i]).epsilon(1e-6));
+    if (to[i] > from[i]) CHECK(enter[i] == doctest::Approx(from[i]));
+  }
+  // From within it begins at once, and along a face it is a number.
+  const double around[3] = {-1.0, 0.0, -2.0}, about[3] = {2.0, 1.0, 2.0};
+  acoustics::box_crossing(around, about, 1, rays.data(), reach.data(), enter.data(), leave.data());
+  CHECK(enter[0] == 0.0);
+  CHECK(leave[0] == doctest::Approx(2.0));
+}
+
 }  // namespace

@@ -418,4 +418,20 @@ TEST_CASE("cells through a window are all that hold a direction through it, and 
   CHECK(kept.size() < count / 2);
 }
 
+TEST_CASE("rays from below meet the sea before what is farther off") {
+  const std::vector<float> up{0, 0, 1, 0, 0, 1, 0, 0, 1, 0.8F, 0, 0.6F, 1, 0, 0, 0, 0, -1};
+  const std::vector<float> near_m{0.0F, 0.0F, 5.0F, 0.0F, 0.0F, 0.0F};
+  const acoustics::RayBundle rays{6, {}, up.data(), near_m.data()};
+  std::vector<float> range_m{9.0F, 2.0F, 9.0F, 9.0F, 9.0F, 9.0F};
+  std::vector<std::int32_t> face(6, -1), group(6, 0);
+  acoustics::meet_sea(rays, {0.0, 4, 2}, range_m.data(), face.data(), group.data());
+  CHECK(face == std::vector<std::int32_t>(6, -1));
+  acoustics::meet_sea(rays, {3.0, 4, 2}, range_m.data(), face.data(), group.data());
+  CHECK(face == std::vector<std::int32_t>{4, -1, -1, 4, -1, -1});
+  CHECK(group == std::vector<std::int32_t>{2, 0, 0, 2, 0, 0});
+  CHECK(range_m[0] == 3.0F);
+  CHECK(range_m[1] == 2.0F);
+  CHECK(range_m[3] == doctest::Approx(5.0));
+}
+
 }  // namespace

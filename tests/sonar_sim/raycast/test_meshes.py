@@ -143,3 +143,23 @@ def test_rays_near_a_ball_need_a_start_each() -> None:
     assert near.tolist() == [0, 2]
     with pytest.raises(ValueError, match="start_m"):
         _core.rays_near_ball(start[:2], rays, 3.0, np.zeros(3), 1.0)
+
+
+@pytest.mark.parametrize(("kind", "wide"), [(np.float32, 3), (np.float64, 3), (np.int32, 1)])
+def test_rows_are_merged_in_order(kind: type[np.float32], wide: int) -> None:
+    rng = np.random.default_rng(15)
+    known = rng.normal(scale=99.0, size=(50, wide)).astype(kind).squeeze()
+    source = rng.integers(-1, 50, 200).astype(np.int32)
+    more = rng.normal(scale=99.0, size=(np.count_nonzero(source < 0), wide)).astype(kind).squeeze()
+    expected = known[source]
+    expected[source < 0] = more
+    np.testing.assert_array_equal(_core.merged(known, source, more), expected)
+
+
+def test_rows_that_do_not_fit_are_not_merged() -> None:
+    known, source = np.zeros((4, 3), np.float32), np.array([0, -1], np.int32)
+    for more in (np.zeros((2, 3), np.float32), np.zeros((1, 2), np.float32), np.zeros((1, 3))):
+        with pytest.raises(ValueError, match="more"):
+            _core.merged(known, source, more)  # type: ignore[type-var]
+    with pytest.raises(ValueError, match="source"):
+        _core.merged(known, np.array([4], np.int32), np.zeros((0, 3), np.float32))
