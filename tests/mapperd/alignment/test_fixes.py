@@ -169,3 +169,9 @@ def test_missing_velocity_counts_whatever_was_unsure_before(before_m: float) -> 
     grown = np.where(np.arange(COUNT) > 500, math.hypot(before_m, 2.0), before_m)
     step = odometry_step(track_of(line(), grown), int(T_NS[490]), int(T_NS[510]))
     assert 1.0 < step.extra_std_m <= 2.0
+
+
+def test_dives_of_one_name_are_refused() -> None:
+    given = DiveInput("a", lambda _: pytest.fail("nothing is read"))
+    with pytest.raises(ReplayError, match="same name"):
+        align([given, given])

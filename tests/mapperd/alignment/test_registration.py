@@ -7,8 +7,17 @@ import pytest
 from numpy.typing import NDArray
 
 from mapperd import _core
-from mapperd.alignment.registration import LoopFinder, Pair, Trial, usable_information
+from mapperd.alignment import registration
+from mapperd.alignment.registration import (
+    LoopFinder,
+    Pair,
+    Trial,
+    joined_submap,
+    register_dives,
+    usable_information,
+)
 from mapperd.alignment.submaps import SonarSubmap
+from mapperd.errors import ReplayError
 
 Floats = NDArray[np.float64]
 
@@ -168,3 +177,55 @@ def test_what_a_sure_prediction_excludes_is_refused(off_m: float, reason: str | 
     found = finder.register([trial])
     assert finder.rejected == ({} if reason is None else {reason: 1})
     assert len(found) == (reason is None)
+
+
+def pillars_at(*places: tuple[float, float]) -> Floats:
+    """Round pillars."""
+    angle = np.random.default_rng(6).uniform(0, 2 * math.pi, 2000)
+    z = np.random.default_rng(7).uniform(-2, 0, 2000)
+    return np.vstack(
+        [np.column_stack([x + np.cos(angle), y + np.sin(angle), z]) for x, y in places]
+    )
+
+
+CLUSTER = ((0.0, 0.0), (4.0, 0.5), (1.5, 4.0))
+
+
+@pytest.mark.parametrize(
+    ("site", "refused"),
+    [
+        (pillars_at(*CLUSTER), None),
+        (pillars_at(*CLUSTER, *((x - 7.5, y) for x, y in CLUSTER)), "two places"),
+        (scene("wall"), "no other"),
+    ],
+)
+def test_a_dive_is_registered_where_it_fits_at_one_place(site: Floats, refused: str | None) -> None:
+    frame = np.array([1.0, -0.8, 0.3])
+    found, score = register_dives(submap(site, np.zeros(3)), submap(pillars_at(*CLUSTER), frame))
+    assert (score > 0.0) == (refused is None)
+    if refused is None:
+        assert found == pytest.approx(frame, abs=0.1)
+    else:
+        assert refused in found
+
+
+def sonar_submap(occupied: NDArray[np.int32]) -> SonarSubmap:
+    return SonarSubmap(0, 0, 0, np.zeros(3), 0, 9, occupied, occupied[:0], EDGE_M)
+
+
+def test_the_submaps_of_a_large_site_are_joined_coarsely(monkeypatch: pytest.MonkeyPatch) -> None:
+    pieces = [sonar_submap(voxels_of(scene(), np.zeros(3))[0])]
+    poses = np.zeros((1, 3))
+    fine = joined_submap(pieces, poses)
+    monkeypatch.setattr(registration, "MAX_VOXELS", 50_000)
+    coarse = joined_submap(pieces, poses)
+    assert fine is not None
+    assert coarse is not None
+    assert coarse.occupied < fine.occupied / 2
+    assert joined_submap([sonar_submap(np.zeros((0, 3), np.int32))], poses) is None
+
+
+def test_a_submap_that_extends_too_far_is_an_error_that_says_what_to_do() -> None:
+    far = sonar_submap(np.array([[0, 0, 0], [10**6, 10**6, 10**6]], np.int32))
+    with pytest.raises(ReplayError, match=r"octree\.voxel_resolution"):
+        far.build()

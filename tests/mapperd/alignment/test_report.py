@@ -250,11 +250,22 @@ def test_maps_lie_where_the_poses_put_the_submaps() -> None:
 
 
 @pytest.mark.slow
-def test_pictures_are_drawn_for_one_dive_and_several(tmp_path: Path) -> None:
+@pytest.mark.parametrize("size", [(60, 20), (20, 60)])
+def test_pictures_are_drawn_for_one_dive_and_several(tmp_path: Path, size: tuple[int, int]) -> None:
     pytest.importorskip("matplotlib")
+    strip = np.stack(np.meshgrid(*map(range, size), [-15], indexing="ij"), -1)
+    seen = np.ascontiguousarray(strip.reshape(-1, 3), dtype=np.int32)
     for name, dives in (("one", ["a"]), ("two", ["a", "b"])):
-        write_alignment(alignment_of(*map(dive_of, dives)), tmp_path / name)
+        alignment = alignment_of(*map(dive_of, dives))
+        reader = DiveReader(RecordedSession([], None), Config())
+        dive = alignment.dives[0]
+        end = int(dive.t_ns[2])
+        submap = SonarSubmap(end, end, end, dive.odometry[2], 0, 5, seen, seen, 0.2)
+        reader.uncorrected = reader.submaps = [submap]
+        maps = maps_of(alignment, [reader] * len(dives))
+        write_alignment(alignment, tmp_path / name, maps)
         pictures = {path.name for path in (tmp_path / name).glob("*.png")}
-        assert pictures == {"trajectory.png", "correction.png", "loops.png", "residuals.png"}
+        figures = {"trajectory.png", "correction.png", "loops.png", "residuals.png"}
+        assert pictures == figures | {"map.png"}
         text = (tmp_path / name / "report.md").read_text()
         assert all(f"]({picture})" in text for picture in pictures)
