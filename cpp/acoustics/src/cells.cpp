@@ -138,13 +138,12 @@ void decaying_sum(const double* power, std::size_t rows, std::size_t columns, do
 MAPPERD_VECTORISED void box_crossing(const double* low, const double* high, std::size_t count,
                                      const float* direction, const double* reach_m, double* enter,
                                      double* leave) {
-  constexpr double kMinAlong = 1e-12;  // keeps off 0 / 0 along a face
   for (std::size_t i = 0; i < count; ++i) {
     double from = 0.0, to = reach_m[i];
     for (std::size_t axis = 0; axis < 3; ++axis) {
-      const auto given = static_cast<double>(direction[3 * i + axis]);
-      const double along = std::fabs(given) < kMinAlong ? kMinAlong : given;
+      const auto along = static_cast<double>(direction[3 * i + axis]);
       const double a = low[axis] / along, b = high[axis] / along;
+      // Along a face one of them is 0 / 0: the comparisons let it change nothing.
       from = std::max(from, std::min(a, b));
       to = std::min(to, std::max(a, b));
     }
