@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csc_array
+from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU, splu
 
 __all__ = [
@@ -257,6 +257,7 @@ class PoseGraph:
     _dive_of: NDArray[np.intp] = field(init=False)
     _later: NDArray[np.intp] = field(init=False)
     _step_weights: Floats = field(init=False)
+    _sparsity: "_Sparsity | None" = None
 
     def __post_init__(self) -> None:
         self._states = np.hstack([self.start, np.zeros_like(self.start)])
@@ -389,15 +390,22 @@ class PoseGraph:
 
     def _gauss_newton_step(self) -> float:
         """Take one step of Gauss and Newton; return the largest change of a pose."""
-        builder = self._linearized()
-        matrix, gradient = builder.matrix(), builder.gradient
-        change = _factorized(matrix).solve(-gradient).reshape(-1, STATES)
+        normal = self._linearized()
+        change = self._factorized(normal).solve(-normal.gradient).reshape(-1, STATES)
         count = len(self._states)
         self._states += change[:count]
         self.bias += change[count, : len(self.bias)]
         self.mean_drift += change[count + 1 :, 3:]
         self._states[:, 2] = wrapped(self._states[:, 2])
         return float(np.abs(change[:count, :3]).max())
+
+    def _factorized(self, normal: "_NormalEquations") -> SuperLU:
+        """Factors of the normal matrix, whose symmetry saves half of the time."""
+        places, values = normal.entries()
+        if self._sparsity is None or not np.array_equal(self._sparsity.places, places):
+            self._sparsity = _Sparsity(places, normal.size)
+        matrix, options = self._sparsity.matrix(values), {"SymmetricMode": True}
+        return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
     def _linearized(self) -> "_NormalEquations":
         # Behind the nodes come one with the common errors of the registrations, and one with the
@@ -504,7 +512,7 @@ class PoseGraph:
     def prepare_covariances(self) -> Floats:
         """Factorize the present graph; return the covariance (N, 3, 3) of every node's pose."""
         count = len(self._states)
-        self._factor = _factorized(self._linearized().matrix())
+        self._factor = self._factorized(self._linearized())
         self._marginals = np.empty((count, 3, 3))
         for i in range(count):
             self._marginals[i] = self._columns(i)[i]
@@ -517,12 +525,6 @@ class PoseGraph:
         right[i * STATES : i * STATES + 3] = np.eye(3)
         columns: Floats = self._factor.solve(right).reshape(-1, STATES, 3)[:count, :3]
         return columns
-
-
-def _factorized(matrix: csc_array) -> SuperLU:
-    """Factors of a symmetric positive definite matrix, whose symmetry saves half of the time."""
-    options = {"SymmetricMode": True}
-    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
 
 class _NormalEquations:
@@ -556,8 +558,28 @@ class _NormalEquations:
         self._columns.append(np.tile(places, (1, width)).ravel())
         self._values.append((weighted @ jacobians).ravel())
 
-    def matrix(self) -> csc_array:
-        rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)
-        values = np.concatenate(self._values)
-        shape = (self.size, self.size)
-        return coo_array((values, (rows, columns)), shape=shape).tocsc()
+    def entries(self) -> tuple[NDArray[np.intp], Floats]:
+        """Return places in the matrix, column times size plus row, and values to be added there."""
+        places = np.concatenate(self._columns) * self.size + np.concatenate(self._rows)
+        return places, np.concatenate(self._values)
+
+
+class _Sparsity:
+    """Where entries lie in a sparse matrix.
+
+    Args:
+        places: of each entry, see `_NormalEquations.entries`.
+        size: of the matrix.
+    """
+
+    def __init__(self, places: NDArray[np.intp], size: int) -> None:
+        self.places = places
+        kept, self._number = np.unique(places, return_inverse=True)
+        self._rows = (kept % size).astype(np.int32)
+        self._begins = np.searchsorted(kept, np.arange(size + 1) * size).astype(np.int32)
+
+    def matrix(self, values: Floats) -> csc_array:
+        """Return the matrix of such entries."""
+        sums = np.bincount(self._number, values, len(self._rows))
+        size = len(self._begins) - 1
+        return csc_array((sums, self._rows, self._begins), shape=(size, size))

@@ -101,18 +101,18 @@ def front_of_returns(
         depth_m: that is kept from the first sample of a return.
     """
     intensity, edge_m = image.intensity, image.range_resolution_m
-    far = -len(intensity) - math.ceil(RETURN_GAP_M / edge_m)
-    row = np.arange(len(intensity), dtype=np.int32)
     is_return = intensity > threshold
     is_return[: math.ceil(min_range_m / edge_m)] = False
-    if image.max_range_m <= FIRST_RETURN_MAX_RANGE_M:
-        front = np.where(is_return.any(axis=0), is_return.argmax(axis=0), far)
-    else:  # beam by beam, which is several times as fast as row by row
-        begins = np.ascontiguousarray(is_return.T)
-        last = np.maximum.accumulate(np.where(begins, row, np.int32(far)), axis=1)
-        begins[:, 1:] &= row[1:] - last[:, :-1] > RETURN_GAP_M / edge_m
-        front = np.maximum.accumulate(np.where(begins, row, np.int32(far)), axis=1).T
-    kept = np.where(row[:, None] - front <= depth_m / edge_m, intensity, np.float32(0.0))
+    beam, row = np.divmod(np.flatnonzero(is_return.T), len(intensity))
+    begins = np.ones(len(row), dtype=bool)
+    begins[1:] = beam[1:] != beam[:-1]
+    if image.max_range_m > FIRST_RETURN_MAX_RANGE_M:
+        begins[1:] |= np.diff(row) > RETURN_GAP_M / edge_m
+    rows = row[begins, None] + np.arange(math.floor(depth_m / edge_m) + 1)
+    inside = rows < len(intensity)
+    places = rows[inside], np.broadcast_to(beam[begins, None], rows.shape)[inside]
+    kept = np.zeros_like(intensity)
+    kept[places] = intensity[places]
     kept.setflags(write=False)
     return replace(image, intensity=kept)
 

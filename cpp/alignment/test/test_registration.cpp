@@ -32,9 +32,11 @@ TEST_CASE("distances of voxels are those of a search of all") {
   const Submap map(points, {}, 0.2);
   std::mt19937 random(3);
   std::uniform_int_distribution<int> x(-10, 40), z(-6, 14);
+  std::uniform_real_distribution<double> off(-0.0999, 0.0999);
   for (int k = 0; k < 2000; ++k) {
-    const Vec3 p{0.2 * x(random) + 0.1, 0.2 * x(random) + 0.1, 0.2 * z(random) + 0.1};
-    CHECK(std::abs(map.distance_of_voxel_m(p) - to_nearest(points, p)) < 0.01);
+    const Vec3 centre{0.2 * x(random) + 0.1, 0.2 * x(random) + 0.1, 0.2 * z(random) + 0.1};
+    CHECK(std::abs(map.voxel_at(centre).distance_m - to_nearest(points, centre)) < 0.01);
+    const Vec3 p = centre + Vec3{off(random), off(random), off(random)};
     const auto nearest = map.nearest(p, 0.8);
     const double true_m = to_nearest(points, p);
     if (true_m < 0.79) {
@@ -68,8 +70,8 @@ TEST_CASE("the gradient of a distance is its difference") {
 
 TEST_CASE("what was not observed is neither free nor near") {
   const Submap map(corner(), {{1.1, 0.1, 0.1}}, 0.2);
-  CHECK(map.is_free({1.15, 0.15, 0.15}));
-  CHECK(!map.is_free({1.5, 0.1, 0.1}));
+  CHECK(map.voxel_at({1.15, 0.15, 0.15}).is_free);
+  CHECK(!map.voxel_at({1.5, 0.1, 0.1}).is_free);
   CHECK(map.was_observed({1.1, 0.1, 0.1}, 0.2));
   CHECK(!map.was_observed({1.5, 0.1, 0.1}, 0.2));
   CHECK(map.was_observed({2.3, 1.1, 0.1}, 0.25));

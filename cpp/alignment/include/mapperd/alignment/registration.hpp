@@ -30,6 +30,12 @@ struct Distribution {
   std::array<double, 6> covariance_m2{};
 };
 
+/// What a submap holds at a voxel.
+struct VoxelView {
+  double distance_m;  ///< from its centre to the nearest occupied one, at most kMaxDistanceM
+  bool is_free;       ///< it was observed, and is not occupied
+};
+
 /// Observed voxels of a part of a dive, with distances and distributions for registration.
 class Submap {
  public:
@@ -46,10 +52,8 @@ class Submap {
   /// Distance to the nearest occupied centre, interpolated; at most kMaxDistanceM.
   /// \param gradient  of the distance, 1; zero beyond the box or the maximum
   double distance_m(const Vec3& point_m, Vec3& gradient) const;
-  /// The same from the voxel that holds the point.
-  double distance_of_voxel_m(const Vec3& point_m) const;
-  /// Whether the voxel at a point was observed and is free.
-  bool is_free(const Vec3& point_m) const;
+  /// The voxel that holds a point; beyond the box it is far from all, and not free.
+  VoxelView voxel_at(const Vec3& point_m) const;
   /// Whether the voxel at a point was observed, or is so near to an occupied one. What lies beyond
   /// the edge of the view has no partner, and must not be pulled to the edge.
   bool was_observed(const Vec3& point_m, double margin_m) const;
