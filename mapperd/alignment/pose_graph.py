@@ -257,7 +257,7 @@ class PoseGraph:
     _dive_of: NDArray[np.intp] = field(init=False)
     _later: NDArray[np.intp] = field(init=False)
     _step_weights: Floats = field(init=False)
-    _sparsity: "_Sparsity | None" = None
+    _sparsity: "_Sparsity | None" = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         self._states = np.hstack([self.start, np.zeros_like(self.start)])

@@ -325,6 +325,25 @@ def test_a_cloud_swallows_and_scatters() -> None:
     assert decibel(np.mean(fields) / murky[120:180].mean()) == pytest.approx(0.0, abs=0.3)
 
 
+@pytest.mark.parametrize("physics", [MEAN, SPECKLED], ids=["mean", "speckled"])
+def test_noise_is_heard_once_beside_a_cloud(physics: Physics) -> None:
+    cloud = Cloud(np.array([1.0, -5.0, -5.0]), np.array([2.0, 5.0, 5.0]), 3.0, -40.0)
+    scene = Scene((plate(4.0),))
+    level_db = 20.0 * math.log10(np.median(picture(scene, replaced(MEAN, cloud))[120:180]))
+    noisy = dataclasses.replace(physics, noise_level_db=level_db)
+    noise = np.square(picture(scene, noisy))
+    cloudy = np.square(picture(scene, replaced(physics, cloud)))
+    both = np.square(picture(scene, replaced(noisy, cloud)))
+    # Equal numbers of noise before the cloud, and the sum of powers in it.
+    np.testing.assert_allclose(both[:95], noise[:95], rtol=1e-4)
+    inside = [np.mean(power[120:180]) for power in (both, noise, cloudy)]
+    assert decibel(inside[0] / (inside[1] + inside[2])) == pytest.approx(0.0, abs=0.5)
+
+
+def replaced(physics: Physics, cloud: Cloud) -> Physics:
+    return dataclasses.replace(physics, clouds=(cloud,))
+
+
 def test_a_level_sonar_hears_the_floor_straight_below() -> None:
     """From range = height on, by the far lobes: mu pi h² V(h / R) / R⁵ a metre of range."""
     height_m, width_rad = 2.0, math.radians(20.0)

@@ -598,6 +598,7 @@ def merged(
         more: a row for each negative source, (K, ...).
 
     Raises:
+        TypeError: `source` is of another type.
         ValueError: the rows differ in type or shape, or their numbers do not fit `source`.
     """
 

@@ -306,18 +306,18 @@ class PingEngine:
                 cells, row_rms, column_rms, stream_key(seed, "volume", ping_id), self._threads
             )
         key = stream_key(seed, "noise", ping_id)
-        noise = noise_rms(self.sonar, physics, former.noise_gain)
+        row_rms = noise_rms(self.sonar, physics, former.noise_gain)
         if physics.clouds:
-            # As new in each ping as noise: one draw for both.
+            # One draw for clouds and noise, as both are new in each ping; no noise is an rms of 0.
             power = cloud_power(physics, self.sonar, rays, self._loss(physics))
-            power += np.square(noise)[:, None]
+            power += np.square(row_rms)[:, None]
             if np.iscomplexobj(cells):
                 _core.add_gaussian_power(cells, power, key, self._threads)  # type: ignore[arg-type]
             else:
                 cells += power
         elif physics.noise_level_db is not None:
             level = np.ones(self._fan.columns, dtype=np.float32)
-            add_random(cells, noise, level, key, self._threads)
+            add_random(cells, row_rms, level, key, self._threads)
         if physics.ring_down_db is not None:
             level_db = ring_down_power_db(self.sonar, physics.ring_down_db, self._assumed_db_per_m)
             rms = (10.0 ** (level_db / 20.0) / former.noise_gain).astype(np.float32)

@@ -143,7 +143,8 @@ MAPPERD_VECTORISED void box_crossing(const double* low, const double* high, std:
     for (std::size_t axis = 0; axis < 3; ++axis) {
       const auto along = static_cast<double>(direction[3 * i + axis]);
       const double a = low[axis] / along, b = high[axis] / along;
-      // Along a face one of them is 0 / 0: the comparisons let it change nothing.
+      // Along the low face a is 0 / 0, which the comparisons pass over: the ray is inside. Along
+      // the high face b is, and the ray misses: boxes side by side share no ray.
       from = std::max(from, std::min(a, b));
       to = std::min(to, std::max(a, b));
     }

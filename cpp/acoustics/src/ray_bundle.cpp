@@ -497,11 +497,11 @@ void cast_bundle(const std::vector<TrianglePack>& mesh, const RayBundle& rays,
 
 void meet_sea(const RayBundle& rays, const SeaSurface& sea, float* range_m, std::int32_t* face,
               std::int32_t* group) {
-  if (!(sea.depth_m > 0.0)) return;
+  if (!(sea.above_m > 0.0)) return;
   for (std::size_t i = 0; i < rays.count; ++i) {
     const float rise = rays.direction[3 * i + 2];
     if (!(rise > 0.0F)) continue;
-    const auto at_m = static_cast<float>(sea.depth_m / std::max(static_cast<double>(rise), 1e-9));
+    const auto at_m = static_cast<float>(sea.above_m / std::max(static_cast<double>(rise), 1e-9));
     if (!(at_m < range_m[i]) || (rays.near_m != nullptr && !(at_m > rays.near_m[i]))) continue;
     range_m[i] = at_m;
     face[i] = sea.face;

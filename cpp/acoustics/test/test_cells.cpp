@@ -142,7 +142,18 @@ TEST_CASE("rays are inside a box between its faces, and no farther than they rea
     CHECK(leave[i] - enter[i] == doctest::Approx(to[i] - from[i]).epsilon(1e-6));
     if (to[i] > from[i]) CHECK(enter[i] == doctest::Approx(from[i]));
   }
-  // From within it begins at once, and along a face it is a number.
+  // Along its low face a ray is inside, along its high one it is not.
+  std::vector<float> along;
+  for (int i = 0; i < 16; ++i) along.insert(along.end(), {1.0F, i % 2 == 0 ? 0.0F : -0.0F, 0.0F});
+  std::vector<double> far(16, 10.0), begin(16), end(16);
+  const double on_low[3] = {1.0, 0.0, -1.0}, on_high[3] = {3.0, 0.0, 1.0};
+  const double beyond[3] = {3.0, 2.0, 1.0}, before[3] = {1.0, -2.0, -1.0};
+  acoustics::box_crossing(on_low, beyond, 16, along.data(), far.data(), begin.data(), end.data());
+  CHECK(begin == std::vector<double>(16, 1.0));
+  CHECK(end == std::vector<double>(16, 3.0));
+  acoustics::box_crossing(before, on_high, 16, along.data(), far.data(), begin.data(), end.data());
+  CHECK(begin == end);
+  // From within it begins at once.
   const double around[3] = {-1.0, 0.0, -2.0}, about[3] = {2.0, 1.0, 2.0};
   acoustics::box_crossing(around, about, 1, rays.data(), reach.data(), enter.data(), leave.data());
   CHECK(enter[0] == 0.0);

@@ -163,9 +163,11 @@ void add_cloud(py::array_t<float>& power, const Doubles& enter_row, const Double
 
 py::tuple box_crossing(const Doubles& box_m, const Doubles& origin_m, const Floats& direction,
                        const Doubles& reach_m) {
-  demand(box_m.size() == 6 && origin_m.size() == 3, "box_m is (2, 3), origin_m (3,)");
+  demand(box_m.ndim() == 2 && size_of(box_m, 0) == 2 && size_of(box_m, 1) == 3, "box_m is (2, 3)");
+  demand(origin_m.size() == 3, "origin_m is (3,)");
   const py::ssize_t count = reach_m.size();
-  demand(direction.ndim() == 2 && direction.size() == 3 * count && reach_m.ndim() == 1,
+  demand(direction.ndim() == 2 && size_of(direction, 1) == 3 && reach_m.ndim() == 1 &&
+             direction.shape(0) == count,
          "direction is (N, 3), reach_m (N,)");
   double corner[6];
   for (std::size_t k = 0; k < 6; ++k) corner[k] = box_m.data()[k] - origin_m.data()[k % 3];

@@ -119,7 +119,8 @@ void meet_sea(const Array<float>& direction, double depth_m,
               std::int32_t sea_group, Array<float>& range_m, Array<std::int32_t>& face,
               Array<std::int32_t>& group) {
   const py::ssize_t count = range_m.size();
-  require(direction.size() == 3 * count && face.size() == count && group.size() == count &&
+  require(range_m.ndim() == 1 && direction.ndim() == 2 && direction.shape(0) == count &&
+              direction.shape(1) == 3 && face.size() == count && group.size() == count &&
               (!near_m || near_m->size() == count),
           "direction must be (N, 3), near_m, range_m, face and group (N,)");
   const acoustics::RayBundle rays{
@@ -138,6 +139,8 @@ py::array merged(const py::array& known, const Array<std::int32_t>& source, cons
   require(old.ndim() >= 1 && fresh.ndim() == old.ndim() && old.dtype().equal(fresh.dtype()) &&
               std::equal(old.shape() + 1, old.shape() + old.ndim(), fresh.shape() + 1),
           "known and more must be alike but for their lengths");
+  require(old.dtype().kind() == 'f' || old.dtype().kind() == 'i', "rows must hold numbers");
+  require(source.ndim() == 1, "source must be (M,)");
   const std::int32_t* from = source.data();
   const auto count = source.size();
   require(std::all_of(from, from + count, [&](std::int32_t i) { return i < old.shape(0); }),

@@ -236,6 +236,17 @@ def test_a_failed_step_still_limits_where_the_vehicle_is() -> None:
     assert 1.0 < deviation_m.max() < 40.0
 
 
+def test_a_graph_with_other_revisits_is_solved_like_a_new_one() -> None:
+    truth = circle()
+    graph, other = graph_of(truth), graph_of(truth)
+    graph.loops, other.loops = revisits(truth)[:-1], revisits(truth)[1:]
+    begin = graph.save()
+    graph.solve()
+    graph.restore(begin)
+    graph.loops = revisits(truth)[1:]
+    assert (graph.solve().poses == other.solve().poses).all()
+
+
 def test_the_cost_is_the_robust_one() -> None:
     truth = circle()
     graph = graph_of(truth, scale=0.0, crab=0.0, turn_radps=0.0)

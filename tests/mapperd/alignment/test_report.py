@@ -252,7 +252,7 @@ def test_maps_lie_where_the_poses_put_the_submaps() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(60, 20), (20, 60)])
 def test_pictures_are_drawn_for_one_dive_and_several(tmp_path: Path, size: tuple[int, int]) -> None:
-    pytest.importorskip("matplotlib")
+    imread = pytest.importorskip("matplotlib.image").imread
     strip = np.stack(np.meshgrid(*map(range, size), [-15], indexing="ij"), -1)
     seen = np.ascontiguousarray(strip.reshape(-1, 3), dtype=np.int32)
     for name, dives in (("one", ["a"]), ("two", ["a", "b"])):
@@ -269,3 +269,5 @@ def test_pictures_are_drawn_for_one_dive_and_several(tmp_path: Path, size: tuple
         assert pictures == figures | {"map.png"}
         text = (tmp_path / name / "report.md").read_text()
         assert all(f"]({picture})" in text for picture in pictures)
+        height, width, _ = imread(tmp_path / name / "map.png").shape
+        assert (width > 1.2 * height) == (size[1] > size[0])  # side by side, or one below the other

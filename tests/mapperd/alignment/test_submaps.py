@@ -74,7 +74,15 @@ def test_no_other_sample_becomes_a_return_and_the_ping_stays(rows: int) -> None:
 @pytest.mark.parametrize("rows", [SHORT, LONG])
 def test_the_ringing_of_the_transmitter_hides_nothing(rows: int) -> None:
     image = image_of({1: [(0, 3), (20, 40)]}, rows)
-    assert [row for row in rows_kept(image, 1) if row > 3] == [20, 21, 22, 23]
+    assert rows_kept(image, 1).tolist() == [20, 21, 22, 23]
+
+
+@pytest.mark.parametrize("rows", [SHORT, LONG])
+def test_nothing_is_kept_before_a_return(rows: int) -> None:
+    image = image_of({1: [(20, 40)]}, rows)
+    kept = front_of_returns(image, THRESHOLD, MIN_RANGE_M, 0.35).intensity
+    assert np.flatnonzero(kept[:, 1]).tolist() == [20, 21, 22, 23]
+    assert not kept[:, [0, 2, 3]].any()
 
 
 def held_pings(heading: float, pings: int, range_m: float) -> list[_HeldPing]:

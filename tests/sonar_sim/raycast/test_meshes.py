@@ -136,6 +136,29 @@ def test_triangles_without_a_place_are_refused(at: float) -> None:
         _core.TriangleTable(corners)
 
 
+def test_the_sea_is_met_by_whole_arrays_only() -> None:
+    rays, face = np.ones((4, 3), np.float32), np.full(4, -1, np.int32)
+    group, range_m = np.zeros(4, np.int32), np.full(4, 9.0, np.float32)
+    for wrong in (np.ones((3, 4), np.float32), rays[:3], rays.ravel()):
+        with pytest.raises(ValueError, match="direction"):
+            _core.meet_sea(wrong, 1.0, None, 5, 2, range_m, face, group)
+    with pytest.raises(TypeError):
+        _core.meet_sea(rays, 1.0, None, 5, 2, range_m[::2], face, group)
+    _core.meet_sea(rays, 1.0, None, 5, 2, range_m, face, group)
+    assert (face == 5).all()
+    assert (group == 2).all()
+
+
+def test_a_box_has_two_corners() -> None:
+    rays, reach_m = np.ones((4, 3), np.float32), np.full(4, 9.0)
+    corners = np.array([[0.0, 0, 0], [1, 1, 1]])
+    with pytest.raises(ValueError, match="box_m"):
+        _core.box_crossing(corners.ravel(), np.zeros(3), rays, reach_m)
+    for wrong in (np.ones((3, 4), np.float32), rays[:3]):
+        with pytest.raises(ValueError, match="direction"):
+            _core.box_crossing(corners, np.zeros(3), wrong, reach_m)
+
+
 def test_rays_near_a_ball_need_a_start_each() -> None:
     rays = np.tile(np.array([1.0, 0.0, 0.0], dtype=np.float32), (3, 1))
     start = np.array([[0.0, 0, 0], [0, 2, 0], [4, 0, 0]])

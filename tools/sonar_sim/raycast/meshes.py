@@ -208,7 +208,7 @@ class Meshes:
         near_m: NDArray[np.float32] | None,
         threads: int,
     ) -> None:
-        """Enter what rays of one origin meet nearer than what is known."""
+        """Enter what rays of one origin meet first; `met` is empty."""
         reach_m = float(met.range_m.max(initial=0.0))
         for number, group in enumerate(self.groups):
             pose = group.pose(time_s)
@@ -219,9 +219,12 @@ class Meshes:
             group.triangles.cast_bundle(
                 start[0], local, near_m, group.first_face, met.range_m, met.face, threads
             )
-            if number > 0:
+            if number > 0:  # 0 is the group of empty hits
                 met.group[met.face >= group.first_face] = number
-        self._meet_sea(met, origin_m, direction, near_m)
+        if self._sea:
+            sea_face, depth_m = len(self.planes) - 1, -float(origin_m[2])
+            found = met.range_m, met.face, met.group
+            _core.meet_sea(direction, depth_m, near_m, sea_face, self.sea_group, *found)
 
     def _cast_each(
         self,
@@ -247,38 +250,20 @@ class Meshes:
             met.range_m[its] = found["tfar"][nearer]
             met.face[its] = found["primID"][nearer] + group.first_face
             met.group[its] = number
-        self._meet_sea(met, origin_m, direction, None)
+        if self._sea:
+            self._meet_sea_each(met, origin_m, direction)
 
-    def _meet_sea(
-        self,
-        met: Hits,
-        origin_m: NDArray[np.float64],
-        direction: NDArray[np.float32],
-        near_m: NDArray[np.float32] | None,
+    def _meet_sea_each(
+        self, met: Hits, origin_m: NDArray[np.float64], direction: NDArray[np.float32]
     ) -> None:
         """The sea's surface is the plane z = 0, met from below."""
-        if not self._sea:
-            return
-        sea_face = len(self.planes) - 1
-        if origin_m.ndim == 1:
-            _core.meet_sea(
-                direction,
-                -float(origin_m[2]),
-                near_m,
-                sea_face,
-                self.sea_group,
-                met.range_m,
-                met.face,
-                met.group,
-            )
-            return
         rising = np.flatnonzero(direction[:, 2] > 0.0)
         height_m = -origin_m[rising, 2]
         steepness = np.maximum(direction[:, 2].take(rising), np.float32(1e-9))
         range_m = (height_m / steepness).astype(np.float32)
         its = np.flatnonzero((height_m > 0.0) & (range_m < met.range_m.take(rising)))
         met.range_m[rising[its]] = range_m[its]
-        met.face[rising[its]] = sea_face
+        met.face[rising[its]] = len(self.planes) - 1
         met.group[rising[its]] = self.sea_group
 
 

@@ -54,7 +54,7 @@ void cast_bundle(const std::vector<TrianglePack>& mesh, const RayBundle& rays,
 
 /// The sea's surface over a sonar.
 struct SeaSurface {
-  double depth_m;  ///< of the rays' origin; where it is not below, no ray meets the surface
+  double above_m;            ///< over the rays' origin; 0 or less: no ray meets it
   std::int32_t face, group;  ///< entered where a ray meets it
 };
 
