@@ -126,7 +126,7 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "hands on what other sources made": (
         "cpp/map/src/ping_box.cpp",
-        *_in("mapperd/alignment/", "report.py submaps.py"),
+        "mapperd/alignment/report.py",
         *_in("mapperd/bridges/", "dds.py mavlink.py ros2_messages.py"),
         "mapperd/imaging/filter_chain.py",
         "mapperd/localization/map_io.py",
