@@ -27,6 +27,7 @@ from mapperd.alignment.registration import (
     register_dives,
 )
 from mapperd.alignment.submaps import (
+    STATED_SHARE,
     Correction,
     DiveSubmaps,
     OdometryTrack,
@@ -44,7 +45,7 @@ __all__ = [
     "Fix",
     "SubmapReader",
     "align",
-    "odometry_step",
+    "odometry_steps",
 ]
 
 Floats = NDArray[np.float64]
@@ -65,9 +66,8 @@ MAX_PARTNERS = 3
 JUMP_M, JUMP_RAD = 10.0, 1.0
 """Standard deviation of a step over a jump of the odometry."""
 
-STATED_SHARE = 0.02
-"""Growth of the odometry's own standard deviation by more than this share of the distance travelled
-loosens a step: velocity was missing."""
+OUTAGE_S = 30.0
+"""Time over which the error of a missing velocity stays alike."""
 
 NEIGHBOUR_NOISE = np.array([0.6, 0.6, math.radians(2.0)])
 SECOND_PASS_NOISE = np.array([0.3, 0.3, math.radians(2.0)])
@@ -240,8 +240,7 @@ class _DiveNodes:
             count = math.ceil((after - before) / 1e9 / NODE_S)
             times |= {before + (after - before) * k // count for k in range(1, count)}
         t_ns = np.array(sorted(times), dtype=np.int64)
-        steps: list[OdometryStep | None] = [None]
-        steps += [odometry_step(track, int(t_ns[k - 1]), int(t_ns[k])) for k in range(1, len(t_ns))]
+        steps = odometry_steps(track, t_ns)
         of_submap, of_fragment = (np.searchsorted(t_ns, at).tolist() for at in (anchors, parts))
         odometry = track.at(t_ns)
         return cls(
@@ -344,24 +343,42 @@ def _merged_fixes(given: DiveInput, track: OdometryTrack) -> tuple[Fix, ...]:
     return tuple(united)
 
 
-def odometry_step(track: OdometryTrack, begin_ns: int, end_ns: int) -> OdometryStep:
-    """Return the odometry between two times, and how far it can be trusted."""
-    inside = (track.t_ns > begin_ns) & (track.t_ns < end_ns)
-    both = track.at(np.array([begin_ns, end_ns], dtype=np.int64))
-    way_m = np.vstack([both[:1, :2], track.position_m[inside, :2], both[1:, :2]])
-    path_m = float(np.hypot(*np.diff(way_m, axis=0).T).sum())
-    ends = np.searchsorted(track.t_ns, [begin_ns, end_ns]).clip(0, len(track.t_ns) - 1)
-    before, after = track.deviation_m[ends]
-    usual_m = float(before) + STATED_SHARE * path_m
-    extra_std_m = math.sqrt(max(0.0, float(after) ** 2 - usual_m**2))  # variances add
-    jumped = track.segment[ends[1]] != track.segment[ends[0]]
-    return OdometryStep(
-        compose(inverse(both[0]), both[1]),
-        (end_ns - begin_ns) / 1e9,
-        path_m,
-        JUMP_M if jumped else extra_std_m,
-        JUMP_RAD if jumped else 0.0,
-    )
+def odometry_steps(track: OdometryTrack, t_ns: NDArray[np.int64]) -> list[OdometryStep | None]:
+    """Return the odometry between times, and how far it can be trusted; None at the first.
+
+    Steps whose stated standard deviation grows by more than `STATED_SHARE` of the way make an
+    outage: within it the error of the velocity stays alike, so its deviations add up, up to
+    `OUTAGE_S`. Variances of different outages add up.
+
+    Args:
+        track: the odometry.
+        t_ns: (N,) increasing times.
+    """
+    poses = track.at(t_ns)
+    at = np.searchsorted(track.t_ns, t_ns).clip(0, len(track.t_ns) - 1)
+    deviation_m, segment = track.deviation_m[at].tolist(), track.segment[at].tolist()
+    steps: list[OdometryStep | None] = [None]
+    begin: int | None = None
+    for k in range(1, len(t_ns)):
+        inside = (track.t_ns > t_ns[k - 1]) & (track.t_ns < t_ns[k])
+        way_m = np.vstack([poses[k - 1, :2], track.position_m[inside, :2], poses[k, :2]])
+        path_m = float(np.hypot(*np.diff(way_m, axis=0).T).sum())
+        seconds = int(t_ns[k] - t_ns[k - 1]) / 1e9
+        motion = compose(inverse(poses[k - 1]), poses[k])
+        if segment[k] != segment[k - 1]:
+            steps.append(OdometryStep(motion, seconds, path_m, JUMP_M, JUMP_RAD))
+            begin = None
+            continue
+        if deviation_m[k] <= deviation_m[k - 1] + STATED_SHARE * path_m:
+            begin = None
+        elif begin is None or (t_ns[k] - t_ns[begin]) / 1e9 > OUTAGE_S:
+            begin = k - 1
+        lost_m = 0.0
+        if begin is not None:
+            since_m = [max(deviation_m[n] ** 2 - deviation_m[begin] ** 2, 0.0) for n in (k - 1, k)]
+            lost_m = max(math.sqrt(since_m[1]) - math.sqrt(since_m[0]), 0.0) / math.sqrt(2)
+        steps.append(OdometryStep(motion, seconds, path_m, lost_m=lost_m))
+    return steps
 
 
 def align(
@@ -649,6 +666,7 @@ def _align_jointly(singles: list[_SingleDive], options: AlignOptions) -> Alignme
         np.vstack(poses),
         np.vstack([single.solution.drift for single in singles]),
         np.vstack([single.graph.mean_drift for single in singles]),
+        np.vstack([single.graph.outages for single in singles]),
     )
     submaps = [submap for single in singles for submap in single.dive.submaps]
     nodes = [int(first[k]) + n for k, single in enumerate(singles) for n in single.dive.of_submap]

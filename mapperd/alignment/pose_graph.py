@@ -53,6 +53,9 @@ STEP_NARROWING = (1.0, 0.5)
 """While the kernels of loops are widened by a factor, those of steps are widened by this power of
 it: with 0.5 a failed step gives way before the loops about it."""
 
+OUTAGE_WANDER = 0.5
+"""Of the error of a velocity that is missing, the share that differs from step to step."""
+
 ACCEPTED_WEIGHT = 0.3
 MAX_STEPS = 60
 EXACT = np.array([1e-6, 1e-6, 1e-6])
@@ -100,8 +103,9 @@ class OdometryStep:
         motion: (3,) planar pose of the later node in the earlier one.
         seconds: between them.
         path_m: length of the way between them.
-        extra_std_m: further standard deviation: where velocity was missing, or after a jump.
-        extra_std_rad: the same of the heading.
+        extra_std_m, extra_std_rad: further standard deviations, after a jump.
+        lost_m: standard deviation, per axis, of the way while velocity was missing. Steps that
+            follow each other share the error of the velocity, in the axes of the vehicle.
     """
 
     motion: Floats
@@ -109,6 +113,7 @@ class OdometryStep:
     path_m: float
     extra_std_m: float = 0.0
     extra_std_rad: float = 0.0
+    lost_m: float = 0.0
 
 
 @dataclass(eq=False)
@@ -243,6 +248,8 @@ class PoseGraph:
         bias: (2,) common errors of the registrations: scale of the distance, and turn about the
             middle of the second submap by the sine of the turn between them.
         mean_drift: (D, 3) of each dive: scale, crab (rad) and turn (rad/s).
+        outages: (O, 2) of each outage: error of the velocity ahead and to port, in units of its
+            standard deviation.
     """
 
     start: Floats
@@ -254,6 +261,8 @@ class PoseGraph:
     _states: Floats = field(init=False)
     bias: Floats = field(init=False)
     mean_drift: Floats = field(init=False)
+    outages: Floats = field(init=False)
+    _outage_of: NDArray[np.intp] = field(init=False)
     _dive_of: NDArray[np.intp] = field(init=False)
     _later: NDArray[np.intp] = field(init=False)
     _step_weights: Floats = field(init=False)
@@ -266,24 +275,28 @@ class PoseGraph:
         self.mean_drift = np.zeros((int(self._dive_of[-1]) + 1, 3))
         self._step_weights = np.ones(len(self.start))
         self._later = np.flatnonzero([step is not None for step in self.steps])
+        is_lost = self._of_steps("lost_m") > 0
+        begins = is_lost & ~np.concatenate([[False], is_lost[:-1] & (np.diff(self._later) == 1)])
+        self._outage_of = np.where(is_lost, np.cumsum(begins) - 1, -1)
+        self.outages = np.zeros((int(begins.sum()), 2))
         if not self.anchors:
             self.anchors = [PoseAnchor(0, self.start[0].copy(), EXACT)]
 
     def save(self) -> tuple[Floats, ...]:
         """Return the present states, for `restore`."""
-        present = self._states, self._step_weights, self.bias, self.mean_drift
+        present = self._states, self._step_weights, self.bias, self.mean_drift, self.outages
         return tuple(array.copy() for array in present)
 
     def restore(self, saved: tuple[Floats, ...]) -> None:
         """Return to states of `save`."""
-        self._states, self._step_weights, self.bias, self.mean_drift = (
+        self._states, self._step_weights, self.bias, self.mean_drift, self.outages = (
             array.copy() for array in saved
         )
 
-    def begin_at(self, poses: Floats, drift: Floats, mean_drift: Floats) -> None:
-        """Begin from other poses and drift, (N, 3) each, and means of the drift, (D, 3)."""
+    def begin_at(self, poses: Floats, drift: Floats, mean_drift: Floats, outages: Floats) -> None:
+        """Begin from other states: poses and drift, (N, 3) each; see the class for the others."""
         self._states = np.hstack([poses, drift])
-        self.mean_drift = mean_drift.copy()
+        self.mean_drift, self.outages = mean_drift.copy(), outages.copy()
 
     @property
     def poses(self) -> Floats:
@@ -346,7 +359,8 @@ class PoseGraph:
         _, residuals, information = self._step_factors()
         limit = step_control * STEP_GATE
         weights = (limit / (limit + (residuals**2 * information).sum(axis=1))) ** 2
-        self._step_weights[self._later] = np.maximum(weights, MIN_STEP_WEIGHT)
+        weights = np.where(self._outage_of >= 0, 1.0, np.maximum(weights, MIN_STEP_WEIGHT))
+        self._step_weights[self._later] = weights
 
     def _loop_distances(self) -> tuple[Floats, NDArray[np.intp]]:
         """Of each loop, the least squared Mahalanobis distance of the alternatives, and which."""
@@ -395,7 +409,9 @@ class PoseGraph:
         count = len(self._states)
         self._states += change[:count]
         self.bias += change[count, : len(self.bias)]
-        self.mean_drift += change[count + 1 :, 3:]
+        dives = count + 1 + len(self.mean_drift)
+        self.mean_drift += change[count + 1 : dives, 3:]
+        self.outages += change[dives:, :2]
         self._states[:, 2] = wrapped(self._states[:, 2])
         return float(np.abs(change[:count, :3]).max())
 
@@ -408,10 +424,16 @@ class PoseGraph:
         return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
     def _linearized(self) -> "_NormalEquations":
-        # Behind the nodes come one with the common errors of the registrations, and one with the
-        # mean drift of each dive. Their other states do nothing.
+        # Behind the nodes come one with the common errors of the registrations, one with the mean
+        # drift of each dive, and one with the error of each outage. Their other states do nothing.
         bias_node = len(self._states)
-        normal = _NormalEquations(bias_node + 1 + len(self.mean_drift))
+        first_outage = bias_node + 1 + len(self.mean_drift)
+        normal = _NormalEquations(first_outage + len(self.outages))
+        for k, error in enumerate(self.outages):
+            normal.add([first_outage + k], [np.eye(2, STATES)], error, np.eye(2))
+            normal.add(
+                [first_outage + k], [np.eye(STATES)], np.zeros(STATES), 1e-6 * np.eye(STATES)
+            )
         deviation = np.array([self.model.registration_scale, self.model.registration_turn])
         of_bias = np.eye(len(deviation), STATES)
         normal.add([bias_node], [of_bias], self.bias, np.diag(deviation**-2.0))
@@ -441,7 +463,16 @@ class PoseGraph:
         normal.add_many(nodes, jacobians, residuals, np.eye(3) / variances[:, None])
         jacobians, residuals, information = self._step_factors()
         information = (self._step_weights[later, None] * information)[:, None] * np.eye(3)
-        normal.add_many(nodes[:, :2], jacobians, residuals, information)
+        lost = self._outage_of >= 0
+        nodes[:, 2] = first_outage + self._outage_of
+        for some, width in ((~lost, 2), (lost, 3)):
+            columns = width * STATES
+            normal.add_many(
+                nodes[some, :width],
+                jacobians[some, :, :columns],
+                residuals[some],
+                information[some],
+            )
         ends = np.array([(loop.i, loop.j, bias_node) for loop in self.loops], dtype=np.intp)
         normal.add_many(ends.reshape(-1, 3), *self._loop_factors())
         for fix in self.fixes:
@@ -455,7 +486,10 @@ class PoseGraph:
         return np.array([getattr(step, name) for step in self.steps if step is not None])
 
     def _step_factors(self) -> tuple[Floats, Floats, Floats]:
-        """Jacobians (M, 3, 12) of the steps by both nodes, residuals, and information (M, 3)."""
+        """Jacobians (M, 3, 18) of the steps, residuals (M, 3), and information (M, 3).
+
+        The Jacobians are by both nodes and the outage.
+        """
         scale, crab, turn = self._states[self._later - 1, 3:].T
         seconds = self._of_steps("seconds")
         angle = crab + turn * seconds / 2
@@ -464,18 +498,29 @@ class PoseGraph:
         turned = np.column_stack([c * x - s * y, s * x + c * y])
         grown = (1 + scale)[:, None]
         across = grown * np.column_stack([-turned[:, 1], turned[:, 0]])
-        drifted = np.column_stack([grown * turned, yaw + turn * seconds])
+        lost_m = self._of_steps("lost_m")[:, None]
+        half = yaw / 2
+        ahead, port = (
+            np.column_stack([np.cos(half), np.sin(half)]),
+            np.column_stack([-np.sin(half), np.cos(half)]),
+        )
+        errors = np.vstack([self.outages, np.zeros((1, 2))])[self._outage_of]
+        missed = lost_m * (errors[:, :1] * ahead + errors[:, 1:] * port)
+        drifted = np.column_stack([grown * turned + missed, yaw + turn * seconds])
         of_a, of_b, residuals = self._relative(self._later - 1, self._later, drifted)
         of_a[:, :2, 3] -= turned
         of_a[:, :2, 4] -= across
         of_a[:, :2, 5] -= across * seconds[:, None] / 2
         of_a[:, 2, 5] -= seconds
+        of_outage = np.zeros_like(of_a)
+        of_outage[:, :2, 0], of_outage[:, :2, 1] = -lost_m * ahead, -lost_m * port
         model, path_m = self.model, np.maximum(self._of_steps("path_m"), 0.1)
         variance_m2 = model.noise_m**2 * path_m + 0.01**2 + self._of_steps("extra_std_m") ** 2
+        variance_m2 += (OUTAGE_WANDER * lost_m[:, 0]) ** 2
         extra_rad = self._of_steps("extra_std_rad")
         variance_rad2 = model.noise_rad**2 * seconds + 1e-6 + extra_rad**2
         information = 1 / np.column_stack([variance_m2, variance_m2, variance_rad2])
-        return np.concatenate([of_a, of_b], axis=2), residuals, information
+        return np.concatenate([of_a, of_b, of_outage], axis=2), residuals, information
 
     def _relative(
         self, i: NDArray[np.intp], j: NDArray[np.intp], measured: Floats

@@ -16,7 +16,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from mapperd import __version__
-from mapperd.alignment.align import AlignedDive, Alignment, odometry_step
+from mapperd.alignment.align import AlignedDive, Alignment, odometry_steps
 from mapperd.alignment.pose_graph import DriftModel, Loop, OdometryStep
 from mapperd.alignment.submaps import (
     DiveReader,
@@ -367,8 +367,9 @@ def _g2o_lines(alignment: Alignment, model: DriftModel) -> Iterator[str]:
     yield f"FIX {fixed[0]}"
     yield "# odometry, as it came: its drift counts as noise of each step alone"
     for first, dive in zip(fixed, alignment.dives, strict=True):
-        for k in range(1, len(dive.t_ns)):
-            step = odometry_step(dive.track, int(dive.t_ns[k - 1]), int(dive.t_ns[k]))
+        for k, step in enumerate(odometry_steps(dive.track, dive.t_ns)):
+            if step is None:
+                continue
             information = _upper(_step_information(step, model))
             yield f"EDGE_SE2 {first + k - 1} {first + k} {_numbers(step.motion)} {information}"
     yield "# registrations of submaps; refused ones are comments"
@@ -380,7 +381,7 @@ def _g2o_lines(alignment: Alignment, model: DriftModel) -> Iterator[str]:
 
 def _step_information(step: OdometryStep, model: DriftModel) -> Floats:
     path_m, seconds = step.path_m, step.seconds
-    noise2 = model.noise_m**2 * max(path_m, 0.1) + step.extra_std_m**2
+    noise2 = model.noise_m**2 * max(path_m, 0.1) + step.extra_std_m**2 + step.lost_m**2
     # Twice: the variances of the mean and of what wanders about it. The larger one of scale and
     # crab, for the direction of travel is not known.
     drift2 = 2 * (max(model.scale, model.crab_rad) * path_m) ** 2

@@ -28,6 +28,7 @@ from mapperd.session.replay import Window, as_asked
 from oculus_driver.recording import Chunk
 
 __all__ = [
+    "STATED_SHARE",
     "Correction",
     "DiveReader",
     "DiveSubmaps",
@@ -51,9 +52,13 @@ MAX_SUBMAP_S, MAX_SUBMAP_M, MAX_SUBMAP_TURN_RAD = 8.0, 5.0, math.radians(60.0)
 MAX_PAUSE_S = 2.0
 """A longer pause between pings ends a submap."""
 
+STATED_SHARE = 0.02
+"""Growth of the odometry's own standard deviation by more than this share of the way is an outage:
+velocity was missing."""
+
 POSE_STEP_NS = 100_000_000
 
-FRAGMENTS = 3
+FRAGMENTS, OUTAGE_FRAGMENTS = 3, 8
 MIN_VOXELS, MIN_FRAGMENT_VOXELS = 150, 60
 """Occupied voxels below which a submap and a fragment are not registered, of either size."""
 
@@ -236,6 +241,7 @@ class _HeldPing:
     t_ns: int
     base: Floats
     segment: int
+    deviation_m: float
 
 
 class _SubmapMapper(SonarMap):
@@ -270,7 +276,16 @@ class _SubmapMapper(SonarMap):
         depth_m = RETURN_VOXELS * sonar_map.resolution_m
         filtering = self.config.filtering
         front = front_of_returns(image, filtering.intensity_threshold, filtering.min_range, depth_m)
-        ping = _HeldPing(front, map_T_sonar, motion, posed.t_ns, base, posed.pose.segment)
+        variance_m2 = float(posed.pose.covariance[0, 0] + posed.pose.covariance[1, 1])
+        ping = _HeldPing(
+            front,
+            map_T_sonar,
+            motion,
+            posed.t_ns,
+            base,
+            posed.pose.segment,
+            math.sqrt(max(variance_m2, 0.0)),
+        )
         if self._ends_before(ping):
             self.finish()
         if self._held:
@@ -298,7 +313,8 @@ class _SubmapMapper(SonarMap):
 
     def finish(self) -> None:
         """Make a submap of the held pings, and fragments of its parts."""
-        held, self._held, self._path_m = self._held, [], 0.0
+        held, path_m = self._held, self._path_m
+        self._held, self._path_m = [], 0.0
         if len(held) < MIN_PINGS:
             return
         times = np.array([ping.t_ns for ping in held], dtype=np.int64)
@@ -306,7 +322,9 @@ class _SubmapMapper(SonarMap):
             np.zeros((len(held), 3)) if self._correction is None else self._correction(times)
         )
         self.submaps.append(self._mapped(held, corrections))
-        ends = np.linspace(0, len(held), FRAGMENTS + 1).round().astype(int).tolist()
+        grown_m = held[-1].deviation_m - held[0].deviation_m
+        count = OUTAGE_FRAGMENTS if grown_m > STATED_SHARE * path_m else FRAGMENTS
+        ends = np.linspace(0, len(held), count + 1).round().astype(int).tolist()
         for begin, end in itertools.pairwise(ends):
             if end - begin >= MIN_PINGS:
                 self.fragments.append(self._mapped(held[begin:end], corrections[begin:end]))
