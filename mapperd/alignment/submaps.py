@@ -323,7 +323,9 @@ class _SubmapMapper(SonarMap):
         )
         self.submaps.append(self._mapped(held, corrections))
         grown_m = held[-1].deviation_m - held[0].deviation_m
-        count = OUTAGE_FRAGMENTS if grown_m > STATED_SHARE * path_m else FRAGMENTS
+        count = FRAGMENTS
+        if grown_m > STATED_SHARE * path_m:
+            count = min(OUTAGE_FRAGMENTS, len(held) // MIN_PINGS)
         ends = np.linspace(0, len(held), count + 1).round().astype(int).tolist()
         for begin, end in itertools.pairwise(ends):
             if end - begin >= MIN_PINGS:

@@ -15,7 +15,7 @@ from mapperd.alignment.align import (
     AlignOptions,
     DiveInput,
     align,
-    odometry_step,
+    odometry_steps,
 )
 from mapperd.alignment.submaps import (
     Correction,
@@ -214,11 +214,13 @@ def test_a_step_is_loose_where_the_odometry_says_so_and_at_jumps() -> None:
     position_m = np.column_stack([np.arange(count) / 10, np.zeros(count), np.zeros(count)])
     level = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     track = OdometryTrack(t_ns, position_m, level, segment, doubt_m)
-    sure, doubtful, jump = (
-        odometry_step(track, int(t_ns[a]), int(t_ns[b])) for a, b in ((0, 30), (30, 60), (60, 90))
-    )
-    assert sure.extra_std_m == 0
-    assert 1.5 < doubtful.extra_std_m <= 2.0
+    none, sure, doubtful, jump = odometry_steps(track, t_ns[[0, 30, 60, 90]])
+    assert none is None
+    assert sure is not None
+    assert doubtful is not None
+    assert jump is not None
+    assert sure.lost_m == sure.extra_std_m == 0
+    assert doubtful.lost_m == pytest.approx(2.0 / math.sqrt(2))  # of each axis
     assert jump.extra_std_m > 5
     assert jump.extra_std_rad > 0.5
     assert sure.motion == pytest.approx([3.0, 0.0, 0.0])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.alignment.align import Alignment, DiveInput, _DiveNodes, align, odometry_step
+from mapperd.alignment.align import Alignment, DiveInput, _DiveNodes, align, odometry_steps
 from mapperd.alignment.submaps import DiveSubmaps, OdometryTrack, compose, inverse
 from mapperd.errors import ReplayError
 
@@ -167,8 +167,22 @@ def test_a_dive_that_nothing_joins_to_the_fixed_one_is_refused() -> None:
 def test_missing_velocity_counts_whatever_was_unsure_before(before_m: float) -> None:
     # Variances add: an outage of 2 m late in a dive adds little to the standard deviation.
     grown = np.where(np.arange(COUNT) > 500, math.hypot(before_m, 2.0), before_m)
-    step = odometry_step(track_of(line(), grown), int(T_NS[490]), int(T_NS[510]))
-    assert 1.0 < step.extra_std_m <= 2.0
+    _, step = odometry_steps(track_of(line(), grown), T_NS[[490, 510]])
+    assert step is not None
+    assert step.lost_m == pytest.approx(2.0 / math.sqrt(2))  # of each axis
+
+
+@pytest.mark.parametrize("before_m", [0.0, 3.0])
+def test_deviations_of_one_outage_add_up_over_its_steps(before_m: float) -> None:
+    # 0.3 m/s in 12 s of 20, then sure; one velocity that is off grows the deviation linearly.
+    since_s = np.clip((T_NS - T_NS[300]) / 1e9, 0.0, 12.0)
+    track = track_of(line(), np.hypot(before_m, 0.3 * since_s))
+    at = 300 + np.round(np.arange(-2, 7) * 2.5e9 / (T_NS[1] - T_NS[0])).astype(int)
+    steps = odometry_steps(track, T_NS[at])
+    lost_m = [step.lost_m for step in steps if step is not None]
+    assert lost_m == pytest.approx(
+        np.array([0.0, 0.0, 2.5, 2.5, 2.5, 2.5, 2.0, 0.0]) * 0.3 / math.sqrt(2), abs=0.03
+    )
 
 
 def test_dives_of_one_name_are_refused() -> None:

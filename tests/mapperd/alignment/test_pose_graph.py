@@ -85,6 +85,22 @@ def revisits(truth: Floats, lap: int = 16) -> list[Loop]:
     return [loop_of(truth, i, i + lap) for i in range(0, len(truth) - lap, 2)]
 
 
+def with_outage(
+    steps: list[OdometryStep | None], places: range, error_m: tuple[float, float]
+) -> list[OdometryStep | None]:
+    """The steps with a velocity that is off by as much, along the axes in the middle of each."""
+    lost = list(steps)
+    for k in places:
+        step = lost[k]
+        assert step is not None
+        half = step.motion[2] / 2
+        c, s = math.cos(half), math.sin(half)
+        error = np.array([[c, -s], [s, c]]) @ error_m
+        motion = step.motion - np.array([*error, 0.0])
+        lost[k] = replace(step, motion=motion, lost_m=1.0)
+    return lost
+
+
 def rms_m(a: Floats, b: Floats) -> float:
     return float(np.sqrt(((a - b)[:, :2] ** 2).sum(axis=1).mean()))
 
@@ -223,6 +239,43 @@ def test_no_step_gives_way_to_wrong_revisits() -> None:
     assert graph._step_weights.min() > 0.9
 
 
+def test_what_a_part_of_an_outage_shows_holds_for_the_rest() -> None:
+    truth, outage, seen = circle(0.8), range(10, 20), 15
+    steps = with_outage(drifting(truth, 0.0, 0.0, 0.0), outage, (0.8, -0.6))
+    graph = PoseGraph(reckoned(truth[0], steps), steps, EXACT)
+    graph.loops = [loop_of(truth, i, i + 1) for i in range(seen)]
+    solution = graph.solve()
+    assert graph.outages.shape == (1, 2)
+    assert graph.outages[0] == pytest.approx([0.8, -0.6], abs=0.05)
+    true, odometry, found = (
+        compose(inverse(poses[seen - 1]), poses[19])
+        for poses in (truth, graph.start, solution.poses)
+    )
+    # Errors that differ from step to step would leave all of it.
+    assert math.dist(found[:2], true[:2]) < 0.2 * math.dist(odometry[:2], true[:2])
+
+
+def test_a_registration_one_pile_further_is_refused_within_an_outage() -> None:
+    truth, outage = circle(0.8), range(10, 20)
+    steps = with_outage(drifting(truth, 0.0, 0.0, 0.0), outage, (0.4, 0.3))
+    graph = PoseGraph(reckoned(truth[0], steps), steps, EXACT)
+    graph.loops = [loop_of(truth, i, i + 1) for i in range(15)]
+    alias = loop_of(truth, 15, 16, np.array([-3.0, 0.0, 0.0]))
+    graph.loops.append(alias)
+    graph.solve()
+    # A step of which nothing was stated would give way to it.
+    assert not alias.accepted
+    assert all(loop.accepted for loop in graph.loops[:-1])
+
+
+def test_outages_count_from_step_to_step() -> None:
+    truth = circle()
+    steps = with_outage(drifting(truth, 0.0, 0.0, 0.0), range(3, 6), (0.0, 0.0))
+    steps = with_outage(steps, range(7, 8), (0.0, 0.0))
+    both = PoseGraph(np.vstack([truth, truth]), [*steps[:8], *steps], MODEL)
+    assert both.outages.shape == (4, 2)  # the last step of the first dive is not next to another
+
+
 def test_a_failed_step_still_limits_where_the_vehicle_is() -> None:
     truth = circle()
     graph = graph_of(truth)
@@ -263,7 +316,7 @@ def test_a_solution_is_kept_whole() -> None:
     graph.loops = [*revisits(truth), loop_of(truth, 3, 20, np.array([2.0, 1.0, 0.1]))]
     graph.solve()
     weights = [loop.weight for loop in graph.loops]
-    states, _, bias, mean_drift = graph.save()
+    states, _, bias, mean_drift, _ = graph.save()
     graph._weigh()
     assert [loop.weight for loop in graph.loops[:-1]] == pytest.approx(weights[:-1], abs=1e-9)
     graph._gauss_newton_step()
@@ -281,7 +334,8 @@ def test_fixes_hold_positions() -> None:
 
 def test_covariances_are_those_of_the_dense_inverse() -> None:
     truth = circle(nodes=9)
-    graph = graph_of(truth)
+    steps = with_outage(drifting(truth, 0.03, -0.02, 0.0008), range(5, 8), (0.2, 0.1))
+    graph = PoseGraph(reckoned(truth[0], steps), steps, MODEL)
     graph.loops = [loop_of(truth, 0, 4), loop_of(truth, 1, 8)]
     graph.solve()
     own = graph.prepare_covariances()
@@ -305,11 +359,21 @@ def test_covariances_are_those_of_the_dense_inverse() -> None:
 
 
 def test_jacobians_of_steps_are_their_differences() -> None:
-    graph = graph_of(circle(nodes=9))
+    truth = circle(nodes=9)
+    steps = with_outage(drifting(truth, 0.03, -0.02, 0.0008), range(4, 6), (0.2, 0.1))
+    graph = PoseGraph(reckoned(truth[0], steps), steps, MODEL)
     rng = np.random.default_rng(3)
     graph._states = graph._states + 0.05 * rng.standard_normal(graph._states.shape)
+    graph.outages = rng.standard_normal((1, 2))
     saved, place = graph._states.copy(), 3  # the step to node 4
     jacobian = graph._step_factors()[0][place]
+    for k in range(2):
+        ends = []
+        for sign in (1.0, -1.0):
+            graph.outages[0, k] += sign * 1e-6
+            ends.append(graph._step_factors()[1][place])
+            graph.outages[0, k] -= sign * 1e-6
+        assert np.allclose((ends[0] - ends[1]) / 2e-6, jacobian[:, 12 + k], atol=1e-5)
     for k in range(12):
         ends = []
         for sign in (1.0, -1.0):
@@ -367,9 +431,12 @@ def test_derivatives_with_common_errors_are_those_of_finite_differences() -> Non
 
 
 def test_the_gradient_is_that_of_the_cost() -> None:
-    # Of two dives, with loops between them: all states, the common errors and the mean drifts.
+    # Of two dives, with loops between them: all states, the common errors, the mean drifts, and
+    # the errors of two outages.
     truth = circle(nodes=9)
     dives = [drifting(truth, scale, -0.02, 0.0005) for scale in (0.03, -0.02)]
+    dives[0] = with_outage(dives[0], range(3, 5), (0.1, 0.2))
+    dives[1] = with_outage(dives[1], range(6, 8), (0.3, 0.0))
     start = np.vstack([reckoned(truth[0], steps) for steps in dives])
     graph = PoseGraph(start, [*dives[0], *dives[1]], MODEL)
     both = np.vstack([truth, truth])
@@ -379,9 +446,11 @@ def test_the_gradient_is_that_of_the_cost() -> None:
     graph._states = graph._states + 0.02 * rng.standard_normal(graph._states.shape)
     graph.mean_drift = 0.02 * rng.standard_normal((2, 3))
     graph.bias = np.array([0.01, -0.02])
+    graph.outages = rng.standard_normal((2, 2))
     gradient = graph._linearized().gradient.reshape(-1, 6)
     parts = [(graph._states, gradient[:18]), (graph.bias, gradient[18, :2])]
-    for array, expected in [*parts, (graph.mean_drift, gradient[19:, 3:])]:
+    parts += [(graph.mean_drift, gradient[19:21, 3:]), (graph.outages, gradient[21:, :2])]
+    for array, expected in parts:
         for place in np.ndindex(array.shape):
             kept, ends = array[place], []
             for sign in (1.0, -1.0):
