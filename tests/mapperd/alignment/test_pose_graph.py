@@ -86,7 +86,10 @@ def revisits(truth: Floats, lap: int = 16) -> list[Loop]:
 
 
 def with_outage(
-    steps: list[OdometryStep | None], places: range, error_m: tuple[float, float]
+    steps: list[OdometryStep | None],
+    places: range,
+    error_m: tuple[float, float],
+    lost_m: float = 1.0,
 ) -> list[OdometryStep | None]:
     """The steps with a velocity that is off by as much, along the axes in the middle of each."""
     lost = list(steps)
@@ -97,7 +100,7 @@ def with_outage(
         c, s = math.cos(half), math.sin(half)
         error = np.array([[c, -s], [s, c]]) @ error_m
         motion = step.motion - np.array([*error, 0.0])
-        lost[k] = replace(step, motion=motion, lost_m=1.0)
+        lost[k] = replace(step, motion=motion, lost_m=lost_m)
     return lost
 
 
@@ -257,7 +260,7 @@ def test_what_a_part_of_an_outage_shows_holds_for_the_rest() -> None:
 
 def test_a_registration_one_pile_further_is_refused_within_an_outage() -> None:
     truth, outage = circle(0.8), range(10, 20)
-    steps = with_outage(drifting(truth, 0.0, 0.0, 0.0), outage, (0.4, 0.3))
+    steps = with_outage(drifting(truth, 0.0, 0.0, 0.0), outage, (0.4, 0.3), 0.5)
     graph = PoseGraph(reckoned(truth[0], steps), steps, EXACT)
     graph.loops = [loop_of(truth, i, i + 1) for i in range(15)]
     alias = loop_of(truth, 15, 16, np.array([-3.0, 0.0, 0.0]))

@@ -85,19 +85,26 @@ def test_nothing_is_kept_before_a_return(rows: int) -> None:
     assert not kept[:, [0, 2, 3]].any()
 
 
-def held_pings(heading: float, pings: int, range_m: float) -> list[_HeldPing]:
+def held_pings(
+    heading: float, pings: int, range_m: float, growth_m: float = 0.0
+) -> list[_HeldPing]:
     """Pings at one place, at a speed along a heading of the map that displaces what they see."""
     intensity = np.full((round(range_m / EDGE_M), 64), 20.0, dtype=np.float32)
     intensity[60:64] = 200.0
     image = PingImage(intensity, np.linspace(-0.5, 0.5, 64), EDGE_M)
     start = np.array([3.0, -2.0, heading])
     motion = PingMotion(30.0 * matrix_of(start)[:3, 0], np.zeros(3), 0.0, 1500.0)
-    return [_HeldPing(image, matrix_of(start), motion, k * 10**8, start, 0) for k in range(pings)]
+    return [
+        _HeldPing(image, matrix_of(start), motion, k * 10**8, start, 0, k * growth_m)
+        for k in range(pings)
+    ]
 
 
-def mapper_of(heading: float, pings: int = 9, range_m: float = 11.0) -> _SubmapMapper:
+def mapper_of(
+    heading: float, pings: int = 9, range_m: float = 11.0, growth_m: float = 0.0
+) -> _SubmapMapper:
     mapper = _SubmapMapper(Config(), None)
-    mapper._held = held_pings(heading, pings, range_m)
+    mapper._held = held_pings(heading, pings, range_m, growth_m)
     mapper.finish()
     return mapper
 
@@ -117,6 +124,12 @@ def test_fragments_are_thirds_of_a_submap() -> None:
     assert [one.anchor_ns for one in mapper.fragments] == [10**8, 4 * 10**8, 7 * 10**8]
     assert mapper.submaps[0].anchor_ns == 4 * 10**8
     assert [len(mapper_of(0.0, pings).fragments) for pings in (3, 8)] == [0, 2]
+
+
+@pytest.mark.parametrize(("pings", "pieces"), [(48, [6] * 8), (24, [3] * 8), (9, [3] * 3), (2, [])])
+def test_fragments_are_shorter_in_an_outage(pings: int, pieces: list[int]) -> None:
+    mapper = mapper_of(0.0, pings, growth_m=0.1)
+    assert [one.pings for one in mapper.fragments] == pieces
 
 
 def test_voxels_are_finer_at_short_range() -> None:
