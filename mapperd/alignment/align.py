@@ -27,13 +27,14 @@ from mapperd.alignment.registration import (
     register_dives,
 )
 from mapperd.alignment.submaps import (
-    STATED_SHARE,
+    MIN_OUTAGE_SHARE,
     Correction,
     DiveSubmaps,
     OdometryTrack,
     SonarSubmap,
     compose,
     inverse,
+    is_outage,
 )
 from mapperd.errors import ReplayError
 
@@ -66,8 +67,9 @@ MAX_PARTNERS = 3
 JUMP_M, JUMP_RAD = 10.0, 1.0
 """Standard deviation of a step over a jump of the odometry."""
 
-OUTAGE_S = 30.0
-"""Time over which the error of a missing velocity stays alike."""
+OUTAGE_S, GROWTH_WINDOW_S = 30.0, 2.0
+"""Time over which the error of a missing velocity stays alike; over which the growth of the stated
+standard deviation is measured."""
 
 NEIGHBOUR_NOISE = np.array([0.6, 0.6, math.radians(2.0)])
 SECOND_PASS_NOISE = np.array([0.3, 0.3, math.radians(2.0)])
@@ -343,41 +345,89 @@ def _merged_fixes(given: DiveInput, track: OdometryTrack) -> tuple[Fix, ...]:
     return tuple(united)
 
 
+@dataclass(frozen=True, slots=True)
+class _Outage:
+    """A stretch without velocity, at most `OUTAGE_S` long.
+
+    Attributes:
+        begin_ns, end_ns: of it.
+        deviation_m: standard deviation of the way within it that the odometry states, per axis.
+    """
+
+    begin_ns: int
+    end_ns: int
+    deviation_m: float
+
+    def seconds_within(self, begin_ns: int, end_ns: int) -> float:
+        """How long it lasts between two times."""
+        return max(min(end_ns, self.end_ns) - max(begin_ns, self.begin_ns), 0) / 1e9
+
+
+def _outages(track: OdometryTrack) -> list[_Outage]:
+    """Find where velocity was missing: the stated deviation grows by more than it usually does.
+
+    Growth is compared over `GROWTH_WINDOW_S`, for odometry states it in steps. Within an outage the
+    error of the velocity stays alike, so deviations add up; variances of different ones do.
+    """
+    t_s = (track.t_ns - track.t_ns[0]) / 1e9
+    way_m = np.hypot(*np.diff(track.position_m[:, :2], axis=0, prepend=track.position_m[:1, :2]).T)
+    path_m, deviation_m = np.cumsum(way_m), track.deviation_m
+    ends_s = [t_s + sign * GROWTH_WINDOW_S / 2 for sign in (-1, 1)]
+    before_m, after_m = (
+        np.column_stack([np.interp(end_s, t_s, values) for values in (deviation_m, path_m)])
+        for end_s in ends_s
+    )
+    grown_m, driven_m = (after_m - before_m).T
+    is_lost = is_outage(grown_m, driven_m, GROWTH_WINDOW_S)
+    is_lost = is_lost[1:] & is_lost[:-1] & (np.diff(track.segment) == 0)
+    rises = np.diff(deviation_m) > MIN_OUTAGE_SHARE * way_m[1:]
+    found = []
+    for lost, group in itertools.groupby(range(1, len(t_s)), key=lambda k: bool(is_lost[k - 1])):
+        steps = [k for k in group if rises[k - 1]]
+        if not lost or not steps:
+            continue
+        begin, end = steps[0] - 1, steps[-1]
+        count = max(math.ceil((t_s[end] - t_s[begin]) / OUTAGE_S), 1)
+        parts_s = np.linspace(t_s[begin], t_s[end], count + 1)
+        variance_m2 = np.interp(parts_s, t_s, deviation_m) ** 2
+        grown_m2 = np.maximum(np.diff(variance_m2), 0.0)
+        parts_ns = track.t_ns[0] + np.round(parts_s * 1e9).astype(np.int64)
+        found += [
+            _Outage(int(parts_ns[n]), int(parts_ns[n + 1]), math.sqrt(grown_m2[n] / 2))
+            for n in range(count)
+        ]
+    return found
+
+
 def odometry_steps(track: OdometryTrack, t_ns: NDArray[np.int64]) -> list[OdometryStep | None]:
     """Return the odometry between times, and how far it can be trusted; None at the first.
-
-    Steps whose stated standard deviation grows by more than `STATED_SHARE` of the way make an
-    outage: within it the error of the velocity stays alike, so its deviations add up, up to
-    `OUTAGE_S`. Variances of different outages add up.
 
     Args:
         track: the odometry.
         t_ns: (N,) increasing times.
     """
-    poses = track.at(t_ns)
+    poses, outages = track.at(t_ns), _outages(track)
     at = np.searchsorted(track.t_ns, t_ns).clip(0, len(track.t_ns) - 1)
-    deviation_m, segment = track.deviation_m[at].tolist(), track.segment[at].tolist()
+    segment = track.segment[at].tolist()
     steps: list[OdometryStep | None] = [None]
-    begin: int | None = None
-    for k in range(1, len(t_ns)):
-        inside = (track.t_ns > t_ns[k - 1]) & (track.t_ns < t_ns[k])
+    for k, (begin_ns, end_ns) in enumerate(itertools.pairwise(t_ns.tolist()), 1):
+        inside = (track.t_ns > begin_ns) & (track.t_ns < end_ns)
         way_m = np.vstack([poses[k - 1, :2], track.position_m[inside, :2], poses[k, :2]])
         path_m = float(np.hypot(*np.diff(way_m, axis=0).T).sum())
-        seconds = int(t_ns[k] - t_ns[k - 1]) / 1e9
         motion = compose(inverse(poses[k - 1]), poses[k])
+        step = OdometryStep(motion, (end_ns - begin_ns) / 1e9, path_m)
+        lost_s = [outage.seconds_within(begin_ns, end_ns) for outage in outages]
         if segment[k] != segment[k - 1]:
-            steps.append(OdometryStep(motion, seconds, path_m, JUMP_M, JUMP_RAD))
-            begin = None
-            continue
-        if deviation_m[k] <= deviation_m[k - 1] + STATED_SHARE * path_m:
-            begin = None
-        elif begin is None or (t_ns[k] - t_ns[begin]) / 1e9 > OUTAGE_S:
-            begin = k - 1
-        lost_m = 0.0
-        if begin is not None:
-            since_m = [max(deviation_m[n] ** 2 - deviation_m[begin] ** 2, 0.0) for n in (k - 1, k)]
-            lost_m = max(math.sqrt(since_m[1]) - math.sqrt(since_m[0]), 0.0) / math.sqrt(2)
-        steps.append(OdometryStep(motion, seconds, path_m, lost_m=lost_m))
+            step = replace(step, extra_std_m=JUMP_M, extra_std_rad=JUMP_RAD)
+        elif max(lost_s, default=0.0) > 0:
+            most = int(np.argmax(lost_s))
+            lost_m = sum(
+                outage.deviation_m * seconds / outage.seconds_within(outage.begin_ns, outage.end_ns)
+                for outage, seconds in zip(outages, lost_s, strict=True)
+                if seconds > 0
+            )
+            step = replace(step, lost_m=lost_m, outage=most)
+        steps.append(step)
     return steps
 
 

@@ -3,7 +3,8 @@
 Each node has a planar pose and three errors of the odometry that hold there: scale, crab (the
 direction of travel turns against the heading) and turn (the rate of the heading). These wander
 about their means over the dive as Ornstein-Uhlenbeck processes, so drift may be constant or change.
-The means, which are states too, carry what is known of the drift through a gap. Loops are robust
+The means, which are states too, carry what is known of the drift through a gap. While velocity is
+missing, its error is one state for the whole outage. Loops are robust
 (Geman-McClure with graduated non-convexity: Yang, Antonante, Tzoumas and Carlone 2020); a loop may
 have several alternatives, of which the most likely counts (max-mixture: Olson and Agarwal 2013).
 
@@ -53,8 +54,9 @@ STEP_NARROWING = (1.0, 0.5)
 """While the kernels of loops are widened by a factor, those of steps are widened by this power of
 it: with 0.5 a failed step gives way before the loops about it."""
 
-OUTAGE_WANDER = 0.5
-"""Of the error of a velocity that is missing, the share that differs from step to step."""
+OUTAGE_WANDER_S, MAX_KERNEL_SHARE = 0.3, 0.15
+"""Time over which a missing velocity may differ from that of its whole outage; share of the way
+that a step may miss and still give way: one that misses more is as uncertain as it states."""
 
 ACCEPTED_WEIGHT = 0.3
 MAX_STEPS = 60
@@ -104,8 +106,9 @@ class OdometryStep:
         seconds: between them.
         path_m: length of the way between them.
         extra_std_m, extra_std_rad: further standard deviations, after a jump.
-        lost_m: standard deviation, per axis, of the way while velocity was missing. Steps that
-            follow each other share the error of the velocity, in the axes of the vehicle.
+        lost_m: standard deviation, per axis, of the way while velocity was missing.
+        outage: number, in its dive, of the outage that the step belongs to. Its steps share the
+            error of the velocity, in the axes of the vehicle.
     """
 
     motion: Floats
@@ -114,6 +117,7 @@ class OdometryStep:
     extra_std_m: float = 0.0
     extra_std_rad: float = 0.0
     lost_m: float = 0.0
+    outage: int | None = None
 
 
 @dataclass(eq=False)
@@ -275,10 +279,14 @@ class PoseGraph:
         self.mean_drift = np.zeros((int(self._dive_of[-1]) + 1, 3))
         self._step_weights = np.ones(len(self.start))
         self._later = np.flatnonzero([step is not None for step in self.steps])
-        is_lost = self._of_steps("lost_m") > 0
-        begins = is_lost & ~np.concatenate([[False], is_lost[:-1] & (np.diff(self._later) == 1)])
-        self._outage_of = np.where(is_lost, np.cumsum(begins) - 1, -1)
-        self.outages = np.zeros((int(begins.sum()), 2))
+        numbers: dict[tuple[int, int], int] = {}
+        self._outage_of = np.full(len(self._later), -1, dtype=np.intp)
+        for k, node in enumerate(self._later.tolist()):
+            step = self.steps[node]
+            if step is not None and step.outage is not None:
+                key = int(self._dive_of[node]), step.outage
+                self._outage_of[k] = numbers.setdefault(key, len(numbers))
+        self.outages = np.zeros((len(numbers), 2))
         if not self.anchors:
             self.anchors = [PoseAnchor(0, self.start[0].copy(), EXACT)]
 
@@ -359,7 +367,8 @@ class PoseGraph:
         _, residuals, information = self._step_factors()
         limit = step_control * STEP_GATE
         weights = (limit / (limit + (residuals**2 * information).sum(axis=1))) ** 2
-        weights = np.where(self._outage_of >= 0, 1.0, np.maximum(weights, MIN_STEP_WEIGHT))
+        missed = self._of_steps("lost_m") > MAX_KERNEL_SHARE * self._of_steps("path_m")
+        weights = np.where(missed, 1.0, np.maximum(weights, MIN_STEP_WEIGHT))
         self._step_weights[self._later] = weights
 
     def _loop_distances(self) -> tuple[Floats, NDArray[np.intp]]:
@@ -516,7 +525,7 @@ class PoseGraph:
         of_outage[:, :2, 0], of_outage[:, :2, 1] = -lost_m * ahead, -lost_m * port
         model, path_m = self.model, np.maximum(self._of_steps("path_m"), 0.1)
         variance_m2 = model.noise_m**2 * path_m + 0.01**2 + self._of_steps("extra_std_m") ** 2
-        variance_m2 += (OUTAGE_WANDER * lost_m[:, 0]) ** 2
+        variance_m2 += lost_m[:, 0] ** 2 * OUTAGE_WANDER_S / np.maximum(seconds, 1e-9)
         extra_rad = self._of_steps("extra_std_rad")
         variance_rad2 = model.noise_rad**2 * seconds + 1e-6 + extra_rad**2
         information = 1 / np.column_stack([variance_m2, variance_m2, variance_rad2])

@@ -28,7 +28,6 @@ from mapperd.session.replay import Window, as_asked
 from oculus_driver.recording import Chunk
 
 __all__ = [
-    "STATED_SHARE",
     "Correction",
     "DiveReader",
     "DiveSubmaps",
@@ -36,6 +35,7 @@ __all__ = [
     "SonarSubmap",
     "compose",
     "inverse",
+    "is_outage",
     "read_submaps",
 ]
 
@@ -52,13 +52,16 @@ MAX_SUBMAP_S, MAX_SUBMAP_M, MAX_SUBMAP_TURN_RAD = 8.0, 5.0, math.radians(60.0)
 MAX_PAUSE_S = 2.0
 """A longer pause between pings ends a submap."""
 
-STATED_SHARE = 0.02
-"""Growth of the odometry's own standard deviation by more than this share of the way is an outage:
-velocity was missing."""
+MIN_OUTAGE_SHARE, MIN_OUTAGE_RATE = 0.02, 0.02
+"""Where the odometry's own standard deviation grows by more than this share of the way and this
+speed in m/s, velocity was missing: an outage."""
 
 POSE_STEP_NS = 100_000_000
 
 FRAGMENTS, OUTAGE_FRAGMENTS = 3, 8
+"""Pieces of a submap, and most of one in an outage: from one second to the next a velocity cannot
+err by the distance of two piles."""
+
 MIN_VOXELS, MIN_FRAGMENT_VOXELS = 150, 60
 """Occupied voxels below which a submap and a fragment are not registered, of either size."""
 
@@ -70,6 +73,11 @@ RETURN_VOXELS, RETURN_GAP_M = 1.5, 0.5
 FIRST_RETURN_MAX_RANGE_M = 15.0
 """Up to this range only the first return of a beam is kept: what lies behind is mostly the floor,
 whose near edge moves with the vehicle."""
+
+
+def is_outage(grown_m: Floats, path_m: Floats, seconds: float) -> NDArray[np.bool_]:
+    """Whether the stated deviation grew as without velocity over a way and a time."""
+    return np.asarray(grown_m > MIN_OUTAGE_SHARE * path_m + MIN_OUTAGE_RATE * seconds)
 
 
 def compose(a: Floats, b: Floats) -> Floats:
@@ -223,7 +231,8 @@ class DiveSubmaps:
     Attributes:
         track: the odometry.
         submaps: in order of time, for revisits.
-        fragments: thirds of the submaps, for the motion between them. A submap takes over the drift
+        fragments: thirds of the submaps, for the motion between them; shorter in an outage of
+            velocity. A submap takes over the drift
             of its odometry: what it shares with the next one was seen by its last pings and by the
             first ones of the next, so the two agree at the drifting poses.
     """
@@ -322,9 +331,9 @@ class _SubmapMapper(SonarMap):
             np.zeros((len(held), 3)) if self._correction is None else self._correction(times)
         )
         self.submaps.append(self._mapped(held, corrections))
-        grown_m = held[-1].deviation_m - held[0].deviation_m
+        grown_m = np.array(held[-1].deviation_m - held[0].deviation_m)
         count = FRAGMENTS
-        if grown_m > STATED_SHARE * path_m:
+        if is_outage(grown_m, np.array(path_m), (held[-1].t_ns - held[0].t_ns) / 1e9):
             count = min(OUTAGE_FRAGMENTS, len(held) // MIN_PINGS)
         ends = np.linspace(0, len(held), count + 1).round().astype(int).tolist()
         for begin, end in itertools.pairwise(ends):

@@ -2,12 +2,14 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from mapperd.alignment.align import Alignment, DiveInput, _DiveNodes, align, odometry_steps
+from mapperd.alignment.pose_graph import OdometryStep
 from mapperd.alignment.submaps import DiveSubmaps, OdometryTrack, compose, inverse
 from mapperd.errors import ReplayError
 
@@ -179,8 +181,64 @@ def test_deviations_of_one_outage_add_up_over_its_steps(before_m: float) -> None
     track = track_of(line(), np.hypot(before_m, 0.3 * since_s))
     steps = odometry_steps(track, T_NS[300 + 6 * np.arange(-2, 7)])  # 2.4 s each
     lost_m = [step.lost_m for step in steps if step is not None]
-    one_m = 2.4 * 0.3 / math.sqrt(2)
-    assert lost_m == pytest.approx([0.0, 0.0, *[one_m] * 5, 0.0])
+    # Beside 3 m it is noticed a little late.
+    assert lost_m[3:6] == pytest.approx([2.4 * 0.3 / math.sqrt(2)] * 3, rel=0.2)
+    assert sum(lost_m[2:7]) == pytest.approx(12.0 * 0.3 / math.sqrt(2), rel=0.01)
+    assert lost_m[0] == lost_m[1] == lost_m[7] == 0.0
+
+
+def lost_of(deviation_m: Floats, every: int) -> list[OdometryStep]:
+    steps = odometry_steps(track_of(line(), deviation_m), T_NS[::every])
+    return [step for step in steps if step is not None]
+
+
+def test_a_long_outage_is_several_ones() -> None:
+    # 0.3 m/s for 100 s: its error stays alike for half a minute.
+    since_s = np.clip((T_NS - T_NS[100]) / 1e9, 0.0, 100.0)
+    steps = [step for step in lost_of(0.3 * since_s, 5) if step.lost_m > 0]
+    outages = [step.outage for step in steps]
+    assert outages == sorted(outages, key=lambda one: one or 0)
+    sums_m = [sum(s.lost_m for s in steps if s.outage == one) for one in dict.fromkeys(outages)]
+    assert len(sums_m) == 4  # of 25 s
+    # Variances add up to what was stated.
+    assert math.hypot(*sums_m) == pytest.approx(30.0 / math.sqrt(2), rel=0.1)
+
+
+@pytest.mark.parametrize("every", [1, 2, 6, 50])
+def test_an_outage_is_the_same_however_close_the_nodes_are(every: int) -> None:
+    # Stated every two seconds, so that the deviation rises in steps.
+    since_s = np.clip((T_NS - T_NS[300]) / 1e9, 0.0, 20.0)
+    steps = lost_of(np.hypot(1.0, 0.3 * since_s // 0.6 * 0.6), every)
+    lost = [step for step in steps if step.lost_m > 0]
+    assert len({step.outage for step in lost}) == 1
+    assert sum(step.lost_m for step in lost) == pytest.approx(6.0 / math.sqrt(2))
+
+
+def test_what_odometry_usually_states_is_no_outage() -> None:
+    path_m = line()[:, 0]
+    rng = np.random.default_rng(5)
+    usual: list[Floats] = [
+        np.full(COUNT, 2.0),
+        0.5 + 0.015 * path_m,
+        np.hypot(0.1, 0.1 * np.sqrt(path_m)),
+        np.linspace(5.0, 1.0, COUNT),
+        np.where(np.arange(COUNT) % 100 < 50, 1.0, 0.2),  # falls at fixes, and rises at once
+        2.0 + 0.005 * rng.standard_normal(COUNT),
+    ]
+    for usual_m in usual:
+        stated = [step.lost_m for step in lost_of(usual_m, 6)]
+        rises = np.diff(usual_m).max() > 0.5
+        assert sum(one > 0 for one in stated) <= (10 if rises else 0)
+
+
+def test_a_jump_ends_an_outage() -> None:
+    since_s = np.clip((T_NS - T_NS[300]) / 1e9, 0.0, 20.0)
+    segment = (np.arange(COUNT) >= 325).astype(np.int64)
+    track = replace(track_of(line(), 0.3 * since_s), segment=segment)
+    steps = [step for step in odometry_steps(track, T_NS[::5]) if step is not None]
+    jumps = [step for step in steps if step.extra_std_m > 0]
+    assert [step.outage for step in jumps] == [None]
+    assert len({step.outage for step in steps if step.lost_m > 0}) == 2
 
 
 def test_dives_of_one_name_are_refused() -> None:

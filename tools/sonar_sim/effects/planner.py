@@ -15,6 +15,7 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from threading import Lock
 from types import MappingProxyType
 
@@ -112,7 +113,7 @@ def _within_limits(
     if name != ALL_ELEVATIONS.name or not decision.on or name in selection.forced:
         return decision
     half_step_m = 0.5 * view.sonar.range_m / CELLS_IN_RANGE[0]
-    slack = PoseSlack(math.sqrt(3.0) * half_step_m, math.sqrt(3.0) * 0.5 * ANGLE_STEP_RAD)
+    slack = PoseSlack(math.sqrt(3.0) * half_step_m, TURN_SLACK_RAD)
     limits_rad = elevations_that_show(view, tolerance, DOUBT * tolerance.level_db, slack)
     low_deg, high_deg = (round(math.degrees(limit)) for limit in limits_rad)
     reason = f"{verdict.reason}; rays from {low_deg}° to {high_deg}°"
@@ -146,7 +147,12 @@ CELLS_IN_RANGE = (16, 48)
 """Cells of position in the sonar's range; the finer ones where the larger one's middle lies behind
 a wall."""
 ANGLE_STEP_RAD = math.radians(6.0)
-"""Steps of the rotation vector, which has no direction in which it turns about wildly."""
+"""Steps of the heading, and of the components of the vertical in the sonar's axes. A vehicle that
+turns crosses cells of heading alone, wherever its sonar looks."""
+HEADINGS = round(math.tau / ANGLE_STEP_RAD)
+TURN_SLACK_RAD = ANGLE_STEP_RAD
+"""How far a ping may be turned from its cell's middle: by half a step of heading, and by half the
+diagonal of a cube about an axis at right angles to that."""
 TIME_STEP_S = 0.5
 """How long moving objects are taken to stand."""
 MAX_PREVIEWS = 8
@@ -180,7 +186,8 @@ class _PoseCell:
 
     position: tuple[int, ...]
     step_m: float
-    turned: tuple[int, ...]
+    up: tuple[int, ...]
+    heading: int
     time: int
 
     @property
@@ -191,8 +198,8 @@ class _PoseCell:
     @property
     def pose(self) -> FramePose:
         """Pose from which all its pings are seen."""
-        turned = Rotation.from_rotvec(np.array(self.turned) * ANGLE_STEP_RAD)
-        return FramePose(self.middle_m, turned.as_matrix())
+        turn = Rotation.from_rotvec([0.0, 0.0, self.heading * ANGLE_STEP_RAD]).as_matrix()
+        return FramePose(self.middle_m, turn @ _tilt(self.up))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -276,19 +283,26 @@ class Planner:
         return PlannedPing(shared.plan.with_more(own), physics, view)
 
     def _cell(self, pose: FramePose, time_s: float, step_m: float) -> _PoseCell:
+        up = _rounded(pose.rotation[2], ANGLE_STEP_RAD)
+        turned = pose.rotation @ _tilt(up).T
+        heading_rad = math.atan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])
         return _PoseCell(
             position=_rounded(pose.position_m, step_m),
             step_m=step_m,
-            turned=_rounded(_rotation_vector(pose), ANGLE_STEP_RAD),
+            up=up,
+            heading=round(heading_rad / ANGLE_STEP_RAD) % HEADINGS,
             time=round(time_s / TIME_STEP_S) if self._previewer.changes else 0,
         )
 
 
-def _rotation_vector(pose: FramePose) -> NDArray[np.float64]:
-    """Axis times angle of no more than half a turn, (3,)."""
-    w, *axis = pose.quaternion.tolist()
-    length = math.hypot(*axis)
-    return np.array(axis) * (2.0 * math.atan2(length, w) / length if length > 0.0 else 2.0)
+@lru_cache(maxsize=256)
+def _tilt(up: tuple[int, ...]) -> NDArray[np.float64]:
+    """A rotation (3, 3) whose vertical is that of a cell, by its rounded components."""
+    vertical = np.array(up) / np.linalg.norm(up)
+    ahead = np.eye(3)[np.abs(up).argmin()]
+    ahead = ahead - (ahead @ vertical) * vertical
+    ahead = ahead / np.linalg.norm(ahead)
+    return np.array([ahead, np.cross(vertical, ahead), vertical])
 
 
 def _rounded(values: NDArray[np.float64], step: float) -> tuple[int, ...]:
