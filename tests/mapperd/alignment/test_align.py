@@ -206,6 +206,29 @@ def test_dives_of_different_places_are_refused(
     assert "elsewhere" in found.reason
 
 
+def test_an_outage_of_velocity_that_the_odometry_states_is_corrected(
+    tmp_path: Path, track: Dive, write_recording: Recorder
+) -> None:
+    # 0.25 m/s for ten seconds of the second lap.
+    lost = slice(120, 170)
+    error_m = np.zeros(STEPS)
+    error_m[lost] = 0.25 * PERIOD_S
+    heading = track.odometry[:, 2]
+    away_m = np.cumsum(
+        np.column_stack([error_m * np.cos(heading + 2.0), error_m * np.sin(heading + 2.0)]), axis=0
+    )
+    odometry = track.odometry + np.column_stack([away_m, np.zeros(STEPS)])
+    stated_m = np.hypot(0.02, np.cumsum(error_m))
+    found = align([given(tmp_path, Dive(track.truth, odometry, stated_m), write_recording)])
+    [aligned] = found.dives
+    before = errors_m(track, aligned.track.at, begin_of(aligned))
+    after = errors_m(track, aligned.poses_at, begin_of(aligned))
+    assert found.corrected, found.reason
+    assert np.sqrt((after**2).mean()) < 0.15 * np.sqrt((before**2).mean())
+    steps = odometry_steps(aligned.track, aligned.t_ns)
+    assert sum(step.lost_m for step in steps if step is not None) == pytest.approx(2.5, rel=0.05)
+
+
 def test_a_step_is_loose_where_the_odometry_says_so_and_at_jumps() -> None:
     count = 101  # 10 s at 1 m/s; two metres of doubt come about in the fifth second
     t_ns = np.arange(count, dtype=np.int64) * 100_000_000

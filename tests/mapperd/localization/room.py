@@ -39,10 +39,11 @@ def room() -> GridMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dive:
-    """Poses (N, 3) of x, y, yaw: true and by odometry."""
+    """Poses (N, 3) of x, y, yaw: true and by odometry; the deviation (N,) of x and y it states."""
 
     truth: Floats
     odometry: Floats
+    deviation_m: Floats | None = None
 
 
 def dive(steps: int = 120) -> Dive:
@@ -94,8 +95,12 @@ def events(grid: GridMap, track: Dive) -> list[tuple[str, bytes, float]]:
     for k, data in enumerate(pings(grid, track.truth)):
         for dt in (-0.02, 0.05):
             x, y, yaw = track.odometry[k].tolist()
+            stated = {}
+            if track.deviation_m is not None:
+                variances = np.diag([track.deviation_m[k] ** 2] * 2 + [1e-4] * 4)
+                stated["pc"] = tuple(variances[np.triu_indices(6)].tolist())
             record = make_odometry(
-                p=(x, y, 0.0), q=(math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
+                p=(x, y, 0.0), q=(math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)), **stated
             )
             found.append(("odometry", record, PERIOD_S * k + dt + 1))
         found.append(("ping", data, PERIOD_S * k + 1))
