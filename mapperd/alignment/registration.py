@@ -71,7 +71,7 @@ APART_M, APART_RAD = 0.3, math.radians(2.0)
 
 MIN_STD_M, MIN_STD_RAD = 0.05, math.radians(0.4)
 FULL_SHARE, UNMATCHED_GROWTH = 0.7, 7.0
-MIN_STD_NEIGHBOUR_M, MIN_STD_NEIGHBOUR_RAD, NEIGHBOUR_FULL_SHARE = 0.1, math.radians(0.5), 0.3
+MIN_STD_NEIGHBOUR_M, MIN_STD_NEIGHBOUR_RAD, NEIGHBOUR_FULL_SHARE = 0.1, math.radians(1.0), 0.3
 TURN_M, TURN_RAD = 0.1, math.radians(1.2)
 """Standard deviation of every registration, for odometry drifts within a submap. It grows
 exponentially as the matched share falls below `FULL_SHARE`, and by so much for each radian between
