@@ -35,6 +35,22 @@ void curvatures(const double* curved_normal, const Vec3& tangent, double* turn) 
 constexpr double kGrazing = 1e-3;  // cosine of incidence below which a patch has no size; the
                                    // rules have the same
 
+constexpr std::size_t kAhead = 16;  // rays; half as many for what their faces refer to
+
+/// Rays hit faces all over a large table: without this most of the time is waiting for memory.
+void prefetch_face(const Faces& faces, const CoarseRays& rays, std::size_t i) {
+  if (i + kAhead < rays.count && rays.face[i + kAhead] >= 0) {
+    __builtin_prefetch(&faces.table[rays.face[i + kAhead]]);
+  }
+  if (i + kAhead / 2 < rays.count && rays.face[i + kAhead / 2] >= 0) {
+    const Face& face = faces.table[rays.face[i + kAhead / 2]];
+    if (face.smooth < 0) return;
+    const double* curved = faces.curved_normal + 12 * static_cast<std::ptrdiff_t>(face.smooth);
+    __builtin_prefetch(curved);
+    __builtin_prefetch(curved + 8);
+  }
+}
+
 void store(const Vec3& v, double* to) {
   for (std::size_t axis = 0; axis < 3; ++axis) to[axis] = v[axis];
 }
@@ -45,6 +61,7 @@ std::size_t coarse_patches(const Faces& faces, const CoarseRays& rays, double re
                            const Transform* map_T_group, const CoarsePatches& to) {
   std::size_t count = 0;
   for (std::size_t i = 0; i < rays.count; ++i) {
+    prefetch_face(faces, rays, i);
     const auto range_m = static_cast<double>(rays.range_m[i]);
     if (rays.face[i] < 0 || !(range_m < reach_m)) continue;
     const Face& face = faces.table[rays.face[i]];

@@ -13,26 +13,12 @@ from sonar_sim.effects.travel_time import configure_motion
 from sonar_sim.propagation.physics import Mirror, Physics
 from sonar_sim.propagation.propagation_path import mirrored
 from sonar_sim.scene.scene import Emitter, Scene
-from sonar_sim.scene.suspended_matter import path_in_box_m, sediment_strength
+from sonar_sim.scene.suspended_matter import sediment_strength
 
 from tests.sonar_sim.effects.previews import SONAR, floor, motion, pose, view_of, wall
 
 if TYPE_CHECKING:
     from sonar_sim.effects.echoes import Echoes
-
-
-def test_a_way_is_in_a_box_for_no_more_than_what_lies_in_it() -> None:
-    """Through it, along a face, beside it, short of it, from within it, and no way at all."""
-    low_m, high_m = np.array([1.0, -1.0, -1.0]), np.array([3.0, 1.0, 1.0])
-    ends_m = [(5, 0, 0), (2, 0, 0), (0.5, 0, 0), (0, 5, 0), (-5, 0, 0), (0, 0, 0)]
-    path_m = path_in_box_m(np.zeros(3), np.array(ends_m, np.float64), low_m, high_m)
-    assert path_m == pytest.approx([2.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-    # A box has its low faces and not its high ones.
-    for side_m, inside_m in ((-1.0, 2.0), (1.0, 0.0)):
-        from_m, to_m = np.array([0.0, side_m, side_m]), np.array([[5.0, side_m, side_m]])
-        assert path_in_box_m(from_m, to_m, low_m, high_m) == pytest.approx([inside_m])
-    within_m = path_in_box_m(np.array([2.0, 0, 0]), np.array([[9.0, 0, 0]]), low_m, high_m)
-    assert within_m == pytest.approx([1.0])
 
 
 def test_grains_send_back_no_more_than_their_size_and_none_of_them_nothing() -> None:

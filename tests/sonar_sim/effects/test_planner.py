@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import EffectSelection
-from sonar_sim.effects.planner import PlannedPing, Planner
+from sonar_sim.effects.planner import HEADINGS, TURN_SLACK_RAD, PlannedPing, Planner
 from sonar_sim.effects.previewer import Previewer
 from sonar_sim.geometry.pose import FramePose, rotation_of
 from sonar_sim.scene.scene import Emitter, Scene
@@ -60,6 +61,25 @@ def test_a_fan_that_looks_down_and_turns_is_rounded_no_farther() -> None:
         pose = at(0.0, yaw_deg, 89.0)
         back = asked.at(pose).view.map_T_sonar.rotation.T @ pose.rotation
         assert np.degrees(np.arccos((np.trace(back) - 1.0) / 2.0)) < 5.3
+
+
+def test_no_ping_is_turned_farther_from_its_cell_than_the_rules_allow_for() -> None:
+    asked = planner(floor())
+    attitudes = [*Rotation.random(2000, rng=np.random.default_rng(2)), *Rotation.create_group("O")]
+    for attitude in attitudes:
+        pose = FramePose(np.zeros(3), attitude.as_matrix())
+        middle = Rotation.from_matrix(asked._cell(pose, 0.0, 1.0).pose.rotation)
+        assert (middle.inv() * attitude).magnitude() <= TURN_SLACK_RAD
+
+
+@pytest.mark.parametrize("pitch_deg", [0.0, 15.0, 45.0, 89.0, 90.0])
+def test_one_turn_about_the_vertical_crosses_as_many_cells_wherever_the_sonar_looks(
+    pitch_deg: float,
+) -> None:
+    asked = planner(floor())
+    yaws_deg = np.arange(0.5, 360.0, 0.5).tolist()
+    cells = {asked._cell(at(0.0, yaw_deg, pitch_deg), 0.0, 1.0) for yaw_deg in yaws_deg}
+    assert len(cells) == HEADINGS
 
 
 def test_settings_are_each_pings_own() -> None:

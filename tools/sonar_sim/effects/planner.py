@@ -6,9 +6,9 @@ sonars are evaluated for every ping. A decision depends on the ping alone, never
 otherwise the bytes would depend on which process computes a ping.
 
 A ping may be brighter or dimmer than its cell's centre shows. So the rules assume a brighter ping,
-and an effect is computed from half of the tolerated change on. Effects that cost next to nothing
-are decided by bounds, without a preview: a thin object's few pixels do not call for them, and are
-right only with them. A cloud is computed if any ping of the cell may have it in its fan.
+and an effect is computed from half of the tolerated change on. Effects that cost less than a
+decision are decided by bounds: a thin object's few pixels do not call for them, and are right only
+with them. A cloud is computed if any ping of the cell may have it in its fan.
 """
 
 import math
@@ -49,7 +49,7 @@ DOUBT = 0.5
 
 @dataclass(frozen=True, slots=True)
 class _Bound:
-    """A decision that needs no preview: whether an effect that costs next to nothing can show."""
+    """A decision that needs no picture: whether an effect that costs little can show."""
 
     may_show: Callable[[PingPreview, Tolerance], bool]
     reason: str
@@ -69,10 +69,14 @@ _BOUNDS = {
     "tvg": _Bound(lambda _view, _tolerance: True, "echoes have ranges"),
     "gain": _Bound(lambda view, _tolerance: view.gains.operator_db != 0.0, "it is not 0 dB"),
     "quantisation": _Bound(lambda _view, _tolerance: True, "an Oculus sends integers"),
+    "reverberation": _Bound(
+        lambda view, _tolerance: len(view.echoes.range_m) > 0, "echoes leave a tail"
+    ),
 }
 
 BY_BOUNDS = frozenset(_BOUNDS)
-"""Effects that cost next to nothing."""
+"""Effects that cost less than a decision. That of a tail also depends on ghosts of ghosts, which a
+preview lacks."""
 
 
 def decide_cell(
@@ -89,7 +93,7 @@ def decide_cell(
     for name, bound in _BOUNDS.items():
         if name in names:
             on = bound.may_show(view, tolerance)
-            verdict = RuleResult(on, f"costs next to nothing; {bound.reason}", math.inf)
+            verdict = RuleResult(on, f"costs little; {bound.reason}", math.inf)
             decisions.append(Decision(EFFECTS[name], verdict, selection.on(name, verdict)))
     return EffectPlan((), auto=True).with_more(EffectPlan(tuple(decisions), auto=True))
 

@@ -24,6 +24,7 @@ from sonar_sim.effects.planes import MirrorPlane
 from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
+from sonar_sim.propagation.clouds import box_crossing
 from sonar_sim.propagation.physics import Cloud, Reverberation
 from sonar_sim.raycast.fan import ALL_ELEVATIONS_RAD
 from sonar_sim.raycast.meshes import Meshes
@@ -34,7 +35,6 @@ from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.scene.suspended_matter import (
     Matter,
     cloud_matter,
-    path_in_box_m,
     sediment_db_per_m,
     sediment_strength,
 )
@@ -252,10 +252,14 @@ class PingPreview:
     ) -> NDArray[np.float64]:
         """What clouds take on the way to each echo and back, (N,)."""
         loss_db = np.zeros(len(echoes.range_m))
+        if not clouds:
+            return loss_db
+        ways = chunked_matmul(echoes.direction, self.map_T_sonar.rotation.T).astype(np.float32)
         for cloud in clouds:
-            low_m, high_m = np.array(cloud.spec.low_m), np.array(cloud.spec.high_m)
-            path_m = path_in_box_m(self.map_T_sonar.position_m, echoes.point_m, low_m, high_m)
-            loss_db += 2.0 * cloud.matter.db_per_m * path_m
+            enter_m, leave_m = box_crossing(
+                cloud.box, self.map_T_sonar.position_m, ways, echoes.range_m
+            )
+            loss_db += 2.0 * cloud.matter.db_per_m * (leave_m - enter_m)
         return loss_db
 
     def clouds_of(self, kind: type[Bubbles] | type[Sediment]) -> tuple[VisibleCloud, ...]:

@@ -219,7 +219,7 @@ REVERBERATION = Effect(
     needs="echoes",
     formula="power a metre of 10^(level / 10) of the echoes' energy so far, fading with range",
     source="public Oculus recording: -18.5 dB/m behind a floor, fading by 14 dB/m",
-    rule="the picture without the tail differs by more than the tolerance",
+    rule="wherever there are echoes: it costs as little as deciding",
     cost=Cost.CELL,
     parameters=(
         EffectParameter("water.reverberation_db", "dB re 1/m", "energy of the tail"),

@@ -3,9 +3,6 @@
 import math
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sonar_sim.scene.scene import Bubbles, CloudSpec
 from sonar_sim.scene.sonar import SonarSettings
 
@@ -98,20 +95,3 @@ def sediment_strength(
     per_m3 = kg_per_m3 / GRAIN_DENSITY / (4.0 / 3.0 * math.pi * radius_m**3)
     ka = 2.0 * math.pi * frequency_hz / speed_mps * radius_m
     return per_m3 * radius_m**2 * min(ka**4 * QUARTZ_CONTRAST, 0.25)
-
-
-def path_in_box_m(
-    start_m: NDArray[np.float64],
-    ends_m: NDArray[np.float64],
-    low_m: NDArray[np.float64],
-    high_m: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Length of each straight path (N,) from a point (3,) to ends (N, 3) inside a box."""
-    along = ends_m - start_m
-    length = np.linalg.norm(along, axis=1)
-    step = np.where(np.abs(along) < 1e-12, 1e-12, along)  # noqa: PLR2004 keeps off 0/0
-    a, b = (low_m - start_m) / step, (high_m - start_m) / step
-    enter = np.clip(np.minimum(a, b).max(axis=1), 0.0, 1.0)
-    leave = np.clip(np.maximum(a, b).min(axis=1), 0.0, 1.0)
-    inside: NDArray[np.float64] = np.maximum(leave - enter, 0.0) * length
-    return inside
