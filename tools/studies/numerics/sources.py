@@ -117,7 +117,8 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
         *_in(
             SIMULATOR,
             "effects/coarse_picture.py effects/image_difference.py "
-            "effects/multipath.py effects/previewer.py effects/rule_check.py effects/texture.py",
+            "effects/multipath.py effects/preview.py effects/previewer.py effects/rule_check.py "
+            "effects/texture.py",
         ),
     ),
     "the published plugin's arithmetic in the widths that it has": _in(
