@@ -421,12 +421,12 @@ def odometry_steps(track: OdometryTrack, t_ns: NDArray[np.int64]) -> list[Odomet
             step = replace(step, extra_std_m=JUMP_M, extra_std_rad=JUMP_RAD)
         elif max(lost_s, default=0.0) > 0:
             most = int(np.argmax(lost_s))
-            lost_m = sum(
+            outage_std_m = sum(
                 outage.deviation_m * seconds / outage.seconds_within(outage.begin_ns, outage.end_ns)
                 for outage, seconds in zip(outages, lost_s, strict=True)
                 if seconds > 0
             )
-            step = replace(step, lost_m=lost_m, outage=most)
+            step = replace(step, outage_std_m=outage_std_m, outage=most)
         steps.append(step)
     return steps
 

@@ -106,7 +106,7 @@ class OdometryStep:
         seconds: between them.
         path_m: length of the way between them.
         extra_std_m, extra_std_rad: further standard deviations, after a jump.
-        lost_m: standard deviation, per axis, of the way while velocity was missing.
+        outage_std_m: standard deviation, per axis, of the way while velocity was missing.
         outage: number, in its dive, of the outage that the step belongs to. Its steps share the
             error of the velocity, in the axes of the vehicle.
     """
@@ -116,7 +116,7 @@ class OdometryStep:
     path_m: float
     extra_std_m: float = 0.0
     extra_std_rad: float = 0.0
-    lost_m: float = 0.0
+    outage_std_m: float = 0.0
     outage: int | None = None
 
 
@@ -367,7 +367,7 @@ class PoseGraph:
         _, residuals, information = self._step_factors()
         limit = step_control * STEP_GATE
         weights = (limit / (limit + (residuals**2 * information).sum(axis=1))) ** 2
-        missed = self._of_steps("lost_m") > MAX_KERNEL_SHARE * self._of_steps("path_m")
+        missed = self._of_steps("outage_std_m") > MAX_KERNEL_SHARE * self._of_steps("path_m")
         weights = np.where(missed, 1.0, np.maximum(weights, MIN_STEP_WEIGHT))
         self._step_weights[self._later] = weights
 
@@ -426,9 +426,9 @@ class PoseGraph:
 
     def _factorized(self, normal: "_NormalEquations") -> SuperLU:
         """Factors of the normal matrix, whose symmetry saves half of the time."""
-        places, values = normal.entries()
-        if self._sparsity is None or not np.array_equal(self._sparsity.places, places):
-            self._sparsity = _Sparsity(places, normal.size)
+        indices, values = normal.entries()
+        if self._sparsity is None or not np.array_equal(self._sparsity.indices, indices):
+            self._sparsity = _Sparsity(indices, normal.size)
         matrix, options = self._sparsity.matrix(values), {"SymmetricMode": True}
         return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
@@ -507,14 +507,14 @@ class PoseGraph:
         turned = np.column_stack([c * x - s * y, s * x + c * y])
         grown = (1 + scale)[:, None]
         across = grown * np.column_stack([-turned[:, 1], turned[:, 0]])
-        lost_m = self._of_steps("lost_m")[:, None]
+        outage_std_m = self._of_steps("outage_std_m")[:, None]
         half = yaw / 2
         ahead, port = (
             np.column_stack([np.cos(half), np.sin(half)]),
             np.column_stack([-np.sin(half), np.cos(half)]),
         )
         errors = np.vstack([self.outages, np.zeros((1, 2))])[self._outage_of]
-        missed = lost_m * (errors[:, :1] * ahead + errors[:, 1:] * port)
+        missed = outage_std_m * (errors[:, :1] * ahead + errors[:, 1:] * port)
         drifted = np.column_stack([grown * turned + missed, yaw + turn * seconds])
         of_a, of_b, residuals = self._relative(self._later - 1, self._later, drifted)
         of_a[:, :2, 3] -= turned
@@ -522,10 +522,10 @@ class PoseGraph:
         of_a[:, :2, 5] -= across * seconds[:, None] / 2
         of_a[:, 2, 5] -= seconds
         of_outage = np.zeros_like(of_a)
-        of_outage[:, :2, 0], of_outage[:, :2, 1] = -lost_m * ahead, -lost_m * port
+        of_outage[:, :2, 0], of_outage[:, :2, 1] = -outage_std_m * ahead, -outage_std_m * port
         model, path_m = self.model, np.maximum(self._of_steps("path_m"), 0.1)
         variance_m2 = model.noise_m**2 * path_m + 0.01**2 + self._of_steps("extra_std_m") ** 2
-        variance_m2 += lost_m[:, 0] ** 2 * OUTAGE_WANDER_S / np.maximum(seconds, 1e-9)
+        variance_m2 += outage_std_m[:, 0] ** 2 * OUTAGE_WANDER_S / np.maximum(seconds, 1e-9)
         extra_rad = self._of_steps("extra_std_rad")
         variance_rad2 = model.noise_rad**2 * seconds + 1e-6 + extra_rad**2
         information = 1 / np.column_stack([variance_m2, variance_m2, variance_rad2])
@@ -604,31 +604,31 @@ class _NormalEquations:
     ) -> None:
         """Add M factors of N nodes: (M, N), (M, R, 6 N), (M, R) and (M, R, R)."""
         width = nodes.shape[1] * STATES
-        places = (nodes[:, :, None] * STATES + np.arange(STATES)).reshape(-1, width)
+        indices = (nodes[:, :, None] * STATES + np.arange(STATES)).reshape(-1, width)
         weighted = np.moveaxis(jacobians, 1, 2) @ information
-        np.add.at(self.gradient, places, (weighted @ residuals[:, :, None])[:, :, 0])
+        np.add.at(self.gradient, indices, (weighted @ residuals[:, :, None])[:, :, 0])
         self.squared += float(np.einsum("mi,mij,mj->", residuals, information, residuals))
-        self._rows.append(np.repeat(places, width, axis=1).ravel())
-        self._columns.append(np.tile(places, (1, width)).ravel())
+        self._rows.append(np.repeat(indices, width, axis=1).ravel())
+        self._columns.append(np.tile(indices, (1, width)).ravel())
         self._values.append((weighted @ jacobians).ravel())
 
     def entries(self) -> tuple[NDArray[np.intp], Floats]:
-        """Return places in the matrix, column times size plus row, and values to be added there."""
-        places = np.concatenate(self._columns) * self.size + np.concatenate(self._rows)
-        return places, np.concatenate(self._values)
+        """Return indices in the matrix, column times size plus row, and values to add there."""
+        indices = np.concatenate(self._columns) * self.size + np.concatenate(self._rows)
+        return indices, np.concatenate(self._values)
 
 
 class _Sparsity:
     """Where entries lie in a sparse matrix.
 
     Args:
-        places: of each entry, see `_NormalEquations.entries`.
+        indices: of each entry, see `_NormalEquations.entries`.
         size: of the matrix.
     """
 
-    def __init__(self, places: NDArray[np.intp], size: int) -> None:
-        self.places = places
-        kept, self._number = np.unique(places, return_inverse=True)
+    def __init__(self, indices: NDArray[np.intp], size: int) -> None:
+        self.indices = indices
+        kept, self._number = np.unique(indices, return_inverse=True)
         self._rows = (kept % size).astype(np.int32)
         self._begins = np.searchsorted(kept, np.arange(size + 1) * size).astype(np.int32)
 

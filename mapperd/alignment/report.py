@@ -368,13 +368,13 @@ def _g2o_lines(alignment: Alignment, model: DriftModel) -> Iterator[str]:
     yield "# odometry, as it came: its drift counts as noise of each step alone"
     for first, dive in zip(fixed, alignment.dives, strict=True):
         steps = odometry_steps(dive.track, dive.t_ns)
-        lost_m: dict[int | None, float] = {}
+        outage_std_m: dict[int | None, float] = {}
         for step in filter(None, steps):
-            lost_m[step.outage] = lost_m.get(step.outage, 0.0) + step.lost_m
+            outage_std_m[step.outage] = outage_std_m.get(step.outage, 0.0) + step.outage_std_m
         for k, step in enumerate(filter(None, steps), 1):
             # Of steps that share an error the variances add up to that of their sum.
-            lost_m2 = step.lost_m * lost_m[step.outage]
-            information = _upper(_step_information(step, lost_m2, model))
+            outage_variance_m2 = step.outage_std_m * outage_std_m[step.outage]
+            information = _upper(_step_information(step, outage_variance_m2, model))
             yield f"EDGE_SE2 {first + k - 1} {first + k} {_numbers(step.motion)} {information}"
     yield "# registrations of submaps; refused ones are comments"
     for loop in alignment.loops:
@@ -383,9 +383,9 @@ def _g2o_lines(alignment: Alignment, model: DriftModel) -> Iterator[str]:
         yield f"{mark}EDGE_SE2 {loop.i} {loop.j} {_numbers(pose)} {_upper(information)}"
 
 
-def _step_information(step: OdometryStep, lost_m2: float, model: DriftModel) -> Floats:
+def _step_information(step: OdometryStep, outage_variance_m2: float, model: DriftModel) -> Floats:
     path_m, seconds = step.path_m, step.seconds
-    noise2 = model.noise_m**2 * max(path_m, 0.1) + step.extra_std_m**2 + lost_m2
+    noise2 = model.noise_m**2 * max(path_m, 0.1) + step.extra_std_m**2 + outage_variance_m2
     # Twice: the variances of the mean and of what wanders about it. The larger one of scale and
     # crab, for the direction of travel is not known.
     drift2 = 2 * (max(model.scale, model.crab_rad) * path_m) ** 2

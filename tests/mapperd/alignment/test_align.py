@@ -226,7 +226,9 @@ def test_an_outage_of_velocity_that_the_odometry_states_is_corrected(
     assert found.corrected, found.reason
     assert np.sqrt((after**2).mean()) < 0.15 * np.sqrt((before**2).mean())
     steps = odometry_steps(aligned.track, aligned.t_ns)
-    assert sum(step.lost_m for step in steps if step is not None) == pytest.approx(2.5, rel=0.05)
+    assert sum(step.outage_std_m for step in steps if step is not None) == pytest.approx(
+        2.5, rel=0.05
+    )
 
 
 def test_a_step_is_loose_where_the_odometry_says_so_and_at_jumps() -> None:
@@ -237,13 +239,13 @@ def test_a_step_is_loose_where_the_odometry_says_so_and_at_jumps() -> None:
     position_m = np.column_stack([np.arange(count) / 10, np.zeros(count), np.zeros(count)])
     level = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     track = OdometryTrack(t_ns, position_m, level, segment, doubt_m)
-    none, sure, doubtful, jump = odometry_steps(track, t_ns[[0, 30, 60, 90]])
-    assert none is None
+    first, sure, doubtful, jump = odometry_steps(track, t_ns[[0, 30, 60, 90]])
+    assert first is None
     assert sure is not None
     assert doubtful is not None
     assert jump is not None
-    assert sure.lost_m == sure.extra_std_m == 0
-    assert doubtful.lost_m == pytest.approx(2.0 / math.sqrt(2))  # of each axis
+    assert sure.outage_std_m == sure.extra_std_m == 0
+    assert doubtful.outage_std_m == pytest.approx(2.0 / math.sqrt(2))  # of each axis
     assert jump.extra_std_m > 5
     assert jump.extra_std_rad > 0.5
     assert sure.motion == pytest.approx([3.0, 0.0, 0.0])

@@ -171,7 +171,7 @@ def test_missing_velocity_counts_whatever_was_unsure_before(before_m: float) -> 
     grown = np.where(np.arange(COUNT) > 500, math.hypot(before_m, 2.0), before_m)
     _, step = odometry_steps(track_of(line(), grown), T_NS[[490, 510]])
     assert step is not None
-    assert step.lost_m == pytest.approx(2.0 / math.sqrt(2))  # of each axis
+    assert step.outage_std_m == pytest.approx(2.0 / math.sqrt(2))  # of each axis
 
 
 @pytest.mark.parametrize("before_m", [0.0, 3.0])
@@ -180,11 +180,11 @@ def test_deviations_of_one_outage_add_up_over_its_steps(before_m: float) -> None
     since_s = np.clip((T_NS - T_NS[300]) / 1e9, 0.0, 12.0)
     track = track_of(line(), np.hypot(before_m, 0.3 * since_s))
     steps = odometry_steps(track, T_NS[300 + 6 * np.arange(-2, 7)])  # 2.4 s each
-    lost_m = [step.lost_m for step in steps if step is not None]
+    outage_std_m = [step.outage_std_m for step in steps if step is not None]
     # Beside 3 m it is noticed a little late.
-    assert lost_m[3:6] == pytest.approx([2.4 * 0.3 / math.sqrt(2)] * 3, rel=0.2)
-    assert sum(lost_m[2:7]) == pytest.approx(12.0 * 0.3 / math.sqrt(2), rel=0.01)
-    assert lost_m[0] == lost_m[1] == lost_m[7] == 0.0
+    assert outage_std_m[3:6] == pytest.approx([2.4 * 0.3 / math.sqrt(2)] * 3, rel=0.2)
+    assert sum(outage_std_m[2:7]) == pytest.approx(12.0 * 0.3 / math.sqrt(2), rel=0.01)
+    assert outage_std_m[0] == outage_std_m[1] == outage_std_m[7] == 0.0
 
 
 def lost_of(deviation_m: Floats, every: int) -> list[OdometryStep]:
@@ -195,10 +195,12 @@ def lost_of(deviation_m: Floats, every: int) -> list[OdometryStep]:
 def test_a_long_outage_is_several_ones() -> None:
     # 0.3 m/s for 100 s: its error stays alike for half a minute.
     since_s = np.clip((T_NS - T_NS[100]) / 1e9, 0.0, 100.0)
-    steps = [step for step in lost_of(0.3 * since_s, 5) if step.lost_m > 0]
+    steps = [step for step in lost_of(0.3 * since_s, 5) if step.outage_std_m > 0]
     outages = [step.outage for step in steps]
     assert outages == sorted(outages, key=lambda one: one or 0)
-    sums_m = [sum(s.lost_m for s in steps if s.outage == one) for one in dict.fromkeys(outages)]
+    sums_m = [
+        sum(s.outage_std_m for s in steps if s.outage == one) for one in dict.fromkeys(outages)
+    ]
     assert len(sums_m) == 4  # of 25 s
     # Variances add up to what was stated.
     assert math.hypot(*sums_m) == pytest.approx(30.0 / math.sqrt(2), rel=0.1)
@@ -209,9 +211,9 @@ def test_an_outage_is_the_same_however_close_the_nodes_are(every: int) -> None:
     # Stated every two seconds, so that the deviation rises in steps.
     since_s = np.clip((T_NS - T_NS[300]) / 1e9, 0.0, 20.0)
     steps = lost_of(np.hypot(1.0, 0.3 * since_s // 0.6 * 0.6), every)
-    lost = [step for step in steps if step.lost_m > 0]
+    lost = [step for step in steps if step.outage_std_m > 0]
     assert len({step.outage for step in lost}) == 1
-    assert sum(step.lost_m for step in lost) == pytest.approx(6.0 / math.sqrt(2))
+    assert sum(step.outage_std_m for step in lost) == pytest.approx(6.0 / math.sqrt(2))
 
 
 def test_what_odometry_usually_states_is_no_outage() -> None:
@@ -226,7 +228,7 @@ def test_what_odometry_usually_states_is_no_outage() -> None:
         2.0 + 0.005 * rng.standard_normal(COUNT),
     ]
     for usual_m in usual:
-        stated = [step.lost_m for step in lost_of(usual_m, 6)]
+        stated = [step.outage_std_m for step in lost_of(usual_m, 6)]
         rises = np.diff(usual_m).max() > 0.5
         assert sum(one > 0 for one in stated) <= (10 if rises else 0)
 
@@ -238,7 +240,7 @@ def test_a_jump_ends_an_outage() -> None:
     steps = [step for step in odometry_steps(track, T_NS[::5]) if step is not None]
     jumps = [step for step in steps if step.extra_std_m > 0]
     assert [step.outage for step in jumps] == [None]
-    assert len({step.outage for step in steps if step.lost_m > 0}) == 2
+    assert len({step.outage for step in steps if step.outage_std_m > 0}) == 2
 
 
 def test_dives_of_one_name_are_refused() -> None:

@@ -87,21 +87,21 @@ def revisits(truth: Floats, lap: int = 16) -> list[Loop]:
 
 def with_outage(
     steps: list[OdometryStep | None],
-    places: range,
+    nodes: range,
     error_m: tuple[float, float],
-    lost_m: float = 1.0,
+    outage_std_m: float = 1.0,
     number: int = 0,
 ) -> list[OdometryStep | None]:
     """The steps with a velocity that is off by as much, along the axes in the middle of each."""
     lost = list(steps)
-    for k in places:
+    for k in nodes:
         step = lost[k]
         assert step is not None
         half = step.motion[2] / 2
         c, s = math.cos(half), math.sin(half)
         error = np.array([[c, -s], [s, c]]) @ error_m
         motion = step.motion - np.array([*error, 0.0])
-        lost[k] = replace(step, motion=motion, lost_m=lost_m, outage=number)
+        lost[k] = replace(step, motion=motion, outage_std_m=outage_std_m, outage=number)
     return lost
 
 
@@ -293,12 +293,12 @@ def test_each_outage_has_an_error_of_its_own() -> None:
     assert graph.outages == pytest.approx(errors, abs=0.15)
 
 
-@pytest.mark.parametrize(("lost_m", "gives_way"), [(0.02, True), (1.5, False)])
+@pytest.mark.parametrize(("outage_std_m", "gives_way"), [(0.02, True), (1.5, False)])
 def test_a_step_gives_way_unless_it_stated_that_much_was_missing(
-    lost_m: float, *, gives_way: bool
+    outage_std_m: float, *, gives_way: bool
 ) -> None:
     truth = circle()
-    steps = with_outage(drifting(truth, 0.0, 0.0, 0.0), range(7, 8), (0.0, 0.0), lost_m)
+    steps = with_outage(drifting(truth, 0.0, 0.0, 0.0), range(7, 8), (0.0, 0.0), outage_std_m)
     broken = steps[7]
     assert broken is not None
     steps[7] = replace(broken, motion=broken.motion + np.array([1.5, -1.0, 0.0]))

@@ -186,7 +186,15 @@ class PlannedPing:
 
 @dataclass(frozen=True, slots=True)
 class _PoseCell:
-    """Rounded pose and time: what pings looked at as one have in common."""
+    """Rounded pose and time: what pings looked at as one have in common.
+
+    Attributes:
+        position: of the sonar, in steps of `step_m`.
+        step_m: edge of the cell.
+        up: components of the vertical in the sonar's axes, in steps of `ANGLE_STEP_RAD`.
+        heading: likewise; counted from `_tilt` of the vertical.
+        time: in steps of `TIME_STEP_S`; 0 where nothing moves.
+    """
 
     position: tuple[int, ...]
     step_m: float
@@ -306,7 +314,9 @@ def _tilt(up: tuple[int, ...]) -> NDArray[np.float64]:
     ahead = np.eye(3)[np.abs(up).argmin()]
     ahead = ahead - (ahead @ vertical) * vertical
     ahead = ahead / np.linalg.norm(ahead)
-    return np.array([ahead, np.cross(vertical, ahead), vertical])
+    tilt = np.array([ahead, np.cross(vertical, ahead), vertical])
+    tilt.setflags(write=False)
+    return tilt
 
 
 def _rounded(values: NDArray[np.float64], step: float) -> tuple[int, ...]:
