@@ -1103,23 +1103,25 @@ def mcl_kld_size(buckets: int, error: float, quantile: float) -> int:
 class Submap:
     """Observed voxels of a part of a dive, for registration in x, y and yaw.
 
-    Its frame is levelled: z is vertical. Raises ValueError without occupied voxels, for centres
-    that are not finite, or where their box has over 2**27 voxels.
+    Its frame is levelled: z is vertical. `weights` (N,) of the occupied voxels, such as their
+    log-odds, say how much each counts; without them all count alike. Raises ValueError without
+    occupied voxels, for centres that are not finite, for weights that are not positive, or where
+    their box has over 2**27 voxels.
     """
 
     def __init__(
-        self, occupied_m: NDArray[np.float64], free_m: NDArray[np.float64], resolution_m: float
+        self,
+        occupied_m: NDArray[np.float64],
+        free_m: NDArray[np.float64],
+        resolution_m: float,
+        weights: NDArray[np.float64] | None = None,
     ) -> None: ...
-    @property
-    def memory_bytes(self) -> int: ...
-    @property
-    def occupied(self) -> int: ...
 
 class Registration:
     """Result of `register_submaps`; `pose` is target_T_source, (3,) x, y (m) and yaw (rad).
 
     `information` (3, 3) is the inverse of its covariance, `curvature` (3, 3) the cost's Hessian.
-    `score`, `matched` and `contradicted` are those of `compare_submaps` with 0.2 m and 2500 points.
+    `score` and `matched` are those of `compare_submaps` with 0.2 m and 2500 points.
     """
 
     @property
@@ -1132,12 +1134,6 @@ class Registration:
     def score(self) -> float: ...
     @property
     def matched(self) -> float: ...
-    @property
-    def contradicted(self) -> float: ...
-    @property
-    def residual_m(self) -> float: ...
-    @property
-    def pairs(self) -> int: ...
     @property
     def converged(self) -> bool: ...
 

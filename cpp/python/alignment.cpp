@@ -23,11 +23,17 @@ std::vector<Vec3> centres_of(const py::object& object, const char* name) {
   return centres;
 }
 
-alg::Submap submap_of(const py::object& occupied, const py::object& free, double resolution_m) {
+alg::Submap submap_of(const py::object& occupied, const py::object& free, double resolution_m,
+                      const py::object& weights) {
   const auto solid = centres_of(occupied, "occupied_m");
   const auto empty = centres_of(free, "free_m");
+  std::vector<double> shares(solid.size(), 1.0);
+  if (!weights.is_none()) {
+    const auto array = checked<double>(weights, "weights", 1);
+    shares.assign(array.data(), array.data() + array.size());
+  }
   const py::gil_scoped_release release;
-  return alg::Submap(solid, empty, resolution_m);
+  return alg::Submap(solid, empty, resolution_m, shares);
 }
 
 py::tuple found(const alg::Candidate& candidate) {
@@ -72,10 +78,8 @@ alg::Registration registered(const alg::Submap& target, const alg::Submap& sourc
 
 void bind_alignment(py::module_& module) {
   py::class_<alg::Submap>(module, "Submap")
-      .def(py::init(&submap_of), "occupied_m"_a, "free_m"_a, "resolution_m"_a)
-      .def_property_readonly("memory_bytes", &alg::Submap::memory_bytes)
-      .def_property_readonly("occupied",
-                             [](const alg::Submap& map) { return map.distributions().size(); });
+      .def(py::init(&submap_of), "occupied_m"_a, "free_m"_a, "resolution_m"_a,
+           "weights"_a = py::none());
   py::class_<alg::Registration>(module, "Registration")
       .def_property_readonly("pose", [](const alg::Registration& r) { return array_of(r.pose); })
       .def_property_readonly("information",
@@ -85,10 +89,6 @@ void bind_alignment(py::module_& module) {
       .def_property_readonly("score", [](const alg::Registration& r) { return r.fit.score; })
       .def_property_readonly("matched",
                              [](const alg::Registration& r) { return r.fit.agreement.matched; })
-      .def_property_readonly(
-          "contradicted", [](const alg::Registration& r) { return r.fit.agreement.contradicted; })
-      .def_readonly("residual_m", &alg::Registration::residual_m)
-      .def_readonly("pairs", &alg::Registration::pairs)
       .def_readonly("converged", &alg::Registration::converged);
   module.def("search_poses", &searched, "target"_a, "source"_a, "centre"_a, py::kw_only(),
              "half_x_m"_a, "half_y_m"_a, "half_yaw_rad"_a, "step_m"_a, "step_yaw_rad"_a, "count"_a);

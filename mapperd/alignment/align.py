@@ -516,7 +516,9 @@ class _SingleDive:
         trials = _predicted_trials(motion.neighbours(), dive.of_fragment, graph, SECOND_PASS_NOISE)
         again_trials = _predicted_trials(pairs, dive.of_submap, graph, SECOND_PASS_NOISE)
         graph.loops = motion.register(trials) + finder.register(again_trials)
-        solution, _ = _close_loops(graph, finder, pairs)
+        _close_loops(graph, finder, pairs)
+        graph.rescale_neighbours()
+        solution = graph.solve()
         tried, rejected = first.tried + finder.tried, first.rejected + finder.rejected
         return cls(dive, graph, solution, odometry_deviation_m, tried, rejected)
 

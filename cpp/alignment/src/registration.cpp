@@ -131,20 +131,23 @@ double geman_mcclure(double squared, double scale) {
 // ---------------------------------------------------------------------------------------- Submap
 
 Submap::Submap(const std::vector<Vec3>& occupied, const std::vector<Vec3>& free,
-               double resolution_m)
+               double resolution_m, const std::vector<double>& weights)
     : resolution_m_(resolution_m), centres_m_(occupied) {
   if (!(resolution_m > 0) || !std::isfinite(resolution_m)) {
     throw std::invalid_argument("resolution_m must be a positive number");
   }
   if (occupied.empty()) throw std::invalid_argument("a submap needs an occupied voxel");
+  if (weights.size() != occupied.size()) {
+    throw std::invalid_argument("weights must have one entry for each occupied voxel");
+  }
+  for (const double weight : weights) {
+    if (!(weight > 0) || !std::isfinite(weight)) {
+      throw std::invalid_argument("a weight must be a positive number");
+    }
+  }
   mark(occupied, free);
   measure_distances();
-  gather_distributions();
-}
-
-std::size_t Submap::memory_bytes() const {
-  return cells_.size() * sizeof(cells_[0]) + distances_.size() +
-         centres_m_.size() * (sizeof(Vec3) + sizeof(Distribution));
+  gather_distributions(weights);
 }
 
 std::array<std::int64_t, 3> Submap::voxel_of(const Vec3& p) const {
@@ -245,7 +248,7 @@ void Submap::measure_distances() {
   }
 }
 
-void Submap::gather_distributions() {
+void Submap::gather_distributions(const std::vector<double>& weights) {
   const auto reach = static_cast<std::int64_t>(kNeighbourhoodM / resolution_m_);
   const double noise_m2 = kVoxelNoise * kVoxelNoise * resolution_m_ * resolution_m_;
   distributions_.resize(centres_m_.size());
@@ -253,7 +256,7 @@ void Submap::gather_distributions() {
     const auto at = voxel_of(centres_m_[i]);
     Vec3 sum;
     std::array<double, 6> square{};
-    double count = 0;
+    double total = 0;
     for (std::int64_t dz = -reach; dz <= reach; ++dz) {
       for (std::int64_t dy = -reach; dy <= reach; ++dy) {
         for (std::int64_t dx = -reach; dx <= reach; ++dx) {
@@ -261,25 +264,26 @@ void Submap::gather_distributions() {
           if (j < 0) continue;
           const Vec3 d = centres_m_[static_cast<std::size_t>(j)] - centres_m_[i];
           if (dot(d, d) > kNeighbourhoodM * kNeighbourhoodM) continue;
-          sum = sum + d;
-          square[0] += d.x * d.x;
-          square[1] += d.x * d.y;
-          square[2] += d.x * d.z;
-          square[3] += d.y * d.y;
-          square[4] += d.y * d.z;
-          square[5] += d.z * d.z;
-          count += 1;
+          const double w = weights[static_cast<std::size_t>(j)];
+          sum = sum + w * d;
+          square[0] += w * d.x * d.x;
+          square[1] += w * d.x * d.y;
+          square[2] += w * d.x * d.z;
+          square[3] += w * d.y * d.y;
+          square[4] += w * d.y * d.z;
+          square[5] += w * d.z * d.z;
+          total += w;
         }
       }
     }
-    const Vec3 mean = (1.0 / count) * sum;
+    const Vec3 mean = (1.0 / total) * sum;
     distributions_[i].mean_m = centres_m_[i] + mean;
-    distributions_[i].covariance_m2 = {square[0] / count - mean.x * mean.x + noise_m2,
-                                       square[1] / count - mean.x * mean.y,
-                                       square[2] / count - mean.x * mean.z,
-                                       square[3] / count - mean.y * mean.y + noise_m2,
-                                       square[4] / count - mean.y * mean.z,
-                                       square[5] / count - mean.z * mean.z + noise_m2};
+    distributions_[i].covariance_m2 = {square[0] / total - mean.x * mean.x + noise_m2,
+                                       square[1] / total - mean.x * mean.y,
+                                       square[2] / total - mean.x * mean.z,
+                                       square[3] / total - mean.y * mean.y + noise_m2,
+                                       square[4] / total - mean.y * mean.z,
+                                       square[5] / total - mean.z * mean.z + noise_m2};
   }
 }
 
@@ -547,8 +551,6 @@ std::array<double, 6> turned(const Planar& t, const std::array<double, 6>& m) {
 struct MatchSums {
   Normal normal;
   std::map<std::pair<int, int>, Vector3> gradients;  // of each column of the target's frame
-  double squared_m2 = 0.0;
-  double weight = 0.0;
   std::size_t pairs = 0;
 
   void add(const Planar& t, const Distribution& in_target, const Distribution& in_source) {
@@ -581,8 +583,6 @@ struct MatchSums {
       normal.g[i] += g[i];
       cluster[i] += g[i];
     }
-    squared_m2 += w * dot(e, e);
-    weight += w;
     ++pairs;
   }
 };
@@ -645,12 +645,8 @@ Registration register_submaps(const Submap& target, const Submap& source, const 
     if (result.converged) break;
   }
   sums = match(target, source, result.pose);
-  result.pairs = sums.pairs;
   result.curvature = sums.normal.h;
-  if (sums.pairs > 0) {
-    result.information = information_of(sums);
-    result.residual_m = std::sqrt(sums.squared_m2 / std::max(sums.weight, 1e-9));
-  }
+  if (sums.pairs > 0) result.information = information_of(sums);
   result.pose.yaw = std::remainder(result.pose.yaw, 2 * std::acos(-1.0));
   result.fit = compare_submaps(target, source, result.pose, kFitScaleM, kRefinePoints);
   return result;

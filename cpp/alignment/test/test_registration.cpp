@@ -21,6 +21,10 @@ std::vector<Vec3> corner() {
   return points;
 }
 
+Submap map_of(const std::vector<Vec3>& occupied, const std::vector<Vec3>& free = {}) {
+  return {occupied, free, 0.2, std::vector<double>(occupied.size(), 1.0)};
+}
+
 double to_nearest(const std::vector<Vec3>& points, const Vec3& p) {
   double best = kMaxDistanceM;
   for (const Vec3& q : points) best = std::min(best, norm(q - p));
@@ -29,7 +33,7 @@ double to_nearest(const std::vector<Vec3>& points, const Vec3& p) {
 
 TEST_CASE("distances of voxels are those of a search of all") {
   const auto points = corner();
-  const Submap map(points, {}, 0.2);
+  const Submap map = map_of(points);
   std::mt19937 random(3);
   std::uniform_int_distribution<int> x(-10, 40), z(-6, 14);
   std::uniform_real_distribution<double> off(-0.0999, 0.0999);
@@ -49,7 +53,7 @@ TEST_CASE("distances of voxels are those of a search of all") {
 }
 
 TEST_CASE("the gradient of a distance is its difference") {
-  const Submap map(corner(), {}, 0.2);
+  const Submap map = map_of(corner());
   std::mt19937 random(5);
   std::uniform_real_distribution<double> across(3.0, 5.0), along(1.0, 4.0), up(0.3, 1.3);
   for (int k = 0; k < 300; ++k) {
@@ -69,7 +73,7 @@ TEST_CASE("the gradient of a distance is its difference") {
 }
 
 TEST_CASE("what was not observed is neither free nor near") {
-  const Submap map(corner(), {{1.1, 0.1, 0.1}}, 0.2);
+  const Submap map = map_of(corner(), {{1.1, 0.1, 0.1}});
   CHECK(map.voxel_at({1.15, 0.15, 0.15}).is_free);
   CHECK(!map.voxel_at({1.5, 0.1, 0.1}).is_free);
   CHECK(map.was_observed({1.1, 0.1, 0.1}, 0.2));
@@ -78,8 +82,22 @@ TEST_CASE("what was not observed is neither free nor near") {
   CHECK(!map.was_observed({1e12, 0, 0}, 0.25));
 }
 
+TEST_CASE("distributions are means and covariances by weight") {
+  const std::vector<Vec3> points{
+      {0.1, 0.1, 0.1}, {0.1, 0.3, 0.1}, {0.1, 0.5, 0.1}, {4.1, 0.1, 0.1}};
+  const Submap map(points, {}, 0.2, {1.0, 2.0, 5.0, 9.0});
+  const auto& first = map.distributions()[0];
+  const double mean = (0.1 + 2 * 0.3 + 5 * 0.5) / 8;
+  CHECK(first.mean_m.y == doctest::Approx(mean));
+  const double variance =
+      (std::pow(0.1 - mean, 2) + 2 * std::pow(0.3 - mean, 2) + 5 * std::pow(0.5 - mean, 2)) / 8;
+  const double of_voxel = first.covariance_m2[0];  // along an axis on which all are at one place
+  CHECK(first.covariance_m2[3] - of_voxel == doctest::Approx(variance));
+  CHECK(map.distributions()[3].mean_m.x == doctest::Approx(4.1));
+}
+
 TEST_CASE("a submap lies on itself, and its information is positive") {
-  const Submap map(corner(), {}, 0.2);
+  const Submap map = map_of(corner());
   const auto found = register_submaps(map, map, {0.2, -0.15, 0.05});
   CHECK(found.converged);
   CHECK(std::hypot(found.pose.x, found.pose.y) < 0.01);

@@ -357,6 +357,29 @@ def test_a_solution_is_kept_whole() -> None:
     assert np.allclose(graph.mean_drift, mean_drift, atol=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("size", "factor"), [(1.0, 1.0), (0.7, 0.7), (0.2, 0.4), (2.0, 1.0), (None, 1.0)]
+)
+def test_deviations_of_neighbours_are_those_of_their_residuals(
+    size: float | None, factor: float
+) -> None:
+    truth = circle(nodes=65)
+    random = np.random.default_rng(8)
+    graph = graph_of(truth)
+    graph.loops = revisits(truth, lap=32)
+    for j in range(2, 65):
+        if size is not None:
+            error = size * random.normal(0.0, (0.05, 0.05, 0.01))
+            graph.loops.append(replace(loop_of(truth, j - 2, j, error), neighbours=True))
+    before = [loop.information for loop in graph.loops]
+    graph.solve()
+    assert graph.rescale_neighbours() == pytest.approx(factor, abs=0.08)
+    for loop, information in zip(graph.loops, before, strict=True):
+        known = factor if loop.neighbours else 1.0
+        grown = np.diag(loop.information[0]) / np.diag(information[0])
+        assert grown == pytest.approx(known**-2, rel=0.25)
+
+
 def test_fixes_hold_positions() -> None:
     truth = circle(0.8)
     graph = graph_of(truth)

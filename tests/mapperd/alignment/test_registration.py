@@ -62,6 +62,29 @@ def submap(points: Floats, frame: Floats) -> _core.Submap:
     return _core.Submap(solid, empty, EDGE_M)
 
 
+def sonar_submap(
+    occupied: NDArray[np.int32],
+    free: NDArray[np.int32] | None = None,
+    *,
+    anchor: Floats | None = None,
+    at_ns: int = 0,
+    weight: Floats | None = None,
+) -> SonarSubmap:
+    """A submap of nine pings, all at one time; without weights, all voxels count alike."""
+    return SonarSubmap(
+        begin_ns=at_ns,
+        anchor_ns=at_ns,
+        end_ns=at_ns,
+        anchor=np.zeros(3) if anchor is None else anchor,
+        segment=0,
+        pings=9,
+        occupied=occupied,
+        free=occupied[:0] if free is None else free,
+        weight=np.ones(len(occupied)) if weight is None else weight,
+        resolution_m=EDGE_M,
+    )
+
+
 def relative(a: Floats, b: Floats) -> Floats:
     c, s = math.cos(a[2]), math.sin(a[2])
     dx, dy = (b - a)[:2]
@@ -80,6 +103,17 @@ def test_a_known_displacement_is_found(start: tuple[float, float, float]) -> Non
     assert np.hypot(*(found.pose - true)[:2]) < 0.05
     assert abs(found.pose[2] - true[2]) < math.radians(0.5)
     assert found.matched > 0.8
+
+
+@pytest.mark.parametrize(("strong", "off_m"), [(0, 0.0), (1, EDGE_M), (2, 2 * EDGE_M)])
+def test_what_is_surely_occupied_counts_most(strong: int, off_m: float) -> None:
+    room = voxels_of(scene(), np.zeros(3))[0]
+    layers = [room + np.array([k, k, 0], dtype=np.int32) for k in range(3)]
+    blurred, layer = np.unique(np.vstack(layers[::-1]), axis=0, return_index=True)
+    weight = np.where(layer // len(room) == 2 - strong, 10.0, 0.1)
+    source = sonar_submap(blurred, weight=weight).build()
+    found = _core.register_submaps(sonar_submap(room).build(), source, np.zeros(3))
+    assert found.pose[:2] == pytest.approx((-off_m, -off_m), abs=0.05)
 
 
 def test_the_search_finds_the_place_in_its_window() -> None:
@@ -145,6 +179,9 @@ def test_bad_submaps_are_refused() -> None:
     ):
         with pytest.raises(ValueError, match=r"submap|centre|resolution"):
             _core.Submap(occupied, free, edge_m)
+    for weights in ([], [1.0, 1.0], [0.0], [-1.0], [np.nan], [np.inf]):
+        with pytest.raises(ValueError, match="weight"):
+            _core.Submap(one, one, 0.2, np.array(weights))
 
 
 def test_windows_without_end_are_refused() -> None:
@@ -168,7 +205,7 @@ def test_windows_without_end_are_refused() -> None:
 def test_what_a_sure_prediction_excludes_is_refused(off_m: float, reason: str | None) -> None:
     frames = np.zeros(3), np.array([0.4, 0.2, 0.1])
     submaps = [
-        SonarSubmap(k, k, k, frame, 0, 9, *voxels_of(scene(), frame), EDGE_M)
+        sonar_submap(*voxels_of(scene(), frame), anchor=frame, at_ns=k)
         for k, frame in enumerate(frames)
     ]
     predicted = relative(*frames) + np.array([off_m, 0.0, 0.0])
@@ -207,10 +244,6 @@ def test_a_dive_is_registered_where_it_fits_at_one_place(site: Floats, refused: 
         assert found == pytest.approx(frame, abs=0.1)
     else:
         assert refused in found
-
-
-def sonar_submap(occupied: NDArray[np.int32]) -> SonarSubmap:
-    return SonarSubmap(0, 0, 0, np.zeros(3), 0, 9, occupied, occupied[:0], EDGE_M)
 
 
 def test_the_submaps_of_a_large_site_are_joined_coarsely(monkeypatch: pytest.MonkeyPatch) -> None:

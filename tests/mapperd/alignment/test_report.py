@@ -228,11 +228,16 @@ def test_a_frame_alone_is_no_correction() -> None:
     assert record.frame == pytest.approx((3.0, -2.0, math.degrees(0.7)))
 
 
+def submap_at(dive: AlignedDive, seen: NDArray[np.int32]) -> SonarSubmap:
+    """A submap at the last node, whose voxels are occupied and free alike."""
+    end, weight = int(dive.t_ns[2]), np.ones(len(seen))
+    return SonarSubmap(end, end, end, dive.odometry[2], 0, 5, seen, seen, weight, 0.2)
+
+
 def test_maps_lie_where_the_poses_put_the_submaps() -> None:
     dive = dive_of("a")
     seen = np.array([[10, 0, -15]], dtype=np.int32)  # 2 m ahead of the last node
-    end = int(dive.t_ns[2])
-    submap = SonarSubmap(end, end, end, dive.odometry[2], 0, 5, seen, seen, 0.2)
+    submap = submap_at(dive, seen)
     session = RecordedSession([], None)
     reader = DiveReader(session, Config())
     assert maps_of(alignment_of(dive), [reader]) is None
@@ -259,8 +264,7 @@ def test_pictures_are_drawn_for_one_dive_and_several(tmp_path: Path, size: tuple
         alignment = alignment_of(*map(dive_of, dives))
         reader = DiveReader(RecordedSession([], None), Config())
         dive = alignment.dives[0]
-        end = int(dive.t_ns[2])
-        submap = SonarSubmap(end, end, end, dive.odometry[2], 0, 5, seen, seen, 0.2)
+        submap = submap_at(dive, seen)
         reader.uncorrected = reader.submaps = [submap]
         maps = maps_of(alignment, [reader] * len(dives))
         write_alignment(alignment, tmp_path / name, maps)

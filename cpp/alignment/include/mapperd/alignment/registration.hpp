@@ -24,7 +24,7 @@ using localization::Pose2;
 inline constexpr double kMaxDistanceM = 1.5;  ///< distances to occupied voxels end here
 inline constexpr std::size_t kMaxCells = std::size_t{1} << 27;
 
-/// Mean and covariance (xx, xy, xz, yy, yz, zz) of the occupied voxels around one.
+/// Weighted mean and covariance (xx, xy, xz, yy, yz, zz) of the occupied voxels around one.
 struct Distribution {
   Vec3 mean_m;
   std::array<double, 6> covariance_m2{};
@@ -41,13 +41,14 @@ class Submap {
  public:
   /// \param occupied, free  centres of voxels, m
   /// \param resolution_m    edge of a voxel
-  /// \throws std::invalid_argument without occupied voxels, for centres that are not finite, or
-  /// where the box of all has more than kMaxCells voxels.
-  Submap(const std::vector<Vec3>& occupied, const std::vector<Vec3>& free, double resolution_m);
+  /// \param weights         of the occupied voxels in the distributions, such as their log-odds
+  /// \throws std::invalid_argument without occupied voxels, for centres that are not finite,
+  /// weights that are not positive, or where the box of all has more than kMaxCells voxels.
+  Submap(const std::vector<Vec3>& occupied, const std::vector<Vec3>& free, double resolution_m,
+         const std::vector<double>& weights);
 
   const std::vector<Distribution>& distributions() const { return distributions_; }
   double resolution_m() const { return resolution_m_; }
-  std::size_t memory_bytes() const;
 
   /// Distance to the nearest occupied centre, interpolated; at most kMaxDistanceM.
   /// \param gradient  of the distance, 1; zero beyond the box or the maximum
@@ -66,7 +67,7 @@ class Submap {
   std::size_t place(const std::array<std::int64_t, 3>& voxel) const;
   void mark(const std::vector<Vec3>& occupied, const std::vector<Vec3>& free);
   void measure_distances();
-  void gather_distributions();
+  void gather_distributions(const std::vector<double>& weights);
 
   double resolution_m_;
   std::array<std::int64_t, 3> first_{}, size_{};
@@ -114,12 +115,10 @@ std::vector<Candidate> search_poses(const Submap& target, const Submap& source,
 
 /// Result of a registration.
 struct Registration {
-  Pose2 pose;               ///< target_T_source
-  Matrix3 information{};    ///< of x, y (target axes, m) and yaw (rad): inverse of a covariance
-  Matrix3 curvature{};      ///< of the cost: singular along directions that the scene leaves open
-  Candidate fit;            ///< agreement at the pose
-  double residual_m = 0.0;  ///< root mean square distance of matched points to their distribution
-  std::size_t pairs = 0;    ///< of points and distributions in the last step
+  Pose2 pose;             ///< target_T_source
+  Matrix3 information{};  ///< of x, y (target axes, m) and yaw (rad): inverse of a covariance
+  Matrix3 curvature{};    ///< of the cost: singular along directions that the scene leaves open
+  Candidate fit;          ///< agreement at the pose
   bool converged = false;
 };
 
