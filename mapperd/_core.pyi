@@ -1104,9 +1104,9 @@ class Submap:
     """Observed voxels of a part of a dive, for registration in x, y and yaw.
 
     Its frame is levelled: z is vertical. `weights` (N,) of the occupied voxels, such as their
-    log-odds, say how much each counts; without them all count alike. Raises ValueError without
-    occupied voxels, for centres that are not finite, for weights that are not positive, or where
-    their box has over 2**27 voxels.
+    log-odds, say how much each counts in the distributions that `register_submaps` matches; without
+    them all count alike. Raises ValueError without occupied voxels, for centres that are not
+    finite, for weights that are not positive, or where their box has over 2**27 voxels.
     """
 
     def __init__(
@@ -1116,6 +1116,8 @@ class Submap:
         resolution_m: float,
         weights: NDArray[np.float64] | None = None,
     ) -> None: ...
+    @property
+    def occupied(self) -> int: ...
 
 class Registration:
     """Result of `register_submaps`; `pose` is target_T_source, (3,) x, y (m) and yaw (rad).

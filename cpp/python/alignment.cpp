@@ -27,13 +27,13 @@ alg::Submap submap_of(const py::object& occupied, const py::object& free, double
                       const py::object& weights) {
   const auto solid = centres_of(occupied, "occupied_m");
   const auto empty = centres_of(free, "free_m");
-  std::vector<double> shares(solid.size(), 1.0);
+  std::vector<double> values(solid.size(), 1.0);
   if (!weights.is_none()) {
     const auto array = checked<double>(weights, "weights", 1);
-    shares.assign(array.data(), array.data() + array.size());
+    values.assign(array.data(), array.data() + array.size());
   }
   const py::gil_scoped_release release;
-  return alg::Submap(solid, empty, resolution_m, shares);
+  return alg::Submap(solid, empty, resolution_m, values);
 }
 
 py::tuple found(const alg::Candidate& candidate) {
@@ -79,7 +79,9 @@ alg::Registration registered(const alg::Submap& target, const alg::Submap& sourc
 void bind_alignment(py::module_& module) {
   py::class_<alg::Submap>(module, "Submap")
       .def(py::init(&submap_of), "occupied_m"_a, "free_m"_a, "resolution_m"_a,
-           "weights"_a = py::none());
+           "weights"_a = py::none())
+      .def_property_readonly("occupied",
+                             [](const alg::Submap& map) { return map.distributions().size(); });
   py::class_<alg::Registration>(module, "Registration")
       .def_property_readonly("pose", [](const alg::Registration& r) { return array_of(r.pose); })
       .def_property_readonly("information",

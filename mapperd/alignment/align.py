@@ -517,7 +517,7 @@ class _SingleDive:
         again_trials = _predicted_trials(pairs, dive.of_submap, graph, SECOND_PASS_NOISE)
         graph.loops = motion.register(trials) + finder.register(again_trials)
         _close_loops(graph, finder, pairs)
-        graph.rescale_neighbours()
+        graph.reduce_neighbour_deviations()
         solution = graph.solve()
         tried, rejected = first.tried + finder.tried, first.rejected + finder.rejected
         return cls(dive, graph, solution, odometry_deviation_m, tried, rejected)
@@ -617,6 +617,7 @@ def _judge(graph: PoseGraph, odometry_deviation_m: float) -> tuple[dict[str, flo
         "split_m": split_m,
         "registration_scale": float(graph.bias[0]),
         "registration_turn": float(graph.bias[1]),
+        "neighbour_deviation_factor": graph.neighbour_factor,
     }
     if len(accepted) < MIN_LOOPS and not has_enough_fixes:
         found = f"{len(accepted)} revisits" if accepted else "no revisit"

@@ -23,6 +23,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU, splu
 
 __all__ = [
+    "MIN_INFORMATION",
     "DriftModel",
     "Loop",
     "OdometryStep",
@@ -58,11 +59,11 @@ OUTAGE_WANDER_S, MAX_KERNEL_SHARE = 0.3, 0.15
 """Time over which a missing velocity may differ from that of its whole outage; share of the way
 that a step may miss and still give way: one that misses more is as uncertain as it states."""
 
-MIN_FACTOR, MIN_REDUNDANCY = 0.4, 30.0
-"""Least factor on the deviations of registrations, and the redundancy that it takes."""
+MIN_DEVIATION_FACTOR, MIN_REDUNDANCY = 0.4, 30.0
+"""Lower limit of the factor on deviations, and minimum redundancy for its estimate."""
 
-MIN_HELD = 1e-6
-"""Information, 1/m2 or 1/rad2, above which a registration holds a direction."""
+MIN_INFORMATION = 1e-6
+"""Information, 1/m2, below which a direction is open."""
 
 ACCEPTED_WEIGHT = 0.3
 MAX_STEPS = 60
@@ -260,6 +261,7 @@ class PoseGraph:
         mean_drift: (D, 3) of each dive: scale, crab (rad) and turn (rad/s).
         outages: (O, 2) of each outage: error of the velocity ahead and to port, in units of its
             standard deviation.
+        neighbour_factor: see `reduce_neighbour_deviations`.
     """
 
     start: Floats
@@ -272,6 +274,7 @@ class PoseGraph:
     bias: Floats = field(init=False)
     mean_drift: Floats = field(init=False)
     outages: Floats = field(init=False)
+    neighbour_factor: float = field(default=1.0, init=False)
     _outage_of: NDArray[np.intp] = field(init=False)
     _dive_of: NDArray[np.intp] = field(init=False)
     _later: NDArray[np.intp] = field(init=False)
@@ -555,34 +558,41 @@ class PoseGraph:
         of_i[:, 0, 2], of_i[:, 1, 2] = y, -x
         return of_i, of_j, residuals
 
-    def rescale_neighbours(self) -> float:
-        """Restate the deviations of the neighbours' registrations as their residuals show them.
+    def reduce_neighbour_deviations(self) -> float:
+        """Reduce the deviations of registrations of neighbours if they fit better than stated.
 
-        How well they fit depends on the scene: walls hold a heading to 0.2°, a wreck to 1.5°. The
-        factor is the root of the squared residuals by their redundancy (estimation of variance
-        components: Förstner 1979), within limits: what errs alike in all is in no residual.
-        Revisits are left as they are, for between headings they err alike.
+        How well they fit depends on the scene. The factor is the root of their squared residuals
+        over their redundancy, as in the estimation of variance components (Förstner 1979). One step
+        of it leaves the factor too large rather than too small. It never increases deviations, and
+        has a lower limit: an error that all registrations share shows in no residual. Revisits stay
+        as they are, for those between equal headings err alike.
 
         Returns:
-            The factor on the deviations. 1 if nothing is known.
+            The factor, for position and heading; 1 with too few registrations.
         """
-        self.prepare_covariances()
-        _, residuals, _ = self._loop_factors()
-        squared = redundancy = 0.0
-        neighbours = [k for k, loop in enumerate(self.loops) if loop.neighbours]
-        for k in neighbours:
+        jacobians, residuals, information = self._loop_factors()
+        chosen = np.flatnonzero([loop.neighbours for loop in self.loops])
+        size, parts = len(self._states) + 1, []
+        normal = self._linearized()
+        factor = self._factorized(normal)
+        for k in chosen.tolist():
             loop = self.loops[k]
-            information = loop.information[loop.chosen]
-            held = int((np.linalg.eigvalsh(information) > MIN_HELD).sum())
-            explained = float(np.trace(information @ self.covariance_of(loop.i, [loop.j])[0]))
-            squared += loop.weight * float(residuals[k] @ information @ residuals[k])
-            redundancy += loop.weight * (held - explained)
-        if redundancy < MIN_REDUNDANCY:
-            return 1.0
-        factor = float(np.clip(math.sqrt(squared / redundancy), MIN_FACTOR, 1.0))
-        for k in neighbours:
-            self.loops[k].information = self.loops[k].information / factor**2
-        return factor
+            columns = np.zeros((normal.size, 3))
+            for node, part in zip((loop.i, loop.j, size - 1), range(3), strict=True):
+                own = slice(part * STATES, (part + 1) * STATES)
+                columns[node * STATES : (node + 1) * STATES] += jacobians[k, :, own].T
+            explained = float(np.einsum("ij,ij", information[k], columns.T @ factor.solve(columns)))
+            held = (np.linalg.eigvalsh(loop.information[loop.chosen]) > MIN_INFORMATION).sum()
+            squared = float(residuals[k] @ information[k] @ residuals[k])
+            parts.append((squared, loop.weight * float(held) - explained))
+        squared, redundancy = np.sum(parts, axis=0) if parts else (0.0, 0.0)
+        if redundancy >= MIN_REDUNDANCY:
+            found = math.sqrt(squared / redundancy)
+            self.neighbour_factor = float(np.clip(found, MIN_DEVIATION_FACTOR, 1.0))
+            for k in chosen.tolist():
+                loop = self.loops[k]
+                loop.information = loop.information / self.neighbour_factor**2
+        return self.neighbour_factor
 
     def covariance_of(self, i: int, others: Sequence[int]) -> Floats:
         """Return the covariances (M, 3, 3) of i_T_j for some nodes j, without the loops' outliers.

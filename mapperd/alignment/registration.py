@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd._core import Registration, Submap, compare_submaps, register_submaps, search_poses
-from mapperd.alignment.pose_graph import Loop, PoseGraph
+from mapperd.alignment.pose_graph import MIN_INFORMATION, Loop, PoseGraph
 from mapperd.alignment.submaps import (
     MIN_FRAGMENT_VOXELS,
     MIN_VOXELS,
@@ -81,9 +81,6 @@ different places, or different parts of it, disagree about its middle by some pe
 PROBE_M, PROBE_POINTS = 0.5, 800
 MIN_SCORE_DROP = 0.04
 """A direction along which the agreement falls by less than this share over `PROBE_M` is open."""
-
-MIN_INFORMATION = 1e-6
-"""Information, 1/m2, below which a direction is open."""
 
 FRAME_HALF_M, FRAME_HALF_RAD = 12.0, math.radians(45.0)
 FRAME_STEP_M, FRAME_STEP_RAD = 0.5, math.radians(3.0)

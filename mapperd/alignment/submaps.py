@@ -65,10 +65,10 @@ err by the distance of two piles."""
 MIN_VOXELS, MIN_FRAGMENT_VOXELS = 150, 60
 """Occupied voxels below which a submap and a fragment are not registered, of either size."""
 
-WEIGHED_PROBABILITY = (0.52, 0.9999)
-"""Probabilities of occupancy beyond which the weight of a voxel, its log-odds, stays the same. The
-edge of a thing, which depends on where it is seen from, so counts less. Smaller voxels, of short
-range, count alike: weights made the errors of such dives larger by a fifth."""
+WEIGHT_PROBABILITY_LIMITS = (0.52, 0.9999)
+"""Probabilities of occupancy between which a voxel's weight in a distribution is its log-odds. So
+the edge of a thing, which depends on where it is seen from, counts less. Up to `SHORT_RANGE_M` all
+voxels count alike: weights made the errors of such dives larger by a fifth."""
 
 MIN_PINGS = 3
 
@@ -189,7 +189,7 @@ class SonarSubmap:
         segment: of the odometry.
         pings: number of pings.
         occupied, free: (N, 3) int32 voxels, in the submap's frame.
-        weight: (N,) of the occupied ones in registrations.
+        weights: (N,) of the occupied ones in the distributions that registration matches.
         resolution_m: edge of a voxel.
     """
 
@@ -201,7 +201,7 @@ class SonarSubmap:
     pings: int
     occupied: NDArray[np.int32]
     free: NDArray[np.int32]
-    weight: Floats
+    weights: Floats
     resolution_m: float
     centre_m: Floats = field(init=False)
     radius_m: float = field(init=False)
@@ -223,7 +223,7 @@ class SonarSubmap:
             for voxels in (self.occupied, self.free)
         )
         try:
-            return Submap(occupied, free, self.resolution_m, self.weight)
+            return Submap(occupied, free, self.resolution_m, self.weights)
         except ValueError as error:
             raise ReplayError(
                 f"a submap cannot be registered: {error}; raise octree.voxel_resolution, which is "
@@ -366,10 +366,10 @@ class _SubmapMapper(SonarMap):
         occupied, free = (
             np.floor(voxels.centres_m / resolution_m).astype(np.int32) for voxels in (solid, empty)
         )
-        weight = np.ones(len(occupied))
+        weights = np.ones(len(occupied))
         if sonar_map is self._long_map:
-            probability = np.clip(solid.probability.astype(np.float64), *WEIGHED_PROBABILITY)
-            weight = np.log(probability / (1 - probability))
+            probability = np.clip(solid.probability.astype(np.float64), *WEIGHT_PROBABILITY_LIMITS)
+            weights = np.log(probability / (1 - probability))
         sonar_map.clear()
         return SonarSubmap(
             held[0].t_ns,
@@ -380,7 +380,7 @@ class _SubmapMapper(SonarMap):
             len(held),
             occupied,
             free,
-            weight,
+            weights,
             resolution_m,
         )
 

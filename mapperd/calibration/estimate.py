@@ -217,7 +217,7 @@ SIDE_SHARE = 0.5
 PICTURE_SIDE_DEG = 60.0
 SINE_PER_RANGE = 2.0
 ECHOES = 6000
-"""Their choice is random: with half as many, it moves the yaw by 0.1 deg."""
+"""Drawn at random for a fit. With half as many, the draw moved the yaw by 0.1 deg."""
 
 STEPS_OF_ROUND = 10
 FLOOR = np.array([0, 2, 6, 7])

@@ -98,6 +98,7 @@ def test_a_drifting_dive_is_corrected(alignment: Alignment, track: Dive) -> None
     after = errors_m(track, aligned.poses_at, begin_of(aligned))
     assert alignment.corrected, alignment.reason
     assert np.sqrt((after**2).mean()) < 0.25 * np.sqrt((before**2).mean())
+    assert alignment.figures["neighbour_deviation_factor"] < 1.0  # walls hold a heading well
 
 
 def test_accepted_revisits_are_right(alignment: Alignment, track: Dive) -> None:

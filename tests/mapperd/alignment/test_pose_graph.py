@@ -357,27 +357,82 @@ def test_a_solution_is_kept_whole() -> None:
     assert np.allclose(graph.mean_drift, mean_drift, atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("size", "factor"), [(1.0, 1.0), (0.7, 0.7), (0.2, 0.4), (2.0, 1.0), (None, 1.0)]
-)
-def test_deviations_of_neighbours_are_those_of_their_residuals(
-    size: float | None, factor: float
-) -> None:
-    truth = circle(nodes=65)
-    random = np.random.default_rng(8)
-    graph = graph_of(truth)
-    graph.loops = revisits(truth, lap=32)
+def noisy_graph(seed: int, size: float) -> PoseGraph:
+    """A graph whose errors are the stated ones, but those of neighbours are `size` as large."""
+    random, truth = np.random.default_rng(seed), circle(nodes=65)
+    steps = drifting(truth, 0.03, -0.02, 0.0008)
+    for k, step in enumerate(steps):
+        if step is not None:
+            of_m = math.sqrt(MODEL.noise_m**2 * step.path_m + 0.01**2)
+            of_rad = math.sqrt(MODEL.noise_rad**2 * step.seconds + 1e-6)
+            noise = random.normal(0.0, (of_m, of_m, of_rad))
+            steps[k] = replace(step, motion=step.motion + noise)
+    graph = PoseGraph(reckoned(truth[0], steps), steps, MODEL)
+    deviations = np.array([0.05, 0.05, 0.01])
+    graph.loops = [
+        loop_of(truth, i, i + 32, random.normal(0.0, deviations)) for i in range(0, 33, 2)
+    ]
     for j in range(2, 65):
-        if size is not None:
-            error = size * random.normal(0.0, (0.05, 0.05, 0.01))
-            graph.loops.append(replace(loop_of(truth, j - 2, j, error), neighbours=True))
-    before = [loop.information for loop in graph.loops]
+        loop = loop_of(truth, j - 2, j, random.normal(0.0, size * deviations))
+        graph.loops.append(replace(loop, neighbours=True))
+    return graph
+
+
+@pytest.mark.parametrize(
+    ("size", "least", "most"),
+    [(1.0, 0.93, 1.0), (0.8, 0.78, 0.92), (0.1, 0.4, 0.41), (3.0, 1.0, 1.0)],
+)
+def test_neighbours_that_fit_better_than_stated_are_trusted_more(
+    size: float, least: float, most: float
+) -> None:
+    factors = []
+    for seed in range(6):
+        graph = noisy_graph(seed, size)
+        graph.solve()
+        before = [loop.information for loop in graph.loops]
+        factors.append(graph.reduce_neighbour_deviations())
+        for loop, information in zip(graph.loops, before, strict=True):
+            known = factors[-1] if loop.neighbours else 1.0
+            assert np.allclose(loop.information * known**2, information)
+    assert least <= np.mean(factors) <= most
+
+
+def test_few_neighbours_are_trusted_as_stated() -> None:
+    graph = noisy_graph(0, 0.1)
+    graph.loops = graph.loops[: 17 + 10]
     graph.solve()
-    assert graph.rescale_neighbours() == pytest.approx(factor, abs=0.08)
-    for loop, information in zip(graph.loops, before, strict=True):
-        known = factor if loop.neighbours else 1.0
-        grown = np.diag(loop.information[0]) / np.diag(information[0])
-        assert grown == pytest.approx(known**-2, rel=0.25)
+    assert graph.reduce_neighbour_deviations() == 1.0
+    graph.loops = graph.loops[:17]
+    assert graph.reduce_neighbour_deviations() == 1.0
+
+
+def test_the_redundancy_is_that_of_dense_algebra() -> None:
+    graph = noisy_graph(2, 0.7)
+    for k, loop in enumerate(graph.loops[20:], 20):
+        if k % 5 == 0:
+            loop.information[0] = np.diag([400.0, 0.0, 1e4])  # a wall
+        if k % 7 == 0:  # the second alternative is right, and stated otherwise
+            loop.poses = np.vstack([np.add(loop.poses, (2.0, 0.0, 0.0)), loop.poses])
+            loop.information = np.concatenate([3 * loop.information, loop.information])
+    graph.loops[30].poses[-1, 0] += 0.4
+    graph.solve()
+    assert graph.loops[30].weight < 0.6
+    matrix = np.zeros(graph._linearized().size ** 2)
+    np.add.at(matrix, *graph._linearized().entries())
+    covariance = np.linalg.inv(matrix.reshape(math.isqrt(len(matrix)), -1))
+    jacobians, residuals, information = graph._loop_factors()
+    squared = redundancy = 0.0
+    for k, loop in enumerate(graph.loops):
+        if loop.neighbours:
+            nodes = np.array([loop.i, loop.j, len(graph.poses)])
+            states = (6 * nodes[:, None] + np.arange(6)).ravel()
+            of_loop = jacobians[k] @ covariance[np.ix_(states, states)] @ jacobians[k].T
+            rank = np.linalg.matrix_rank(information[k])
+            redundancy += loop.weight * float(rank) - float(np.trace(information[k] @ of_loop))
+            squared += float(residuals[k] @ information[k] @ residuals[k])
+    expected = math.sqrt(squared / redundancy)
+    assert 0.5 < expected < 0.95
+    assert graph.reduce_neighbour_deviations() == pytest.approx(expected, rel=1e-6)
 
 
 def test_fixes_hold_positions() -> None:

@@ -68,7 +68,7 @@ def sonar_submap(
     *,
     anchor: Floats | None = None,
     at_ns: int = 0,
-    weight: Floats | None = None,
+    weights: Floats | None = None,
 ) -> SonarSubmap:
     """A submap of nine pings, all at one time; without weights, all voxels count alike."""
     return SonarSubmap(
@@ -80,7 +80,7 @@ def sonar_submap(
         pings=9,
         occupied=occupied,
         free=occupied[:0] if free is None else free,
-        weight=np.ones(len(occupied)) if weight is None else weight,
+        weights=np.ones(len(occupied)) if weights is None else weights,
         resolution_m=EDGE_M,
     )
 
@@ -111,7 +111,7 @@ def test_what_is_surely_occupied_counts_most(strong: int, off_m: float) -> None:
     layers = [room + np.array([k, k, 0], dtype=np.int32) for k in range(3)]
     blurred, layer = np.unique(np.vstack(layers[::-1]), axis=0, return_index=True)
     weight = np.where(layer // len(room) == 2 - strong, 10.0, 0.1)
-    source = sonar_submap(blurred, weight=weight).build()
+    source = sonar_submap(blurred, weights=weight).build()
     found = _core.register_submaps(sonar_submap(room).build(), source, np.zeros(3))
     assert found.pose[:2] == pytest.approx((-off_m, -off_m), abs=0.05)
 

@@ -1,9 +1,12 @@
 """Submaps: what of a ping they keep."""
 
+from typing import Any, Literal
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mapperd.alignment import submaps
 from mapperd.alignment.submaps import (
     FIRST_RETURN_MAX_RANGE_M,
     MIN_RESOLUTION_M,
@@ -18,6 +21,7 @@ from mapperd.alignment.submaps import (
 from mapperd.config.tree import Config
 from mapperd.geometry.motion import PingMotion
 from mapperd.imaging.ping_image import PingImage
+from mapperd.mapping.sonar_map import SonarMap, Voxels
 
 EDGE_M = 0.1
 THRESHOLD = 50.0
@@ -139,6 +143,39 @@ def test_voxels_are_finer_at_short_range() -> None:
         assert {submap.resolution_m, *(f.resolution_m for f in mapper.fragments)} == {edge_m}
         far_m = np.linalg.norm((submap.occupied[:, :2] + 0.5) * edge_m, axis=1).max()
         assert far_m == pytest.approx(6.3 + 0.2, abs=0.4)  # the return, 0.2 m of speed
+
+
+@pytest.mark.parametrize("range_m", [8.0, SHORT_RANGE_M + 1.0])
+def test_voxels_of_long_range_count_by_their_log_odds(
+    range_m: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = SonarMap.voxels
+    of_map: list[Voxels] = []
+    built: list[Any] = []
+
+    def recorded(self: SonarMap, kind: Literal["occupied", "free"]) -> Voxels:
+        voxels = read(self, kind)
+        if kind == "occupied":
+            of_map.append(voxels)
+        return voxels
+
+    monkeypatch.setattr(SonarMap, "voxels", recorded)
+    monkeypatch.setattr(submaps, "Submap", lambda *arguments: built.append(arguments))
+    mapper = _SubmapMapper(Config(), None)
+    mapper._held = held_pings(0.0, 3, range_m)
+    mapper._held[0].image.intensity[60:64] = np.linspace(120.0, 250.0, 64)  # shared by all
+    mapper.finish()
+    [submap] = mapper.submaps
+    submap.build()
+    (occupied_m, _, edge_m, weights), whole = built[0], of_map[0]
+    assert occupied_m == pytest.approx(whole.centres_m, abs=1e-6)
+    assert edge_m == submap.resolution_m
+    probability = whole.probability.astype(np.float64)
+    log_odds = np.log(probability / (1.0 - probability))
+    assert np.ptp(log_odds) > 0.1
+    is_short = range_m < SHORT_RANGE_M
+    expected = np.ones_like(log_odds) if is_short else np.clip(log_odds, 0.0801, 9.2102)
+    assert weights == pytest.approx(expected, rel=1e-3)
 
 
 def test_a_submap_ends_where_the_size_of_its_voxels_changes() -> None:
