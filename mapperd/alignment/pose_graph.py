@@ -562,36 +562,35 @@ class PoseGraph:
         """Reduce the deviations of registrations of neighbours if they fit better than stated.
 
         How well they fit depends on the scene. The factor is the root of their squared residuals
-        over their redundancy, as in the estimation of variance components (Förstner 1979). One step
-        of it leaves the factor too large rather than too small. It never increases deviations, and
-        has a lower limit: an error that all registrations share shows in no residual. Revisits stay
-        as they are, for those between equal headings err alike.
+        over their redundancy: one step of estimating a variance component (Förstner 1979), which
+        leaves it too large rather than too small. It has a lower limit, for an error that all
+        registrations share shows in no residual. Revisits stay as they are: those between the same
+        two headings share an error, too.
 
         Returns:
-            The factor, for position and heading; 1 with too few registrations.
+            The factor, for position and heading; 1 with too few registrations, or if they fit no
+            better than stated.
         """
         jacobians, residuals, information = self._loop_factors()
-        chosen = np.flatnonzero([loop.neighbours for loop in self.loops])
-        size, parts = len(self._states) + 1, []
         normal = self._linearized()
-        factor = self._factorized(normal)
-        for k in chosen.tolist():
+        factorized = self._factorized(normal)
+        bias_node = len(self._states)
+        neighbours = [k for k, loop in enumerate(self.loops) if loop.neighbours]
+        squared = redundancy = 0.0
+        for k in neighbours:
             loop = self.loops[k]
+            nodes = np.array([loop.i, loop.j, bias_node])
             columns = np.zeros((normal.size, 3))
-            for node, part in zip((loop.i, loop.j, size - 1), range(3), strict=True):
-                own = slice(part * STATES, (part + 1) * STATES)
-                columns[node * STATES : (node + 1) * STATES] += jacobians[k, :, own].T
-            explained = float(np.einsum("ij,ij", information[k], columns.T @ factor.solve(columns)))
+            columns[(nodes[:, None] * STATES + np.arange(STATES)).ravel()] = jacobians[k].T
+            explained = np.einsum("ij,ij", information[k], columns.T @ factorized.solve(columns))
             held = (np.linalg.eigvalsh(loop.information[loop.chosen]) > MIN_INFORMATION).sum()
-            squared = float(residuals[k] @ information[k] @ residuals[k])
-            parts.append((squared, loop.weight * float(held) - explained))
-        squared, redundancy = np.sum(parts, axis=0) if parts else (0.0, 0.0)
+            squared += float(residuals[k] @ information[k] @ residuals[k])
+            redundancy += loop.weight * float(held) - float(explained)
         if redundancy >= MIN_REDUNDANCY:
-            found = math.sqrt(squared / redundancy)
-            self.neighbour_factor = float(np.clip(found, MIN_DEVIATION_FACTOR, 1.0))
-            for k in chosen.tolist():
-                loop = self.loops[k]
-                loop.information = loop.information / self.neighbour_factor**2
+            factor = math.sqrt(squared / redundancy)
+            self.neighbour_factor = min(max(factor, MIN_DEVIATION_FACTOR), 1.0)
+            for k in neighbours:
+                self.loops[k].information = self.loops[k].information / self.neighbour_factor**2
         return self.neighbour_factor
 
     def covariance_of(self, i: int, others: Sequence[int]) -> Floats:

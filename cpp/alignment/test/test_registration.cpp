@@ -84,16 +84,25 @@ TEST_CASE("what was not observed is neither free nor near") {
 
 TEST_CASE("distributions are means and covariances by weight") {
   const std::vector<Vec3> points{
-      {0.1, 0.1, 0.1}, {0.1, 0.3, 0.1}, {0.1, 0.5, 0.1}, {4.1, 0.1, 0.1}};
-  const Submap map(points, {}, 0.2, {1.0, 2.0, 5.0, 9.0});
+      {0.1, 0.1, 0.1}, {0.3, 0.3, 0.1}, {0.1, 0.3, 0.5}, {0.3, 0.1, 0.3}, {4.1, 0.1, 0.1}};
+  const std::vector<double> weights{1.0, 2.0, 5.0, 3.0, 9.0};
+  const Submap map(points, {}, 0.2, weights);
+  Vec3 mean;
+  for (std::size_t k = 0; k < 4; ++k) mean = mean + (weights[k] / 11.0) * points[k];
+  std::array<double, 6> expected{};
+  for (std::size_t k = 0; k < 4; ++k) {
+    const Vec3 d = points[k] - mean;
+    const std::array<double, 6> products{d.x * d.x, d.x * d.y, d.x * d.z,
+                                         d.y * d.y, d.y * d.z, d.z * d.z};
+    for (std::size_t i = 0; i < 6; ++i) expected[i] += weights[k] / 11.0 * products[i];
+  }
   const auto& first = map.distributions()[0];
-  const double mean = (0.1 + 2 * 0.3 + 5 * 0.5) / 8;
-  CHECK(first.mean_m.y == doctest::Approx(mean));
-  const double variance =
-      (std::pow(0.1 - mean, 2) + 2 * std::pow(0.3 - mean, 2) + 5 * std::pow(0.5 - mean, 2)) / 8;
-  const double of_voxel = first.covariance_m2[0];  // along an axis on which all are at one place
-  CHECK(first.covariance_m2[3] - of_voxel == doctest::Approx(variance));
-  CHECK(map.distributions()[3].mean_m.x == doctest::Approx(4.1));
+  CHECK(norm(first.mean_m - mean) < 1e-12);
+  const auto& alone = map.distributions()[4];  // its covariance is a voxel's own
+  CHECK(alone.mean_m.x == doctest::Approx(4.1));
+  for (std::size_t i = 0; i < 6; ++i) {
+    CHECK(first.covariance_m2[i] - alone.covariance_m2[i] == doctest::Approx(expected[i]));
+  }
 }
 
 TEST_CASE("a submap lies on itself, and its information is positive") {
