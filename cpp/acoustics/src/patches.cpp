@@ -29,8 +29,79 @@ struct Lattices {
 struct Traits {
   PerHit<double> width_columns;
   PerHit<double> turn_per_m;
-  PerHit<double> transmit_m[3];  // origin
+  PerHit<double> transmit_m[3], receive_m[3];  // origins
+  PerHit<bool> mixed;                          // one leg has a mirror and the other has none
 };
+
+// Ranges of patches as the echo grid counts them: half of the way there and back.
+struct Ranges {
+  PerHit<double> near_m, far_m;  // of the corners
+  PerHit<double> gradient[3];    // of the range at the middle, times the divisor
+  PerHit<double> divisor;
+};
+
+// Of ways on which both legs are the seeing one, or nearly so.
+MAPPERD_VECTORISED void seen_ranges(const Footprints& f, Ranges& to) {
+  MAPPERD_INDEPENDENT
+  for (std::size_t i = 0; i < kPatches; ++i) {
+    double square = 0.0;
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      const auto& at = f.corner_m[axis];
+      const double d = 0.25 * (at[0][i] + at[1][i] + at[2][i] + at[3][i]) - f.origin_m[axis][i];
+      to.gradient[axis][i] = d;
+      square += d * d;
+    }
+    to.near_m[i] = f.near_m[i];
+    to.far_m[i] = f.far_m[i];
+    to.divisor[i] = std::sqrt(std::max(square, 1e-12));
+  }
+}
+
+bool is_mirrored(const Leg& leg) {
+  const auto& m = leg.rotation;
+  return m[0] * (m[4] * m[8] - m[5] * m[7]) + m[1] * (m[5] * m[6] - m[3] * m[8]) +
+             m[2] * (m[3] * m[7] - m[4] * m[6]) <
+         0.0;
+}
+
+// Of ways on which one leg has a mirror and the other has none.
+MAPPERD_VECTORISED void mixed_ranges(const Footprints& f, const Traits& traits, Ranges& to) {
+  MAPPERD_INDEPENDENT
+  for (std::size_t i = 0; i < kPatches; ++i) {
+    double there[3], back[3], out2 = 0.0, in2 = 0.0;
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      const auto& at = f.corner_m[axis];
+      const double middle = 0.25 * (at[0][i] + at[1][i] + at[2][i] + at[3][i]);
+      there[axis] = middle - traits.transmit_m[axis][i];
+      back[axis] = middle - traits.receive_m[axis][i];
+      out2 += there[axis] * there[axis];
+      in2 += back[axis] * back[axis];
+    }
+    const double per_out = 0.5 / std::sqrt(std::max(out2, 1e-12));
+    const double per_in = 0.5 / std::sqrt(std::max(in2, 1e-12));
+    const bool mixed = traits.mixed[i];
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      const double gradient = there[axis] * per_out + back[axis] * per_in;
+      to.gradient[axis][i] = mixed ? gradient : to.gradient[axis][i];
+    }
+    to.divisor[i] = mixed ? 1.0 : to.divisor[i];
+    double near_m = HUGE_VAL, far_m = 0.0;
+    for (std::size_t k = 0; k < 4; ++k) {
+      double transmit2 = 0.0, receive2 = 0.0;
+      for (std::size_t axis = 0; axis < 3; ++axis) {
+        const double out = f.corner_m[axis][k][i] - traits.transmit_m[axis][i];
+        const double in = f.corner_m[axis][k][i] - traits.receive_m[axis][i];
+        transmit2 += out * out;
+        receive2 += in * in;
+      }
+      const double range_m = 0.5 * (std::sqrt(transmit2) + std::sqrt(receive2));
+      near_m = range_m < near_m ? range_m : near_m;
+      far_m = range_m > far_m ? range_m : far_m;
+    }
+    to.near_m[i] = mixed ? near_m : to.near_m[i];
+    to.far_m[i] = mixed ? far_m : to.far_m[i];
+  }
+}
 
 // Of a vector's coordinates x, y and z, the one along the axis that follows the given one.
 MAPPERD_INLINE double pick(std::int64_t axis, double x, double y, double z) {
@@ -56,7 +127,8 @@ MAPPERD_INLINE void out_of_plane(std::int64_t axis, const Plane& p, PerHit<doubl
 // Closer along the range than across: a row is much thinner than a beam is wide, and what a cell
 // hears is the more even the more of its nodes stand in line.
 MAPPERD_VECTORISED void choose_lattices(const ScatterInput& echoes, const Footprints& f,
-                                        const Traits& traits, Lattices& to, Patches& patches) {
+                                        const Traits& traits, const Ranges& ranges, Lattices& to,
+                                        Patches& patches) {
   const double row_m = echoes.grid.row_m / echoes.grid.range_scale;
   const double end_m = row_m * static_cast<double>(echoes.grid.rows);
   const double nodes_per_cell = echoes.model.nodes_per_cell;
@@ -74,28 +146,23 @@ MAPPERD_VECTORISED void choose_lattices(const ScatterInput& echoes, const Footpr
     const double u1 = corner[2].u - corner[0].u, v1 = corner[2].v - corner[0].v;
     const double u2 = corner[3].u - corner[1].u, v2 = corner[3].v - corner[1].v;
     const double projected_m2 = 0.5 * std::fabs(u1 * v2 - v1 * u2);
-    const double covered = (std::min(f.far_m[i], end_m) - f.near_m[i]) / row_m;
+    const double near_m = ranges.near_m[i], far_m = ranges.far_m[i];
+    const double covered = (std::min(far_m, end_m) - near_m) / row_m;
     to.projected_m2[i] = covered < -1.0 ? 0.0 : projected_m2;
     const double cells =
-        std::max((f.far_m[i] - f.near_m[i]) / row_m, 1.0) * std::max(traits.width_columns[i], 1.0);
+        std::max((far_m - near_m) / row_m, 1.0) * std::max(traits.width_columns[i], 1.0);
     const double wanted = nodes_per_cell * cells;
     // Few patches may be all that there is of a small object: its surface turns within one.
     const bool small = (traits.width_columns[i] < kWholeCell) |
                        (traits.turn_per_m[i] * std::sqrt(projected_m2) > kSmallTurn);
     const double nodes = small ? std::max(wanted, kMinSmallNodes) : wanted;
     const double node_m2 = projected_m2 / nodes;
-    double d[3];
-    for (std::size_t k = 0; k < 3; ++k) {
-      const auto& at = f.corner_m[k];
-      d[k] = 0.25 * (at[0][i] + at[1][i] + at[2][i] + at[3][i]) - f.origin_m[k][i];
-    }
     // How range grows over the lattice's plane.
-    const double square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-    const double range_m = std::sqrt(std::max(square, 1e-12));
     const Plane n = in_plane(axis, nx, ny, nz);
-    const Plane way = in_plane(axis, d[0], d[1], d[2]);
-    const double u = (way.u - way.c * n.u / n.c) / range_m;
-    const double v = (way.v - way.c * n.v / n.c) / range_m;
+    const Plane way =
+        in_plane(axis, ranges.gradient[0][i], ranges.gradient[1][i], ranges.gradient[2][i]);
+    const double u = (way.u - way.c * n.u / n.c) / ranges.divisor[i];
+    const double v = (way.v - way.c * n.v / n.c) / ranges.divisor[i];
     const double along_m =
         std::min(std::sqrt(node_m2), kRowsApart * row_m / std::max(std::sqrt(u * u + v * v), 1e-9));
     to.along_level[i] = level_of(along_m);
@@ -242,18 +309,28 @@ MAPPERD_VECTORISED void cross(const Sides& o, double row, std::size_t count,
 void make_patches(const ScatterInput& echoes, const Footprints& footprints, Patches& patches) {
   const RayHits& hits = echoes.hits;
   Traits traits{};
+  bool some_mixed = false;
   for (std::size_t i = 0; i < footprints.count; ++i) {
     const std::size_t hit = footprints.hit[i];
     const float* cell = hits.cell + 4 * hit;
     traits.width_columns[i] = static_cast<double>(cell[1] - cell[0]) / echoes.grid.sine_pitch;
     traits.turn_per_m[i] = echoes.faces.table[hits.face[hit]].turn_per_m;
-    const Vec3& transmit_m = hits.legs[hits.transmit[hit]].origin_m;
-    traits.transmit_m[0][i] = transmit_m.x;
-    traits.transmit_m[1][i] = transmit_m.y;
-    traits.transmit_m[2][i] = transmit_m.z;
+    const Leg& transmit = hits.legs[hits.transmit[hit]];
+    const Leg& receive = hits.legs[hits.receive[hit]];
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      traits.transmit_m[axis][i] = transmit.origin_m[axis];
+      traits.receive_m[axis][i] = receive.origin_m[axis];
+    }
+    traits.mixed[i] = is_mirrored(transmit) != is_mirrored(receive);
+    some_mixed |= traits.mixed[i];
+  }
+  Ranges ranges;
+  seen_ranges(footprints, ranges);
+  if (some_mixed) {
+    mixed_ranges(footprints, traits, ranges);
   }
   Lattices lattices{};
-  choose_lattices(echoes, footprints, traits, lattices, patches);
+  choose_lattices(echoes, footprints, traits, ranges, lattices, patches);
   for (std::size_t i = 0; i < kPatches; ++i) {
     patches.exists[i] =
         i < footprints.count && footprints.exists[i] && lattices.projected_m2[i] > 0.0;

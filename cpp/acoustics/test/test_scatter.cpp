@@ -125,6 +125,20 @@ TEST_CASE("a wall that leans has the field's power too") {
   CHECK(sum / 100 / expected_power(0.8) == near(1.0, 0.03));
 }
 
+// The wall lies beyond the last row by the mirror's leg alone, and before it by both legs' mean.
+TEST_CASE("the field of a way with a mirror ends with the rows, as its mean power does") {
+  Wall wall(kSide / 4);
+  wall.legs[0] = {{-2.5, 0.0, 0.0}, {1, 0, 0, 0, -1, 0, 0, 0, 1}, {0, 0, 0}, 1.0};
+  wall.legs.push_back({{1.0, 0.0, 0.0}, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1.0});
+  const std::vector<std::int32_t> second(wall.none.size(), 1);
+  wall.receive = second;
+  wall.both_ways = true;
+  double sum = 0.0;
+  for (std::uint64_t key = 0; key < 100; ++key) sum += sum_of(wall.field(key, 2));
+  CHECK(sum_of(wall.power(2)) > 0.0);
+  CHECK(sum / 100 / sum_of(wall.power(2)) == near(1.0, 0.03));
+}
+
 // The image of the sonar in a wall beside it: its row and columns are other ones.
 TEST_CASE("both ways at once are the sum of one way and the other") {
   Wall there(kSide / 4);
