@@ -602,6 +602,17 @@ def merged(
         ValueError: the rows differ in type or shape, or their numbers do not fit `source`.
     """
 
+def rotated(direction: NDArray[np.float32], matrix: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The product direction @ matrix, (N, 3), on this thread alone.
+
+    Args:
+        direction: (N, 3).
+        matrix: (3, 3).
+
+    Raises:
+        ValueError: a shape is another.
+    """
+
 def rays_near_ball(
     start_m: NDArray[np.float64],
     direction: NDArray[np.float32],

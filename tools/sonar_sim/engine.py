@@ -48,7 +48,7 @@ Cells = NDArray[np.complex64] | NDArray[np.float32]
 
 NODES_PER_BEAM = 8.0
 """Scatterers in a row of a beam's -3 dB width, about: the coefficient of variation of an even floor
-is then within 0.005 of Rayleigh's."""
+is then within 0.002 of Rayleigh's."""
 CAST_RANGE_FACTOR = 1.3
 """Rays are cast to this multiple of the last row's range: a patch hit beyond it may begin before
 it."""
@@ -227,8 +227,10 @@ class PingEngine:
             )
             ways = direct_paths(here, rays)
         mirrored = ray_fan(self.sonar, self._elevations, physics.mirrored_elevations_rad)
+        # The same rays lead to the mirrors.
+        known = rays.coarse if mirrored is fan else None
         for mirror in physics.mirrors:
-            ways += mirror_paths(here, mirrored, mirror, reach_m)
+            ways += mirror_paths(here, mirrored, mirror, reach_m, known)
         return rays, ways
 
     def _surfaces(self, here: PingGeometry, ways: list[_core.Rays]) -> Cells:

@@ -21,6 +21,7 @@ constexpr double kClosest = 1e-6;  // m; corners nearer have no tangents worth t
 constexpr float kSteep = 4.0F;     // triangles with tangents beyond it need clipping
 constexpr std::size_t kMaxCorners =
     16;  // of a clipped triangle: 7, of a thin one up to 13 by rounding
+constexpr std::int32_t kFewRays = 24;  // so many are tried without clipping triangles by rows
 constexpr std::size_t kRaysPerCell = 1;
 constexpr std::size_t kCellsPerRow = 16;      // for each row of cells
 constexpr std::size_t kRaysPerThread = 4096;  // at least
@@ -42,9 +43,7 @@ struct Facets {
   float height[kSize];
 };
 
-// The plane of an edge is along (a + b) x (b - a): opposite to the bit for two triangles that share
-// the edge, and exact for a small triangle far off.
-MAPPERD_VECTORISED void set_facets(const TrianglePack& pack, const double* origin_m, Facets& to) {
+MAPPERD_VECTORISED void set_corners(const TrianglePack& pack, const double* origin_m, Facets& to) {
   for (std::size_t k = 0; k < 3; ++k) {
     for (std::size_t axis = 0; axis < 3; ++axis) {
       const double at = origin_m[axis];
@@ -54,6 +53,11 @@ MAPPERD_VECTORISED void set_facets(const TrianglePack& pack, const double* origi
       }
     }
   }
+}
+
+// The plane of an edge is along (a + b) x (b - a): opposite to the bit for two triangles that share
+// the edge, and exact for a small triangle far off.
+MAPPERD_VECTORISED void set_planes(Facets& to) {
   for (std::size_t i = 0; i < kSize; ++i) {
     const auto part = [&](std::size_t k, std::size_t axis) { return to.corner[k][axis][i]; };
     const auto edge = [&](std::size_t k, std::size_t axis) {
@@ -120,6 +124,7 @@ struct CubeSide {
   float scale[2] = {0.0F, 0.0F};
   std::size_t count = 0, rows = 0, cells = 0;  // rays, rows of cells, cells in a row
   std::vector<std::uint32_t> first;            // ray of each cell, and the end
+  std::vector<std::int32_t> before;  // rays in lower rows and lower cells, (rows + 1, cells + 1)
 
   void build_grid() {
     if (count == 0) return;
@@ -129,6 +134,19 @@ struct CubeSide {
     scale[0] = static_cast<float>(cells) / std::max(high[0] - low[0], kSlack);
     scale[1] = static_cast<float>(rows) / std::max(high[1] - low[1], kSlack);
     first.assign(rows * cells + 1, 0);
+  }
+
+  // To be called when the rays are sorted.
+  void count_rays() {
+    before.assign((rows + 1) * (cells + 1), 0);
+    for (std::size_t row = 0; row < rows; ++row) {
+      const std::uint32_t* line = first.data() + row * cells;
+      const std::int32_t* below = before.data() + row * (cells + 1);
+      std::int32_t* to = before.data() + (row + 1) * (cells + 1);
+      for (std::size_t i = 0; i <= cells; ++i) {
+        to[i] = below[i] + static_cast<std::int32_t>(line[i] - line[0]);
+      }
+    }
   }
 
   Point<float> seen(const float* point) const {
@@ -195,12 +213,15 @@ class Bundle {
         square += gap > 0.0 ? gap * gap : 0.0;
       }
       if (std::sqrt(square) > static_cast<double>(reach_m_)) continue;
-      bool ready = false;
+      bool placed = false, ready = false;
       for (const CubeSide& side : sides_) {
         if (side.cells == 0 || side.out_of_view(middle, pack.half_m)) continue;
-        if (!ready) set_facets(pack, origin_m_, facets);
-        ready = true;
+        if (!placed) set_corners(pack, origin_m_, facets);
+        placed = true;
         set_shapes(facets, side, shapes);
+        if (!set_cells(side, shapes)) continue;
+        if (!ready) set_planes(facets);
+        ready = true;
         test_triangles(facets, shapes, pack.index, first_face, side, rays_);
       }
     }
@@ -253,13 +274,18 @@ class Bundle {
       rays_.place[to] = static_cast<std::uint32_t>(first + i);
       reach_m_ = std::max(reach_m_, range_m[first + i]);
     }
+    for (CubeSide& side : sides_) {
+      if (side.count > 0) side.count_rays();
+    }
   }
 
   // Triangles by their tangents, on one side of the cube.
   struct Shapes {
     float across[3][kSize], up[3][kSize];
-    std::int32_t steep[kSize];  // needs clipping
     float low[2][kSize], high[2][kSize];
+    std::int32_t row[2][kSize];  // of cells, first and last
+    std::int32_t rays[kSize];    // in the cells about it; many for one that needs clipping
+    std::int32_t steep[kSize];   // needs clipping
   };
 
   MAPPERD_VECTORISED static void set_shapes(const Facets& facets, const CubeSide& side,
@@ -285,6 +311,44 @@ class Bundle {
         to.high[k][i] = high[k];
       }
     }
+  }
+
+  // False if no ray is near any of them.
+  MAPPERD_VECTORISED static bool set_cells(const CubeSide& side, Shapes& to) {
+    const float low_across = side.low[0], low_up = side.low[1];
+    const float high_across = side.high[0] + kSlack, high_up = side.high[1] + kSlack;
+    const float per_across = side.scale[0], per_up = side.scale[1];
+    const auto last_cell = static_cast<float>(side.cells - 1);
+    const auto last_row = static_cast<float>(side.rows - 1);
+    const std::int32_t* __restrict before = side.before.data();
+    const auto line = static_cast<std::int32_t>(side.cells + 1);
+    std::int32_t some = 0;
+    MAPPERD_INDEPENDENT
+    for (std::size_t i = 0; i < kSize; ++i) {
+      const float from = to.low[0][i] - kSlack, until = to.high[0][i] + kSlack;
+      const float under = to.low[1][i] - kSlack, over = to.high[1][i] + kSlack;
+      const std::int32_t first = clamped((from - low_across) * per_across, last_cell);
+      const std::int32_t last = clamped((until - low_across) * per_across, last_cell) + 1;
+      const std::int32_t low_row = clamped((under - low_up) * per_up, last_row);
+      const std::int32_t high_row = clamped((over - low_up) * per_up, last_row);
+      const std::int32_t bottom = low_row * line, top = (high_row + 1) * line;
+      const std::int32_t rays =
+          before[top + last] - before[top + first] - before[bottom + last] + before[bottom + first];
+      const std::int32_t seen = (from <= high_across ? 1 : 0) & (until >= low_across ? 1 : 0) &
+                                (under <= high_up ? 1 : 0) & (over >= low_up ? 1 : 0);
+      const std::int32_t near = to.steep[i] != 0 ? kFewRays + 1 : rays * seen;
+      to.row[0][i] = low_row;
+      to.row[1][i] = high_row;
+      to.rays[i] = near;
+      some |= near;
+    }
+    return some != 0;
+  }
+
+  // Of a cell or row; 0 for NaN.
+  MAPPERD_INLINE static std::int32_t clamped(float at, float last) {
+    const float positive = at > 0.0F ? at : 0.0F;
+    return static_cast<std::int32_t>(positive < last ? positive : last);
   }
 
   // A convex polygon of tangents.
@@ -351,14 +415,15 @@ class Bundle {
                                                 std::int32_t first_face, const CubeSide& side,
                                                 SortedRays& rays) {
     for (std::size_t i = 0; i < kSize; ++i) {
+      if (shapes.rays[i] == 0) continue;
       Polygon polygon;
+      auto low_row = static_cast<std::size_t>(shapes.row[0][i]);
+      auto high_row = static_cast<std::size_t>(shapes.row[1][i]);
       if (shapes.steep[i] != 0) {
         if (!clip(facets, i, side, polygon)) continue;
+        low_row = side.cell(1, polygon.low[1] - kSlack);
+        high_row = side.cell(1, polygon.high[1] + kSlack);
       } else {
-        if (shapes.low[0][i] > side.high[0] + kSlack || shapes.high[0][i] < side.low[0] - kSlack ||
-            shapes.low[1][i] > side.high[1] + kSlack || shapes.high[1][i] < side.low[1] - kSlack) {
-          continue;
-        }
         polygon.count = 3;
         for (std::size_t k = 0; k < 3; ++k) {
           polygon.at[k][0] = shapes.across[k][i];
@@ -370,11 +435,9 @@ class Bundle {
         }
       }
       const std::int32_t face = indices[i] + first_face;
-      const std::size_t low_row = side.cell(1, polygon.low[1] - kSlack);
-      const std::size_t high_row = side.cell(1, polygon.high[1] + kSlack);
       for (std::size_t row = low_row; row <= high_row; ++row) {
         float from = polygon.low[0], to = polygon.high[0];
-        if (low_row < high_row) {
+        if (low_row < high_row && shapes.rays[i] > kFewRays) {
           const float bottom = side.low[1] + static_cast<float>(row) / side.scale[1] - kSlack;
           const float top = side.low[1] + static_cast<float>(row + 1) / side.scale[1] + kSlack;
           const bool lowest = row == 0, highest = row + 1 == side.rows;
@@ -495,6 +558,19 @@ void cast_bundle(const std::vector<TrianglePack>& mesh, const RayBundle& rays,
   });
 }
 
+MAPPERD_VECTORISED void multiply_rows(const float* __restrict rows, std::size_t count,
+                                      const std::array<float, 9>& matrix, float* __restrict to) {
+  const float xx = matrix[0], xy = matrix[1], xz = matrix[2];
+  const float yx = matrix[3], yy = matrix[4], yz = matrix[5];
+  const float zx = matrix[6], zy = matrix[7], zz = matrix[8];
+  for (std::size_t i = 0; i < count; ++i) {
+    const float x = rows[3 * i], y = rows[3 * i + 1], z = rows[3 * i + 2];
+    to[3 * i] = x * xx + y * yx + z * zx;
+    to[3 * i + 1] = x * xy + y * yy + z * zy;
+    to[3 * i + 2] = x * xz + y * yz + z * zz;
+  }
+}
+
 void meet_sea(const RayBundle& rays, const SeaSurface& sea, float* range_m, std::int32_t* face,
               std::int32_t* group) {
   if (!(sea.above_m > 0.0)) return;
@@ -547,40 +623,64 @@ std::vector<double> visible_points(const SeenRays& rays, double range_m, double 
   return points;
 }
 
-std::vector<std::int64_t> cells_through_window(const FanDirections& fan,
-                                               const MirrorWindow& window) {
+namespace {
+
+// Marks the cells of which a direction may pass through a window.
+MAPPERD_VECTORISED void mark_through(const FanDirections& fan, const MirrorWindow& window,
+                                     std::int32_t* __restrict through) {
   // Cells that reach nearer to the plane across the sonar than this sine are curved.
   constexpr double kMinAhead = 0.1;
   const Vec3& o = window.map_T_fan.translation;
   const std::array<Vec3, 3>& rows = window.map_T_fan.rows;
-  const Vec3 normal = window.map_T_fan.rotate_back(window.normal);
-  std::vector<std::int64_t> kept;
+  const Vec3 n = window.map_T_fan.rotate_back(window.normal);
+  const double nx = n.x, ny = n.y, nz = n.z;
+  const double height_m = window.height_m, reach_m = window.reach_m;
+  const double row[9] = {rows[0].x, rows[0].y, rows[0].z, rows[1].x, rows[1].y,
+                         rows[1].z, rows[2].x, rows[2].y, rows[2].z};
+  const double origin[3] = {o.x, o.y, o.z};
+  const double low_m[3] = {window.low_m.x, window.low_m.y, window.low_m.z};
+  const double high_m[3] = {window.high_m.x, window.high_m.y, window.high_m.z};
+  const float* __restrict direction = fan.direction;
+  const float* __restrict cell = fan.cell;
   for (std::size_t i = 0; i < fan.count; ++i) {
-    const float* d = fan.direction + 3 * i;
-    const float* cell = fan.cell + 4 * i;
-    const Vec3 direction{static_cast<double>(d[0]), static_cast<double>(d[1]),
-                         static_cast<double>(d[2])};
-    const double half_s = 0.5 * static_cast<double>(cell[1] - cell[0]);
-    const double half_w = 0.5 * static_cast<double>(cell[3] - cell[2]);
-    const double far_s = std::fabs(direction.y) + half_s;
-    const double far_w = std::fabs(direction.z) + half_w;
+    const double x = static_cast<double>(direction[3 * i]);
+    const double y = static_cast<double>(direction[3 * i + 1]);
+    const double z = static_cast<double>(direction[3 * i + 2]);
+    const double half_s = 0.5 * static_cast<double>(cell[4 * i + 1] - cell[4 * i]);
+    const double half_w = 0.5 * static_cast<double>(cell[4 * i + 3] - cell[4 * i + 2]);
+    const double far_s = std::fabs(y) + half_s;
+    const double far_w = std::fabs(z) + half_w;
     const double ahead2 = 1.0 - far_s * far_s - far_w * far_w;
     // How far a direction of the cell may be from its middle.
-    const double off = std::sqrt((half_s * half_s + half_w * half_w) / std::max(ahead2, 1e-9));
-    const double cosine = dot(direction, normal);
-    bool through = ahead2 < kMinAhead * kMinAhead || cosine <= 2.0 * off;
-    if (!through) {
-      if (window.height_m >= window.reach_m * (cosine + off)) continue;
-      // It crosses the plane within this margin of where the middle does.
-      const double crossing_m = window.height_m / cosine;
-      const double margin_m = window.margin_m + 4.0 * crossing_m * off / cosine;
-      through = true;
-      for (std::size_t axis = 0; axis < 3 && through; ++axis) {
-        const double at = o[axis] + crossing_m * dot(rows[axis], direction);
-        through = at > window.low_m[axis] - margin_m && at < window.high_m[axis] + margin_m;
-      }
+    const double least = ahead2 > 1e-9 ? ahead2 : 1e-9;
+    const double off = std::sqrt((half_s * half_s + half_w * half_w) / least);
+    const double cosine = nx * x + ny * y + nz * z;
+    const bool curved = ahead2 < kMinAhead * kMinAhead;
+    const bool grazing = cosine <= 2.0 * off;
+    const bool away = cosine < -2.0 * off;
+    // It crosses the plane within this margin of where the middle does.
+    const double crossing_m = height_m / cosine;
+    const double margin_m = window.margin_m + 4.0 * crossing_m * off / cosine;
+    bool inside = height_m < reach_m * (cosine + off);
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      const double at = origin[axis] + crossing_m * (row[3 * axis] * x + row[3 * axis + 1] * y +
+                                                     row[3 * axis + 2] * z);
+      inside &= (at > low_m[axis] - margin_m) & (at < high_m[axis] + margin_m);
     }
-    if (through) kept.push_back(static_cast<std::int64_t>(i));
+    through[i] = static_cast<std::int32_t>(curved | (!away & (grazing | inside)));
+  }
+}
+
+}  // namespace
+
+std::vector<std::int64_t> cells_through_window(const FanDirections& fan,
+                                               const MirrorWindow& window) {
+  std::vector<std::int32_t> through(fan.count);
+  mark_through(fan, window, through.data());
+  std::vector<std::int64_t> kept;
+  kept.reserve(fan.count);
+  for (std::size_t i = 0; i < fan.count; ++i) {
+    if (through[i] != 0) kept.push_back(static_cast<std::int64_t>(i));
   }
   return kept;
 }

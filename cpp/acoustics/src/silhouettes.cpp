@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
+#include <numeric>
 
 namespace mapperd::acoustics {
 
@@ -80,6 +80,7 @@ class Rasteriser {
       guess_[i] = row_from(low + wide * static_cast<double>(i), 0);
     }
     per_guess_ = 1.0 / wide;
+    set_window();
   }
 
   void add(const SeenMesh& mesh) {
@@ -87,7 +88,7 @@ class Rasteriser {
         std::array<float, 3>{static_cast<float>(mesh.sonar_m.x), static_cast<float>(mesh.sonar_m.y),
                              static_cast<float>(mesh.sonar_m.z)};
     for (const EdgeBlock& block : mesh.mesh->blocks) {
-      if (!may_show(block, o)) continue;
+      if (!may_show(block, o) || !in_window(mesh, block)) continue;
       for (std::size_t i = block.first; i < block.last; ++i) {
         const MeshEdge& edge = mesh.mesh->edges[i];
         const bool outline = edge.border || front(edge.plane[0], o) != front(edge.plane[1], o);
@@ -119,6 +120,43 @@ class Rasteriser {
     const float sine = std::sqrt(std::max(squares - along * along, 0.0F));
     const float cone_sine = std::sqrt(std::max(1.0F - block.cosine * block.cosine, 0.0F));
     return cosine * block.cosine - sine * cone_sine <= block.radius_m;
+  }
+
+  // The directions between the outermost cells that have rays.
+  void set_window() {
+    std::size_t first_column = grid_.columns, last_column = 0;
+    std::size_t first_row = grid_.rows, last_row = 0;
+    for (std::size_t column = 0, cell = 0; column < grid_.columns; ++column) {
+      for (std::size_t row = 0; row < grid_.rows; ++row, ++cell) {
+        if (grid_.rays[cell] < 0) continue;
+        first_column = std::min(first_column, column);
+        last_column = column;
+        first_row = std::min(first_row, row);
+        last_row = std::max(last_row, row);
+      }
+    }
+    if (first_column == grid_.columns) return;
+    low_column_ = static_cast<double>(first_column);
+    high_column_ = static_cast<double>(last_column + 1);
+    low_w_ = grid_.row_edges[first_row];
+    high_w_ = grid_.row_edges[last_row + 1];
+  }
+
+  // False if no point of a block is in the window. Sines of directions change by no more than the
+  // angle between them. Where layers bend rays, all blocks are looked at.
+  [[nodiscard]] bool in_window(const SeenMesh& mesh, const EdgeBlock& block) const {
+    if (!view_.layers.depth_m.empty()) return true;
+    const Vec3 middle = seen(mesh, block.centre_m);
+    const auto radius_m = static_cast<double>(block.radius_m) * 1.001;
+    const double range_m = norm(middle);
+    if (range_m <= radius_m) return true;
+    if (middle.x < -radius_m) return false;
+    constexpr double kHalfPi = 1.5707963267948966;
+    const double off = std::min(kHalfPi * radius_m / range_m, 2.0);  // at least the arc sine
+    const double column = column_of(-middle.y / range_m), w = middle.z / range_m;
+    const double columns = off / grid_.s_pitch;
+    return column + columns >= low_column_ && column - columns <= high_column_ &&
+           w + off >= low_w_ && w - off <= high_w_;
   }
 
   static Vec3 seen(const SeenMesh& mesh, const float* point_m) {
@@ -178,11 +216,9 @@ class Rasteriser {
   [[nodiscard]] double column_of(double s) const { return (s - grid_.first_s) / grid_.s_pitch; }
 
   void add_piece(const SinePoint& a, const SinePoint& b) {
-    const double low_w = grid_.row_edges[0], high_w = grid_.row_edges[grid_.rows];
-    const auto columns = static_cast<double>(grid_.columns);
     const double c0 = column_of(a.s), c1 = column_of(b.s);
-    if ((a.w < low_w && b.w < low_w) || (a.w >= high_w && b.w >= high_w) ||
-        (c0 < 0.0 && c1 < 0.0) || (c0 >= columns && c1 >= columns)) {
+    if ((a.w < low_w_ && b.w < low_w_) || (a.w >= high_w_ && b.w >= high_w_) ||
+        (c0 < low_column_ && c1 < low_column_) || (c0 >= high_column_ && c1 >= high_column_)) {
       return;
     }
     // Cut by rows, then by columns; parameters run from a to b.
@@ -191,8 +227,8 @@ class Rasteriser {
       double t0 = 0.0, t1 = 1.0;
       if (!clip(a.w, b.w, grid_.row_edges[row], grid_.row_edges[row + 1], t0, t1)) continue;
       const double d0 = c0 + t0 * (c1 - c0), d1 = c0 + t1 * (c1 - c0);
-      const double first = std::max(std::floor(std::min(d0, d1)), 0.0);
-      const double last = std::min(std::floor(std::max(d0, d1)), columns - 1.0);
+      const double first = std::max(std::floor(std::min(d0, d1)), low_column_);
+      const double last = std::min(std::floor(std::max(d0, d1)), high_column_ - 1.0);
       for (double column = first; column <= last; column += 1.0) {
         double u0 = t0, u1 = t1;
         if (!clip(c0, c1, column, column + 1.0, u0, u1)) continue;
@@ -252,6 +288,7 @@ class Rasteriser {
   std::vector<float> far_m_;  // farthest hit in and about each cell; negative: not known yet
   std::array<std::size_t, kGuesses> guess_{};
   double per_guess_ = 0.0;
+  double low_column_ = 0.0, high_column_ = 0.0, low_w_ = 0.0, high_w_ = 0.0;  // see `set_window`
   Segment proto_{};
   std::vector<Segment> segments_;
 };
@@ -273,12 +310,7 @@ class Cutter {
   // Boxes that together are the cell.
   const std::vector<Box>& cut(const Box& cell, const Segment* segments, std::size_t count) {
     boxes_.clear();
-    goes_on_.resize(2 * count);
-    for (std::size_t i = 0; i < count; ++i) {
-      for (std::size_t end = 0; end < 2; ++end) {
-        goes_on_[2 * i + end] = inside(cell, segments[i], end) && goes_on(segments, count, i, end);
-      }
-    }
+    find_continued(cell, segments, count);
     ends(cell.w0, cell.w1, segments, count, false, slabs_);
     ends(cell.s0, cell.s1, segments, count, true, others_);
     if (slabs_.size() <= others_.size()) {
@@ -334,25 +366,42 @@ class Cutter {
     return (static_cast<double>(k) + shift) / static_cast<double>(steps);
   }
 
-  // Whether another segment goes straight on from a segment's end: how finely an edge is divided
-  // then changes nothing.
-  static bool goes_on(const Segment* segments, std::size_t count, std::size_t i, std::size_t end) {
+  // Marks the ends from which another segment goes straight on: how finely an edge is divided then
+  // changes nothing.
+  void find_continued(const Box& cell, const Segment* segments, std::size_t count) {
+    by_s_.clear();
+    for (std::size_t i = 0; i < 2 * count; ++i) {
+      by_s_.emplace_back(segments[i / 2].s[i % 2], static_cast<std::uint32_t>(i));
+    }
+    std::sort(by_s_.begin(), by_s_.end());
+    goes_on_.assign(2 * count, 0);
+    for (std::size_t at = 0; at < by_s_.size(); ++at) {
+      const std::uint32_t i = by_s_[at].second;
+      goes_on_[i] = inside(cell, segments[i / 2], i % 2) && goes_on(segments, at);
+    }
+  }
+
+  // Whether exactly one other segment begins at an end, and goes straight on.
+  [[nodiscard]] bool goes_on(const Segment* segments, std::size_t at) const {
     constexpr float kSame = 1e-6F;
     constexpr float kStraight = 0.01F;  // sine of the angle
-    const Segment& one = segments[i];
-    const float s = one.s[end], w = one.w[end];
-    const float ds = one.s[1 - end] - s, dw = one.w[1 - end] - w;
+    const std::uint32_t i = by_s_[at].second;
+    const Segment& one = segments[i / 2];
+    const float s = one.s[i % 2], w = one.w[i % 2];
+    const float ds = one.s[1 - i % 2] - s, dw = one.w[1 - i % 2] - w;
+    std::size_t first = at;
+    while (first > 0 && std::fabs(by_s_[first - 1].first - s) <= kSame) --first;
     std::size_t found = 0;
     bool straight = false;
-    for (std::size_t j = 0; j < count; ++j) {
-      for (std::size_t k = 0; k < 2 && j != i; ++k) {
-        const Segment& other = segments[j];
-        if (std::fabs(other.s[k] - s) > kSame || std::fabs(other.w[k] - w) > kSame) continue;
-        const float es = other.s[1 - k] - s, ew = other.w[1 - k] - w;
-        const float size = std::sqrt((ds * ds + dw * dw) * (es * es + ew * ew));
-        if (++found > 1) return false;
-        straight = ds * es + dw * ew < 0.0F && std::fabs(ds * ew - dw * es) < kStraight * size;
-      }
+    for (std::size_t k = first; k < by_s_.size(); ++k) {
+      if (std::fabs(by_s_[k].first - s) > kSame) break;
+      const std::uint32_t j = by_s_[k].second;
+      const Segment& other = segments[j / 2];
+      if (j / 2 == i / 2 || std::fabs(other.w[j % 2] - w) > kSame) continue;
+      const float es = other.s[1 - j % 2] - s, ew = other.w[1 - j % 2] - w;
+      const float size = std::sqrt((ds * ds + dw * dw) * (es * es + ew * ew));
+      if (++found > 1) return false;
+      straight = ds * es + dw * ew < 0.0F && std::fabs(ds * ew - dw * es) < kStraight * size;
     }
     return found == 1 && straight;
   }
@@ -417,7 +466,8 @@ class Cutter {
   std::vector<double> slabs_, others_;
   std::vector<Cut> cuts_;
   std::vector<Segment> turned_;
-  std::vector<char> goes_on_;  // of both ends of each segment
+  std::vector<std::pair<float, std::uint32_t>> by_s_;  // ends of segments, two of each
+  std::vector<char> goes_on_;                          // of both ends of each segment
 };
 
 // Segments cell after cell.
@@ -445,13 +495,26 @@ class Refiner {
  public:
   Refiner(const FanHits& hits, RefinedRays& to) : hits_(hits), to_(to) {}
 
-  void keep(std::int32_t ray, std::int32_t column, float w0, float w1) {
+  // Rays from `first` to before `last`.
+  void keep(std::size_t first, std::size_t last, const std::int32_t* columns) {
+    to_.direction.insert(to_.direction.end(), hits_.direction + 3 * first,
+                         hits_.direction + 3 * last);
+    to_.cell.insert(to_.cell.end(), hits_.cell + 4 * first, hits_.cell + 4 * last);
+    to_.column.insert(to_.column.end(), columns + first, columns + last);
+    const std::size_t before = to_.from.size();
+    to_.from.resize(before + last - first);
+    std::iota(to_.from.begin() + static_cast<std::ptrdiff_t>(before), to_.from.end(),
+              static_cast<std::int32_t>(first));
+  }
+
+  // One ray, of a part of its cell.
+  void keep_between(std::size_t ray, std::int32_t column, float w0, float w1) {
     const float* cell = hits_.cell + 4 * ray;
     const float* direction = hits_.direction + 3 * ray;
     to_.direction.insert(to_.direction.end(), direction, direction + 3);
     to_.cell.insert(to_.cell.end(), {cell[0], cell[1], w0, w1});
     to_.column.push_back(column);
-    to_.from.push_back(ray);
+    to_.from.push_back(static_cast<std::int32_t>(ray));
   }
 
   void add(const Box& box, std::int32_t column) {
@@ -505,9 +568,15 @@ RefinedRays refined_rays(const FanGrid& grid, const FanHits& hits,
   const Sorted outlines = sorted(rasteriser.take(), cells);
   const Segment* segments = outlines.segments.data();
   std::vector<char> marked(hits.count, 0);
-  for (std::size_t cell = 0; cell < cells; ++cell) {
-    if (grid.rays[cell] >= 0) {
-      marked[static_cast<std::size_t>(grid.rays[cell])] =
+  std::vector<std::size_t> cell_of(hits.count, 0);
+  std::vector<std::int32_t> column_of(hits.count, 0);
+  for (std::size_t column = 0, cell = 0; column < grid.columns; ++column) {
+    for (std::size_t row = 0; row < grid.rows; ++row, ++cell) {
+      if (grid.rays[cell] < 0) continue;
+      const auto ray = static_cast<std::size_t>(grid.rays[cell]);
+      cell_of[ray] = cell;
+      column_of[ray] = static_cast<std::int32_t>(column);
+      marked[ray] =
           has_outline(segments + outlines.first[cell], segments + outlines.first[cell + 1]);
     }
   }
@@ -520,26 +589,28 @@ RefinedRays refined_rays(const FanGrid& grid, const FanHits& hits,
   to.from.reserve(about);
   Refiner refiner(hits, to);
   Cutter cutter;
-  for (std::size_t cell = 0; cell < cells; ++cell) {
-    const std::int32_t ray = grid.rays[cell];
-    if (ray < 0) continue;
-    const auto column = static_cast<std::int32_t>(cell / grid.rows);
+  std::size_t kept = 0;  // rays before it are done
+  for (std::size_t ray = 0; ray < hits.count; ++ray) {
+    const bool below = lower[ray] != 0, above = ray > 0 && lower[ray - 1] != 0;
+    if (!(marked[ray] || below || above)) continue;
+    refiner.keep(kept, ray, column_of.data());
+    kept = ray + 1;
+    const std::int32_t column = column_of[ray];
     const float* edges = hits.cell + 4 * ray;
-    const auto at = static_cast<std::size_t>(ray);
-    if (marked[at]) {
+    if (marked[ray]) {
       const Box box{static_cast<double>(edges[0]), static_cast<double>(edges[1]),
                     static_cast<double>(edges[2]), static_cast<double>(edges[3])};
-      const std::uint32_t first = outlines.first[cell];
-      for (const Box& part : cutter.cut(box, segments + first, outlines.first[cell + 1] - first)) {
+      const std::uint32_t first = outlines.first[cell_of[ray]];
+      const std::uint32_t last = outlines.first[cell_of[ray] + 1];
+      for (const Box& part : cutter.cut(box, segments + first, last - first)) {
         refiner.add(part, column);
       }
       continue;
     }
     // Cells beside rays that are laid between them end at their own rays.
     const float own_w = hits.direction[3 * ray + 2];
-    const bool below = lower[at], above = ray > 0 && lower[at - 1];
     if (!above || !below) {
-      refiner.keep(ray, column, above ? own_w : edges[2], below ? own_w : edges[3]);
+      refiner.keep_between(ray, column, above ? own_w : edges[2], below ? own_w : edges[3]);
     }
     if (below) {
       const double w0 = static_cast<double>(own_w);
@@ -551,6 +622,7 @@ RefinedRays refined_rays(const FanGrid& grid, const FanHits& hits,
       }
     }
   }
+  refiner.keep(kept, hits.count, column_of.data());
   return to;
 }
 

@@ -392,6 +392,11 @@ TEST_CASE("cells through a window are all that hold a direction through it, and 
   const std::size_t count = directions.size() / 3;
   const auto kept =
       acoustics::cells_through_window({count, directions.data(), cells.data()}, window);
+  // Where the fan looks away from the plane, cells at its rim and along the plane are kept at most.
+  acoustics::MirrorWindow behind = window;
+  behind.normal = {-0.8, -0.6, 0.0};
+  CHECK(acoustics::cells_through_window({count, directions.data(), cells.data()}, behind).size() <
+        count / 5);
   std::size_t expected = 0;
   for (std::size_t i = 0; i < count; ++i) {
     bool through = false;

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -91,6 +92,60 @@ TEST_CASE("a triangle that no ray meets gets rays, and its own area") {
                                            (y_z[3] - y_z[1]) * (y_z[4] - y_z[0]));
     CHECK(area_of(rays, y_z, true) / (0.5 * twice / 100.0) == near(1.0, 0.02));
   }
+}
+
+TEST_CASE("a part of a fan is refined as in the whole fan") {
+  // Triangles in and about the part, near each other and far apart.
+  std::vector<float> corners, normals;
+  std::uint32_t bits = 1;
+  const auto draw = [&bits](float low, float high) {
+    bits = bits * 1664525U + 1013904223U;
+    return low + (high - low) * static_cast<float>(bits >> 8) / static_cast<float>(1U << 24);
+  };
+  constexpr std::size_t kTriangles = 400;
+  for (std::size_t i = 0; i < kTriangles; ++i) {
+    const float x = draw(-2.0F, 12.0F), y = draw(-4.0F, 4.0F), z = draw(-4.0F, 4.0F);
+    for (int k = 0; k < 3; ++k) {
+      for (const float axis : {x, y, z}) corners.push_back(axis + draw(-0.2F, 0.2F));
+    }
+    normals.insert(normals.end(), {-1.0F, 0.0F, 0.0F});
+  }
+  const std::vector<std::int32_t> surface(kTriangles, 0);
+  const acoustics::MeshEdges mesh =
+      acoustics::mesh_edges(corners.data(), normals.data(), surface.data(), kTriangles);
+  const Fan whole;
+  const acoustics::RefinedRays all = whole.refined(mesh);
+  Fan part;
+  const auto is_in = [](std::size_t cell) {
+    return cell / kSide > 4 && cell % kSide > 0 && cell % kSide < 4;
+  };
+  std::size_t kept = 0;
+  for (std::size_t cell = 0; cell < part.rays.size(); ++cell) {
+    if (!is_in(cell)) {
+      part.rays[cell] = -1;
+      continue;
+    }
+    part.rays[cell] = static_cast<std::int32_t>(kept);
+    std::copy_n(whole.direction.data() + 3 * cell, 3, part.direction.data() + 3 * kept);
+    std::copy_n(whole.cell.data() + 4 * cell, 4, part.cell.data() + 4 * kept);
+    ++kept;
+  }
+  part.direction.resize(3 * kept);
+  part.cell.resize(4 * kept);
+  part.range_m.resize(kept);
+  const acoustics::RefinedRays some = part.refined(mesh);
+  std::vector<float> expected;
+  for (std::size_t i = 0; i < all.column.size(); ++i) {
+    const auto s = 0.5 * static_cast<double>(all.cell[4 * i] + all.cell[4 * i + 1]);
+    const auto w = 0.5 * static_cast<double>(all.cell[4 * i + 2] + all.cell[4 * i + 3]);
+    const auto column = static_cast<std::size_t>((s - whole.row_edges[0]) / kStep);
+    const auto row = static_cast<std::size_t>((w - whole.row_edges[0]) / kStep);
+    if (!is_in(column * kSide + row)) continue;
+    expected.insert(expected.end(), all.cell.begin() + static_cast<std::ptrdiff_t>(4 * i),
+                    all.cell.begin() + static_cast<std::ptrdiff_t>(4 * i + 4));
+  }
+  CHECK(expected.size() > 8 * kept);
+  CHECK(some.cell == expected);
 }
 
 TEST_CASE("without an outline every ray is kept as it is") {

@@ -4,12 +4,15 @@
 #include <pybind11/stl.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstring>
 #include <functional>
+#include <memory>
 #include <numeric>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "checked_array.hpp"
@@ -156,12 +159,33 @@ py::array merged(const py::array& known, const Array<std::int32_t>& source, cons
   const auto* first = static_cast<const char*>(old.data());
   const auto* next = static_cast<const char*>(fresh.data());
   const py::gil_scoped_release unlocked;
-  for (py::ssize_t i = 0; i < count; ++i, to += row) {
+  for (py::ssize_t i = 0; i < count;) {
+    // Rows that follow one another are copied together.
     const bool is_new = from[i] < 0;
-    std::memcpy(to, is_new ? next : first + row * static_cast<std::size_t>(from[i]), row);
-    if (is_new) next += row;
+    py::ssize_t end = i + 1;
+    while (end < count && (is_new ? from[end] < 0 : from[end] == from[end - 1] + 1)) ++end;
+    const std::size_t size = row * static_cast<std::size_t>(end - i);
+    std::memcpy(to, is_new ? next : first + row * static_cast<std::size_t>(from[i]), size);
+    if (is_new) next += size;
+    to += size;
+    i = end;
   }
   return both;
+}
+
+py::array rotated(const Array<float>& direction, const Array<float>& matrix) {
+  require(direction.ndim() == 2 && direction.shape(1) == 3, "direction must be (N, 3)");
+  require(matrix.ndim() == 2 && matrix.shape(0) == 3 && matrix.shape(1) == 3,
+          "matrix must be (3, 3)");
+  const py::ssize_t count = direction.shape(0);
+  Array<float> turned({count, py::ssize_t{3}});
+  std::array<float, 9> m;
+  std::copy_n(matrix.data(), 9, m.begin());
+  const float* from = direction.data();
+  float* to = turned.mutable_data();
+  const py::gil_scoped_release unlocked;
+  acoustics::multiply_rows(from, static_cast<std::size_t>(count), m, to);
+  return turned;
 }
 
 py::array rays_near_ball(const Array<double>& start_m, const Array<float>& direction,
@@ -179,11 +203,16 @@ py::array rays_near_ball(const Array<double>& start_m, const Array<float>& direc
   return Array<std::int64_t>(static_cast<py::ssize_t>(near.size()), near.data());
 }
 
+// An array that owns the values, without a copy; rows of one number are numbers.
 template <typename T>
-py::array rows_of(const std::vector<T>& values, py::ssize_t wide) {
-  const auto count = static_cast<py::ssize_t>(values.size()) / wide;
-  if (wide == 1) return Array<T>(count, values.data());
-  return Array<T>({count, wide}, values.data());
+py::array rows_of(std::vector<T>&& values, py::ssize_t wide) {
+  auto kept = std::make_unique<std::vector<T>>(std::move(values));
+  const auto count = static_cast<py::ssize_t>(kept->size()) / wide;
+  const T* data = kept->data();
+  const py::capsule owner(kept.get(), [](void* of) { delete static_cast<std::vector<T>*>(of); });
+  kept.release();
+  if (wide == 1) return Array<T>(count, data, owner);
+  return Array<T>({count, wide}, data, owner);
 }
 
 py::array visible_points(const Array<float>& direction, const Array<float>& map_direction,
@@ -206,7 +235,8 @@ py::array visible_points(const Array<float>& direction, const Array<float>& map_
                                         {o[0], o[1], o[2]}},
                                        range_m, bearing_sine, elevation_sine);
   }
-  return rows_of(points, 3);
+  points.shrink_to_fit();
+  return rows_of(std::move(points), 3);
 }
 
 py::array cells_through_window(const Array<float>& direction, const Array<float>& cell,
@@ -315,9 +345,10 @@ py::tuple refined_rays(const Array<float>& direction, const Array<float>& cell,
           "direction must be (N, 3), cell (N, 4), range_m (N,)");
   require(rays.ndim() == 2 && row_edges.size() == rays.shape(1) + 1,
           "rays must be (columns, rows), row_edges (rows + 1,)");
-  require(std::all_of(rays.data(), rays.data() + rays.size(),
-                      [count](std::int32_t ray) { return ray < count; }),
-          "ray beyond the fan");
+  std::int32_t next = 0;
+  const bool in_order = std::all_of(rays.data(), rays.data() + rays.size(),
+                                    [&next](std::int32_t ray) { return ray < 0 || ray == next++; });
+  require(in_order && next == count, "rays must name each ray once, in order");
   const std::int64_t* at = pairs.data();
   require(std::all_of(at, at + pairs.size(),
                       [count](std::int64_t ray) { return ray >= 0 && ray + 1 < count; }),
@@ -335,8 +366,8 @@ py::tuple refined_rays(const Array<float>& direction, const Array<float>& cell,
         {static_cast<std::size_t>(count), range_m.data(), direction.data(), cell.data()}, meshes,
         lower, reach_m, view);
   }
-  return py::make_tuple(rows_of(found.direction, 3), rows_of(found.cell, 4),
-                        rows_of(found.column, 1), rows_of(found.from, 1));
+  return py::make_tuple(rows_of(std::move(found.direction), 3), rows_of(std::move(found.cell), 4),
+                        rows_of(std::move(found.column), 1), rows_of(std::move(found.from), 1));
 }
 
 }  // namespace
@@ -361,6 +392,7 @@ void bind_tracing(py::module_& module) {
              arg("sea_face"), arg("sea_group"), arg("range_m").noconvert(), arg("face").noconvert(),
              arg("group").noconvert());
   module.def("merged", &merged, arg("known"), arg("source"), arg("more"));
+  module.def("rotated", &rotated, arg("direction"), arg("matrix"));
   module.def("rays_near_ball", &rays_near_ball, arg("start_m"), arg("direction"), arg("reach_m"),
              arg("middle_m"), arg("radius_m"));
   module.def("visible_points", &visible_points, arg("direction"), arg("map_direction"), arg("face"),

@@ -2,14 +2,15 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from sonar_sim.effects.planes import mirror_planes
 from sonar_sim.engine import PingEngine
-from sonar_sim.propagation.physics import Mirror
-from sonar_sim.raycast.meshes import SEA
+from sonar_sim.propagation.physics import Mirror, SoundSpeedProfile
+from sonar_sim.raycast.meshes import SEA, Hits, Meshes
 from sonar_sim.scene.material import MATERIALS, Material
 from sonar_sim.scene.scene import Scene, Sea, Surface
 from sonar_sim.validation.setups import (
@@ -41,10 +42,12 @@ def plate(from_m: float, to_m: float) -> Surface:
 MIRROR = Mirror(np.array([0.0, 0.0, -BELOW_M]), np.array([0.0, 0.0, 1.0]), 0.9, 0)
 
 
-def rows(scene: Scene, *mirrors: Mirror, speckle: bool = False) -> NDArray[np.float32]:
+def rows(
+    scene: Scene, *mirrors: Mirror, speckle: bool = False, range_m: float = 7.0
+) -> NDArray[np.float32]:
     """Loudest amplitude of each row."""
     physics = dataclasses.replace(MEAN, specular=False, mirrors=mirrors, speckle=speckle)
-    engine = PingEngine(scene, narrow_sonar(7.0, ROW_M), elevations=448)
+    engine = PingEngine(scene, narrow_sonar(range_m, ROW_M), elevations=448)
     loudest: NDArray[np.float32] = engine.ping(HERE, physics).amplitude.max(axis=1)
     return loudest
 
@@ -75,6 +78,50 @@ def test_a_plate_mirrors_where_it_is(
     ):
         level = rows(scene, MIRROR, speckle=speckle)
         assert ghosts(level) == (there, there)
+
+
+@pytest.mark.parametrize("speckle", [False, True])
+def test_a_ghost_shows_though_its_mirrored_way_is_longer_than_the_range(*, speckle: bool) -> None:
+    range_m = AWAY_M + 0.6 * (BOUNCED_M - AWAY_M)
+    level = rows(Scene((plate(2.8, 3.2), small())), MIRROR, speckle=speckle, range_m=range_m)
+    assert len(level) < TWICE_ROW
+    assert level[ONCE_ROW - 2 : ONCE_ROW + 3].max() > 1e-3 * level.max()
+
+
+@pytest.mark.parametrize("shadows", [True, False])
+def test_rays_that_were_cast_are_not_cast_again_to_mirrors(
+    monkeypatch: pytest.MonkeyPatch, *, shadows: bool
+) -> None:
+    scene = Scene((plate(2.0, 4.0), small()))
+    physics = dataclasses.replace(MEAN, specular=False, mirrors=(MIRROR,), shadows=shadows)
+    # The same fan, but not the sonar's own.
+    again = dataclasses.replace(physics, mirrored_elevations_rad=(-0.5, 0.5))
+    engine = PingEngine(scene, narrow_sonar(7.0, ROW_M))
+    casts: list[int] = []
+    cast = Meshes.cast
+
+    def counted(meshes: Meshes, *args: Any, **kwargs: Any) -> Hits:
+        casts.append(len(args[1]))
+        return cast(meshes, *args, **kwargs)
+
+    monkeypatch.setattr(Meshes, "cast", counted)
+    for at in (HERE, pose_at((0.3, 0.2, 0.1))):
+        made = []
+        for one in (physics, again):
+            casts.clear()
+            made.append((engine.ping(at, one).amplitude, len(casts)))
+        (known, few), (new, more) = made
+        np.testing.assert_allclose(known, new, rtol=1e-4, atol=1e-6 * known.max())
+        assert few == more - 1
+
+
+def test_mirrors_work_beside_refracted_paths() -> None:
+    scene = Scene((plate(2.8, 3.2), small()))
+    level = SoundSpeedProfile(np.array([0.0, 50.0]), np.array([1500.0, 1500.0]))
+    physics = dataclasses.replace(MEAN, specular=False, mirrors=(MIRROR,), layers=level)
+    below = pose_at((0.0, 0.0, 0.0))
+    bent = PingEngine(scene, narrow_sonar(7.0, ROW_M), elevations=448).ping(below, physics)
+    assert ghosts(bent.amplitude.max(axis=1)) == (True, True)
 
 
 def test_a_screen_before_or_after_the_bounce_hides_the_ghost() -> None:

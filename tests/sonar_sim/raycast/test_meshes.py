@@ -186,3 +186,16 @@ def test_rows_that_do_not_fit_are_not_merged() -> None:
             _core.merged(known, source, more)  # type: ignore[type-var]
     with pytest.raises(ValueError, match="source"):
         _core.merged(known, np.array([4], np.int32), np.zeros((0, 3), np.float32))
+
+
+def test_directions_are_multiplied_by_a_matrix() -> None:
+    draw = np.random.default_rng(3)
+    matrix = draw.normal(size=(3, 3)).astype(np.float32)
+    for count in (0, 1, 7, 100):
+        rows = draw.normal(size=(count, 3)).astype(np.float32)
+        exact = rows.astype(np.float64) @ matrix.astype(np.float64)
+        np.testing.assert_allclose(_core.rotated(rows, matrix), exact, atol=1e-5)
+    with pytest.raises(ValueError, match="matrix"):
+        _core.rotated(np.zeros((2, 3), np.float32), np.zeros((2, 3), np.float32))
+    with pytest.raises(ValueError, match="direction"):
+        _core.rotated(np.zeros((3, 2), np.float32), matrix)

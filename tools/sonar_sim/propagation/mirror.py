@@ -1,6 +1,7 @@
 """Mirrors: sound is reflected by a mirror's own faces, and nowhere else on its plane."""
 
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ RELATIVE_GAP = 1e-3
 
 def mirrored_fan(
     fan: RayFan, mirror: Mirror, image: FramePose, height_m: float, reach_m: float
-) -> RayFan:
+) -> tuple[RayFan, NDArray[np.int64]]:
     """The part of a fan whose cells may meet the mirror from the sonar's image.
 
     Args:
@@ -31,6 +32,9 @@ def mirrored_fan(
         image: the sonar's mirror image.
         height_m: of the sonar over the plane.
         reach_m: maximum range to the plane.
+
+    Returns:
+        The part, and the ray of the whole fan that each of its rays is, (K,).
     """
     kept = _core.cells_through_window(
         fan.directions,
@@ -43,13 +47,14 @@ def mirrored_fan(
     )
     number = np.full(len(fan.directions) + 1, -1, dtype=np.int32)
     number[kept] = np.arange(len(kept))
-    return replace(
+    part = replace(
         fan,
         directions=fan.directions.take(kept, axis=0),
         cell=fan.cell.take(kept, axis=0),
         column=fan.column.take(kept),
-        grid=replace(fan.grid, rays=number[fan.grid.rays]),
+        grid=replace(fan.grid, rays=number.take(fan.grid.rays)),
     )
+    return part, kept
 
 
 def reaches_mirror(
@@ -73,9 +78,20 @@ def reaches_mirror(
             range_m > crossing_m * (1.0 - RELATIVE_GAP) - MIRROR_GAP_M
         )
         return free
-    found = np.zeros(len(face), dtype=np.bool_)
-    own = np.flatnonzero((face >= 0) & (meshes.surface[face] == mirror.surface))
-    plane = meshes.planes[face[own]]
-    flat = np.abs(plane[:, :3] @ mirror.point_m - plane[:, 3]) < FLAT_M
-    found[own] = flat & (np.abs(plane[:, :3] @ mirror.normal) > PARALLEL)
+    found: NDArray[np.bool_] = mirror_faces(meshes, mirror).take(face) & (face >= 0)
     return found
+
+
+_FACES_CACHE: WeakKeyDictionary[Meshes, dict[bytes, NDArray[np.bool_]]] = WeakKeyDictionary()
+
+
+def mirror_faces(meshes: Meshes, mirror: Mirror) -> NDArray[np.bool_]:
+    """Which faces of its surface a mirror is made of, (F,)."""
+    known = _FACES_CACHE.setdefault(meshes, {})
+    name = np.array([mirror.surface, *mirror.point_m, *mirror.normal], dtype=np.float64).tobytes()
+    faces = known.get(name)
+    if faces is None:
+        flat = np.abs(meshes.planes[:, :3] @ mirror.point_m - meshes.planes[:, 3]) < FLAT_M
+        parallel = np.abs(meshes.planes[:, :3] @ mirror.normal) > PARALLEL
+        faces = known[name] = (meshes.surface == mirror.surface) & flat & parallel
+    return faces

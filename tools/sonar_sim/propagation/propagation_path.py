@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
-from sonar_sim.geometry.matmul import chunked_matmul, rows_dot
+from sonar_sim.geometry.matmul import rows_dot
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.clouds import cloud_gain
 from sonar_sim.propagation.mirror import (
@@ -171,7 +171,7 @@ def _drift(here: PingGeometry, group: int) -> NDArray[np.float64]:
 
 
 def mirror_paths(
-    here: PingGeometry, fan: RayFan, mirror: Mirror, reach_m: float
+    here: PingGeometry, fan: RayFan, mirror: Mirror, reach_m: float, known: Hits | None = None
 ) -> list[_core.Rays]:
     """Paths with a mirror on the way out, back, or both; the sonar is taken to stand still.
 
@@ -183,11 +183,12 @@ def mirror_paths(
         fan: of rays, not yet refined.
         mirror: a plane of multipath.
         reach_m: a mirror that lies farther is not met.
+        known: what the sonar's own rays of the fan met within that range, if they were cast.
     """
     image = mirrored(here.pose, mirror)
     if image is None:
         return []
-    seen = _seen_in_mirror(here, fan, mirror, image, reach_m)
+    seen = _seen_in_mirror(here, fan, mirror, image, reach_m, known=known)
     met = seen.met[0]
     hit = np.flatnonzero(here.echoes(met.face))
     frames = here.meshes.poses(here.time_s)
@@ -254,27 +255,36 @@ def _reflector(mirror: Mirror) -> NDArray[np.float64]:
 
 
 def _seen_in_mirror(
-    here: PingGeometry, fan: RayFan, mirror: Mirror, image: FramePose, reach_m: float
+    here: PingGeometry,
+    fan: RayFan,
+    mirror: Mirror,
+    image: FramePose,
+    reach_m: float,
+    *,
+    known: Hits | None,
 ) -> Trace:
     """What rays meet after the mirror, from the image."""
     height = float(np.dot(mirror.normal, here.pose.position_m - mirror.point_m))
     reflector = _reflector(mirror).astype(np.float32)
+    part, kept = mirrored_fan(fan, mirror, image, height, 2.0 * here.range_m)
 
-    def cast(onward: NDArray[np.float32]) -> Hits:
-        range_m = np.full(len(onward), np.inf, dtype=np.float32)
-        face = np.full(len(onward), NOTHING, dtype=np.int32)
-        group = np.zeros(len(onward), dtype=np.int32)
+    def cast(onward: NDArray[np.float32], own: Hits | None = None) -> Hits:
         crossing = height / np.maximum(rows_dot(onward, mirror.normal), 1e-9)
         ray = np.flatnonzero(crossing < 2.0 * here.range_m)
-        going = onward.take(ray, axis=0)
-        direction = chunked_matmul(going, reflector)
-        first = here.meshes.cast(
-            here.pose.position_m, direction, here.time_s, reach_m, here.threads
+        going, crossing = onward.take(ray, axis=0), crossing.take(ray)
+        if own is None:
+            # From the image, of which the sonar's own ray is the mirrored one.
+            direction = _core.rotated(going, reflector)
+            first = here.meshes.cast(
+                here.pose.position_m, direction, here.time_s, reach_m, here.threads
+            )
+        else:
+            first = own.take(ray)
+        there = np.flatnonzero(
+            reaches_mirror(here.meshes, mirror, first.face, first.range_m, crossing)
         )
-        there = reaches_mirror(here.meshes, mirror, first.face, first.range_m, crossing[ray])
-        ray, going = ray[there], going[there]
-        # From the image, of which the sonar's own ray is the mirrored one.
-        behind = crossing[ray] * (1.0 + RELATIVE_GAP / height)
+        ray, going = ray.take(there), going.take(there, axis=0)
+        behind = crossing.take(there) * (1.0 + RELATIVE_GAP / height)
         met = here.meshes.cast(
             image.position_m,
             going,
@@ -283,18 +293,20 @@ def _seen_in_mirror(
             here.threads,
             near_m=behind.astype(np.float32),
         )
-        range_m[ray] = met.range_m
-        face[ray], group[ray] = met.face, met.group
-        return Hits(range_m, face, group)
+        all_rays = Hits.empty(len(onward), np.inf)
+        all_rays.range_m[ray] = met.range_m
+        all_rays.face[ray], all_rays.group[ray] = met.face, met.group
+        return all_rays
 
     return trace(
         here.meshes,
-        mirrored_fan(fan, mirror, image, height, 2.0 * here.range_m),
+        part,
         image,
         here.time_s,
         2.0 * here.range_m,
         threads=here.threads,
         cast=cast,
+        first_cast=lambda onward: cast(onward, None if known is None else known.take(kept)),
         real_sonar=here.pose,
     )
 

@@ -47,6 +47,10 @@ class Hits:
         face = np.full(count, NOTHING, dtype=np.int32)
         return cls(np.full(count, range_m, np.float32), face, np.zeros(count, dtype=np.int32))
 
+    def take(self, rays: NDArray[np.int64]) -> "Hits":
+        """Those of some rays."""
+        return Hits(self.range_m.take(rays), self.face.take(rays), self.group.take(rays))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameGroup:
@@ -278,7 +282,7 @@ def _in_frame(
     start = origin_m - map_T_object.position_m
     if not np.array_equal(turn, np.eye(3)):
         start = chunked_matmul(start, turn)
-        direction = chunked_matmul(direction, turn.astype(np.float32))
+        direction = _core.rotated(direction, turn.astype(np.float32))
     return start - group.centre_m, np.ascontiguousarray(direction)
 
 

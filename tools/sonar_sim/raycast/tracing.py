@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
-from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.geometry.pose import FramePose
 from sonar_sim.raycast.fan import RayFan
 from sonar_sim.raycast.meshes import Hits, Meshes
@@ -44,12 +43,14 @@ class Trace:
         direction: in the map frame, (N, 3).
         origin_m: map frame, (3,).
         met: what each met first; further entries lie behind where shadows are off.
+        coarse: what the fan's rays met before it was refined; None where rays are bent.
     """
 
     fan: RayFan
     direction: NDArray[np.float32]
     origin_m: NDArray[np.float64]
     met: tuple[Hits, ...]
+    coarse: Hits | None = None
 
 
 def trace(
@@ -62,6 +63,7 @@ def trace(
     shadows: bool = True,
     threads: int = 2,
     cast: Callable[[NDArray[np.float32]], Hits] | None = None,
+    first_cast: Callable[[NDArray[np.float32]], Hits] | None = None,
     real_sonar: FramePose | None = None,
 ) -> Trace:
     """Cast a fan from a pose.
@@ -75,6 +77,7 @@ def trace(
         shadows: whether only the first thing on a ray is met.
         threads: that share the rays.
         cast: what directions of the map frame, (N, 3), meet; by default the nearest mesh.
+        first_cast: the same for the fan's own rays alone, if some of it is known.
         real_sonar: pose of the real sonar if `map_T_sonar` is its mirror image; outlines seen from
             it, such as the mirror's own, also cut cells.
     """
@@ -85,8 +88,8 @@ def trace(
         def cast(direction: NDArray[np.float32]) -> Hits:
             return meshes.cast(origin, direction, time_s, reach_m, threads)
 
-    direction = chunked_matmul(fan.directions, turn)
-    met = cast(direction)
+    direction = _core.rotated(fan.directions, turn)
+    met = coarse = cast(direction) if first_cast is None else first_cast(direction)
     edges = edges_of(meshes, fan, direction, met)
     # Where a part of the fan is left out, the next ray may be farther up.
     edges = edges[np.abs(fan.cell[edges, 3] - fan.cell[edges + 1, 2]) < MAX_GAP]
@@ -96,7 +99,7 @@ def trace(
     )
     new = np.flatnonzero(source < 0)
     if len(new):
-        new_direction = chunked_matmul(fan.directions.take(new, axis=0), turn)
+        new_direction = _core.rotated(fan.directions.take(new, axis=0), turn)
         direction = _core.merged(direction, source, new_direction)
         more = cast(new_direction)
         met = Hits(
@@ -109,7 +112,7 @@ def trace(
         layers += _behind(
             meshes, origin, direction, met, time_s=time_s, reach_m=reach_m, threads=threads
         )
-    return Trace(fan, direction, origin, tuple(layers))
+    return Trace(fan, direction, origin, tuple(layers), coarse)
 
 
 def edges_of(

@@ -7,6 +7,7 @@
 /// Functions of their arguments: any thread may call them.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -51,6 +52,10 @@ constexpr float kNearM = 1e-4F;
 /// \param face (count,), of the hit, unchanged for a miss
 void cast_bundle(const std::vector<TrianglePack>& mesh, const RayBundle& rays,
                  std::int32_t first_face, unsigned threads, float* range_m, std::int32_t* face);
+
+/// Multiplies rows (count, 3) by a matrix (3, 3), row by row; `to` does not overlap `rows`.
+void multiply_rows(const float* rows, std::size_t count, const std::array<float, 9>& matrix,
+                   float* to);
 
 /// The sea's surface over a sonar.
 struct SeaSurface {

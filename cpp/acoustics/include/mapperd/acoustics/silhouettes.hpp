@@ -40,7 +40,8 @@ struct FanGrid {
   std::size_t columns, rows;
   double first_s, s_pitch;   ///< where column 0 begins; width of a column
   const double* row_edges;   ///< sines of elevation, ascending, (rows + 1,)
-  const std::int32_t* rays;  ///< ray of each cell, -1 where a cell has none, (columns, rows)
+  const std::int32_t* rays;  ///< ray of each cell: each ray once and in order; -1 where a cell has
+                             ///< none, (columns, rows)
 };
 
 /// Rays, cell after cell as in the fan that they refine.
