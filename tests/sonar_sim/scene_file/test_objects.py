@@ -64,6 +64,20 @@ def test_triangles_are_cut_to_their_cell(load: Load) -> None:
     assert area.sum() / 2.0 == pytest.approx(4.0)
 
 
+@pytest.mark.parametrize(("cell_m", "by_halving"), [(0.2, 6912), (0.1, 27648)])
+def test_cylinders_are_cut_into_fewer_triangles_than_halving_edges_leaves(
+    load: Load, cell_m: float, by_halving: int
+) -> None:
+    made = load(
+        "objects: [{name: c, shape: {kind: cylinder, radius_m: 1, height_m: 2, facets: 32}, "
+        f"material: rock, position_m: [0, 0, -5], cell_m: {cell_m}}}]"
+    )
+    cylinder = surfaces(made)["c"]
+    corners = cylinder.vertices_m[cylinder.faces]
+    assert np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max() <= cell_m
+    assert len(cylinder.faces) < 0.8 * by_halving
+
+
 def test_group_puts_its_parts_together(load: Load) -> None:
     made = load("""
 objects:

@@ -80,6 +80,33 @@ def test_sheet_and_disc_lie_flat() -> None:
     assert build(schema.Disc(radius_m=2.0, facets=512)).area == pytest.approx(4 * math.pi, rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    "shape",
+    [
+        schema.Cylinder(radius_m=3.0, height_m=2.4, facets=180, open=True),
+        schema.Cylinder(radius_m=1.0, height_m=2.0, top_radius_m=0.5, facets=48),
+        schema.Disc(radius_m=3.0, facets=180),
+    ],
+)
+def test_round_shapes_have_rings_as_their_cells_ask(shape: schema.BuiltShape) -> None:
+    cell_m = 0.3
+    whole, fine = build(shape), triangles_of(shape, None, cell_m)
+    corners = fine.vertices[fine.faces]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    assert edges.max() <= cell_m
+    assert fine.area == pytest.approx(whole.area, rel=1e-9)
+    assert fine.bounds == pytest.approx(whole.bounds)
+    assert len(fine.faces) < 30 * len(whole.faces)
+    # Every edge is a border of the shape, or has two faces.
+    whole_borders, borders = (
+        np.unique(np.unique(m.edges_sorted, axis=0, return_counts=True)[1], return_counts=True)
+        for m in (whole, fine)
+    )
+    assert borders[0].tolist() == whole_borders[0].tolist()
+    if whole_borders[0][0] == 1:
+        assert borders[1][0] == whole_borders[1][0]
+
+
 def test_triangles_without_an_area_are_left_out() -> None:
     grid = np.zeros((2, 3, 3))
     grid[1, :, 0] = 1.0

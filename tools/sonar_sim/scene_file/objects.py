@@ -216,7 +216,10 @@ def _meshes(
 ) -> dict[str, trimesh.Trimesh]:
     """Build an object's triangles by the names of their materials, in the object's frame."""
     pieces: dict[str, list[trimesh.Trimesh]] = {}
-    for material, mesh in _shaped(section.shape, section.material, materials, floor_m, folder):
+    made = _shaped(
+        section.shape, section.material, materials, floor_m, folder, cell_m=section.cell_m
+    )
+    for material, mesh in made:
         named_material(material, materials)
         pieces.setdefault(material, []).append(mesh)
     meshes = {material: _joined(parts) for material, parts in pieces.items()}
@@ -244,6 +247,8 @@ def _shaped(
     materials: Mapping[str, Material],
     floor_m: HeightOf | None,
     folder: Path,
+    *,
+    cell_m: float | None,
 ) -> Iterator[_Piece]:
     match shape:
         case schema.Mesh():
@@ -253,10 +258,12 @@ def _shaped(
                 place_m = np.array(part.position_m)
                 attitude_deg = (part.roll_deg, part.pitch_deg, part.yaw_deg)
                 own = part.material or material
-                for key, mesh in _shaped(part.shape, own, materials, floor_m, folder):
+                for key, mesh in _shaped(
+                    part.shape, own, materials, floor_m, folder, cell_m=cell_m
+                ):
                     yield key, _turned(mesh, place_m, attitude_deg)
         case _:
-            yield material, triangles_of(shape, floor_m)
+            yield material, triangles_of(shape, floor_m, cell_m)
 
 
 def _of_file(

@@ -1,5 +1,6 @@
 """Build shapes and terrain as meshes."""
 
+import itertools
 import math
 from pathlib import Path
 from typing import cast
@@ -12,14 +13,20 @@ from sonar_sim.scene_file import schema
 from sonar_sim.scene_file.height_maps import Floats, HeightOf, measured_height
 
 HULL_STATIONS, HULL_LINES = 64, 24
+WIDEST_FACET = 0.87
+"""Of a cell: a facet as wide leaves its rings half a cell."""
 
 
-def triangles_of(shape: schema.BuiltShape, floor_m: HeightOf | None) -> trimesh.Trimesh:
+def triangles_of(
+    shape: schema.BuiltShape, floor_m: HeightOf | None, cell_m: float | None = None
+) -> trimesh.Trimesh:
     """Build a shape that needs no file.
 
     Args:
         shape: the shape's section of the file.
         floor_m: for pipes that follow the floor.
+        cell_m: edges will be halved until none is longer. Cylinders and discs get rings for that,
+            so that halving leaves fewer triangles.
 
     Raises:
         SceneError: the shape cannot be.
@@ -28,7 +35,7 @@ def triangles_of(shape: schema.BuiltShape, floor_m: HeightOf | None) -> trimesh.
         case schema.Box():
             mesh = _solid(trimesh.creation.box(extents=shape.size_m))
         case schema.Cylinder():
-            mesh = _cylinder(shape)
+            mesh = _cylinder(shape, cell_m)
         case schema.Sphere():
             mesh = _sphere(shape)
         case schema.Capsule():
@@ -38,7 +45,7 @@ def triangles_of(shape: schema.BuiltShape, floor_m: HeightOf | None) -> trimesh.
         case schema.Sheet():
             mesh = _rectangle(shape)
         case schema.Disc():
-            mesh = _turned(((0.0, 0.0), (shape.radius_m, 0.0)), shape.facets)
+            mesh = _turned(((0.0, 0.0), (shape.radius_m, 0.0)), shape.facets, cell_m)
         case schema.Hull():
             mesh = _hull(shape)
     return mesh
@@ -62,8 +69,16 @@ def _rectangle(shape: schema.Sheet) -> trimesh.Trimesh:
     return sheet(np.pad(corners, ((0, 0), (0, 1))).reshape(2, 2, 3))
 
 
-def _turned(profile: tuple[tuple[float, float], ...], facets: int) -> trimesh.Trimesh:
-    """Turn a profile of (radius, z) about the z axis; seam and poles are closed."""
+def _turned(
+    profile: tuple[tuple[float, float], ...], facets: int, cell_m: float | None = None
+) -> trimesh.Trimesh:
+    """Turn a profile of (radius, z) about the z axis; seam and poles are closed.
+
+    With `cell_m` each straight part of it has so many rings that halving all edges, as often as
+    the facets' width needs it, leaves no diagonal longer.
+    """
+    if cell_m is not None:
+        profile = _with_rings(profile, facets, cell_m)
     angle = np.linspace(0.0, 2.0 * math.pi, facets, endpoint=False)
     angle = np.append(angle, 0.0)  # the seam's points are the first ones, to the bit
     radius, z = np.array(profile).T
@@ -73,13 +88,27 @@ def _turned(profile: tuple[tuple[float, float], ...], facets: int) -> trimesh.Tr
     return mesh
 
 
-def _cylinder(shape: schema.Cylinder) -> trimesh.Trimesh:
+def _with_rings(
+    profile: tuple[tuple[float, float], ...], facets: int, cell_m: float
+) -> tuple[tuple[float, float], ...]:
+    points = [profile[0]]
+    for start, end in itertools.pairwise(profile):
+        facet_m = 2.0 * max(start[0], end[0]) * math.sin(math.pi / facets)
+        halvings = max(0, math.ceil(math.log2(max(facet_m, 1e-9) / (WIDEST_FACET * cell_m))))
+        part_m = facet_m / 2.0**halvings
+        step_m = 2.0**halvings * math.sqrt(cell_m**2 - part_m**2) * (1.0 - 1e-9)
+        count = max(1, math.ceil(math.dist(start, end) / step_m))
+        points += [tuple(row) for row in np.linspace(start, end, count + 1)[1:].tolist()]
+    return tuple(points)
+
+
+def _cylinder(shape: schema.Cylinder, cell_m: float | None) -> trimesh.Trimesh:
     top_m = shape.radius_m if shape.top_radius_m is None else shape.top_radius_m
     half_m = shape.height_m / 2.0
     side = ((shape.radius_m, -half_m), (top_m, half_m))
     if shape.open:
-        return _turned(side, shape.facets)
-    return _turned(((0.0, -half_m), *side, (0.0, half_m)), shape.facets)
+        return _turned(side, shape.facets, cell_m)
+    return _turned(((0.0, -half_m), *side, (0.0, half_m)), shape.facets, cell_m)
 
 
 def _sphere(shape: schema.Sphere) -> trimesh.Trimesh:
