@@ -4,11 +4,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from sonar_sim.effects.image_difference import Tolerance
+from sonar_sim.engine import NODES_PER_BEAM
 from sonar_sim.geometry.pose import FramePose, Mounting, rotation_of
 from sonar_sim.scene.material import MATERIALS
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.sonar import SonarSettings
-from sonar_sim.simulator import Simulator
+from sonar_sim.simulator import SPARSE_NODES_PER_BEAM, Simulator
 
 from oculus_driver.encode import bearing_table_cdeg
 
@@ -143,3 +145,23 @@ def test_rays_and_scatterers_are_as_asked_for(plate: Plate, level_pose: FramePos
     assert len(fewer_rays.seen_m) == pytest.approx(len(usual.seen_m) / 4, rel=0.2)
     assert np.array_equal(fewer_scatterers.seen_m, usual.seen_m)
     assert not np.array_equal(fewer_scatterers.image, usual.image)
+
+
+@pytest.mark.parametrize(
+    ("effects", "texture", "nodes_per_beam"),
+    [
+        ("auto", 0.05, SPARSE_NODES_PER_BEAM),
+        ("auto", 0.001, NODES_PER_BEAM),
+        ("all", 0.05, NODES_PER_BEAM),
+    ],
+)
+def test_auto_takes_as_few_scatterers_as_its_tolerance_allows(
+    plate: Plate, level_pose: FramePose, effects: str, texture: float, nodes_per_beam: float
+) -> None:
+    scene = plate((4.0, 0.0, 0.0), (0.0, 30.0, 0.0), (0.0, 0.0, 8.0))
+    tolerance = Tolerance(texture=texture)
+    own, asked = (
+        Simulator(scene, SONAR, effects=effects, tolerance=tolerance, nodes_per_beam=nodes)
+        for nodes in (None, nodes_per_beam)
+    )
+    np.testing.assert_array_equal(own.ping(level_pose).image, asked.ping(level_pose).image)

@@ -272,7 +272,7 @@ def scenes_table(costs_ms: dict[str, list[float]]) -> str:
 
 def _stages(scenario: Scenario, simulator: Simulator, times_s: Sequence[float]) -> dict[str, float]:
     """Medians over the pings, on one thread."""
-    engine = PingEngine(scenario.scene, scenario.sonar, threads=1)
+    engine = _engine_of(scenario, simulator)
     laps: dict[str, list[float]] = {}
     for number, t in enumerate(times_s):
         pose, motion = sonar_pose(scenario, t), sonar_motion(scenario, t)
@@ -284,10 +284,16 @@ def _stages(scenario: Scenario, simulator: Simulator, times_s: Sequence[float]) 
     return {name: statistics.median(ms) for name, ms in laps.items()}
 
 
+def _engine_of(scenario: Scenario, simulator: Simulator) -> PingEngine:
+    """As the simulator's, on one thread."""
+    nodes_per_beam = simulator.nodes_per_beam
+    return PingEngine(scenario.scene, scenario.sonar, threads=1, nodes_per_beam=nodes_per_beam)
+
+
 def _costs(scenario: Scenario, simulator: Simulator, time_s: float) -> dict[str, float]:
     pose, motion = sonar_pose(scenario, time_s), sonar_motion(scenario, time_s)
     planned = simulator.plan(pose, 0, time_s, motion)
-    engine = PingEngine(scenario.scene, scenario.sonar, threads=1)
+    engine = _engine_of(scenario, simulator)
     return measured_costs_ms(engine, planned.plan, planned.view, 5)
 
 

@@ -19,6 +19,10 @@ from sonar_sim.raycast.fan import ELEVATIONS
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
 
+SPARSE_NODES_PER_BEAM, SPARSE_TEXTURE = 5.0, 0.01
+"""So few scatterers keep the coefficient of variation within 0.004 of Rayleigh's: `auto` takes them
+if the tolerance of texture is at least this."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedPing:
@@ -44,6 +48,8 @@ class SimulatedPing:
 class Simulator:
     """A sonar in a scene. Equal seed, pose, number and time give equal bytes.
 
+    `auto` and `all` differ in their scatterers, so their speckle has different grains.
+
     Args:
         scene: the scene.
         sonar: its settings.
@@ -53,7 +59,8 @@ class Simulator:
         threads: at most; the bytes do not depend on it.
         elevations: rays of a beam's column: fewer are faster and miss more.
         nodes_per_beam: scatterers in a row of a beam's -3 dB width, about: fewer are faster and
-            make the speckle coarser than Rayleigh's.
+            make the speckle coarser than Rayleigh's. None: 8, or what the tolerance of texture
+            allows if the effects are `auto`.
 
     Raises:
         EffectError: `effects` names one that does not exist.
@@ -69,16 +76,21 @@ class Simulator:
         tolerance: Tolerance | None = None,
         threads: int = 2,
         elevations: int = ELEVATIONS,
-        nodes_per_beam: float = NODES_PER_BEAM,
+        nodes_per_beam: float | None = None,
     ) -> None:
         self.scene = scene
         self.sonar = sonar
         self.tolerance = tolerance or Tolerance()
+        selection = EffectSelection.read(effects)
+        if nodes_per_beam is None:
+            sparse = selection.ground == AUTO and self.tolerance.texture >= SPARSE_TEXTURE
+            nodes_per_beam = SPARSE_NODES_PER_BEAM if sparse else NODES_PER_BEAM
+        self.nodes_per_beam = nodes_per_beam
         self._engine = PingEngine(
             scene, sonar, seed, threads, elevations=elevations, nodes_per_beam=nodes_per_beam
         )
         previewer = Previewer(scene, sonar, self._engine.meshes)
-        self._planner = Planner(previewer, EffectSelection.read(effects), self.tolerance)
+        self._planner = Planner(previewer, selection, self.tolerance)
         self._warned: set[str] = set()
 
     def plan(

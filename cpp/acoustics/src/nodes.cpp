@@ -12,6 +12,10 @@ namespace {
 
 // Loops that run to a multiple of the vectors' length go over what is not read.
 
+// Part of a lattice's cell over which its node may lie. Pixels hold the more equal numbers of nodes
+// the smaller it is; phases are random anyway.
+constexpr float kSpread = 0.5F;
+
 // One patch's vectors, in the nodes' precision.
 struct NodeSteps {
   NodeSteps(const Linear& from, std::size_t patch) {
@@ -45,15 +49,18 @@ MAPPERD_VECTORISED void jitter(const Patches& patches, std::size_t patch, std::s
   float* __restrict x = nodes.point_m[0] + first;
   float* __restrict y = nodes.point_m[1] + first;
   float* __restrict z = nodes.point_m[2] + first;
-  constexpr float kUnit = 0x1p-16F;
+  constexpr float kUnit = kSpread * 0x1p-16F;
+  constexpr float kFirst = 0.5F * (1.0F - kSpread);
   for (std::size_t start = 0; start < count; start += kLanes) {
     for (std::size_t at = start; at < start + kLanes; ++at) {
       const NodeBits random = node_bits(low, high, first_i + static_cast<std::uint32_t>(from_i[at]),
                                         first_j + static_cast<std::uint32_t>(from_j[at]));
       const auto jitter_i = static_cast<std::int32_t>(random.place & 0xFFFFU);
       const auto jitter_j = static_cast<std::int32_t>(random.place >> 16);
-      const float a = static_cast<float>(from_i[at]) + static_cast<float>(jitter_i) * kUnit;
-      const float b = static_cast<float>(from_j[at]) + static_cast<float>(jitter_j) * kUnit;
+      const float a =
+          static_cast<float>(from_i[at]) + (kFirst + static_cast<float>(jitter_i) * kUnit);
+      const float b =
+          static_cast<float>(from_j[at]) + (kFirst + static_cast<float>(jitter_j) * kUnit);
       along[at] = a;
       across[at] = b;
       x[at] = x0 + (xa * a + xb * b);

@@ -5,12 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sonar_sim.engine import EnginePing, PingEngine
+from sonar_sim.engine import NODES_PER_BEAM, EnginePing, PingEngine
 from sonar_sim.geometry.pose import FramePose
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.scene.material import Material
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.sonar import SonarSettings
+from sonar_sim.simulator import SPARSE_NODES_PER_BEAM
 from sonar_sim.validation.statistics import correlation, speckle
 
 SONAR = SonarSettings(demanded_range_m=10.0)
@@ -84,6 +85,29 @@ def test_amplitude_is_rayleighs_however_many_beams(beams: int) -> None:
     found = heard[:, FROM_ROW:, edge:-edge] / mean[FROM_ROW:, edge:-edge].astype(np.float64)
     assert found.std() / found.mean() == pytest.approx(0.5227, abs=0.005)
     assert speckle(found[:, ::3, :: beams // 50]).rayleigh_distance < 0.01
+
+
+@pytest.mark.parametrize(
+    ("nodes_per_beam", "off"), [(NODES_PER_BEAM, 0.002), (SPARSE_NODES_PER_BEAM, 0.004)]
+)
+def test_few_scatterers_are_enough(
+    engine: PingEngine, *, nodes_per_beam: float, off: float
+) -> None:
+    """As their places are even: over whole cells of the lattice they would vary by 0.002 more."""
+    mean = engine.ping(at(0.0), dataclasses.replace(PHYSICS, speckle=False)).amplitude
+    pings = [
+        PingEngine(engine.scene, SONAR, seed, nodes_per_beam=nodes_per_beam).ping(
+            at(3.7 * pose), PHYSICS
+        )
+        for seed in (1, 2, 3)
+        for pose in range(POSES)
+    ]
+    heard = np.stack([ping.amplitude for ping in pings])[:, FROM_ROW:, 60:-60]
+    found = heard / mean[FROM_ROW:, 60:-60].astype(np.float64)
+    assert found.std() / found.mean() == pytest.approx(0.5227, abs=off)
+    assert correlation(found[:, 1:], found[:, :-1]) == pytest.approx(0.19, abs=0.01)
+    power = np.square(found)[:, :, 90:181]
+    assert correlation(power[:, :, 1:], power[:, :, :-1]) == pytest.approx(0.937, abs=0.01)
 
 
 def test_neighbours_share_speckle_as_by_beams_and_lines(

@@ -36,8 +36,11 @@ def test_looking_down_one_to_two_pixels_in_a_hundred_are_loud(setting: ViewSetti
     assert pings.images.shape == (1, 500, 512)
     assert 0.01 < loud_share(pings) < 0.02
     rows = first_rows(pings.images[0], pings.range_resolution_m)[236:276]
-    # Straight below there is the seabed, at 0.6 of 500 rows, or something on it.
-    assert np.all((rows > 240) & (rows < 320))
+    # Straight below there is the seabed, at 0.6 of 500 rows, or something on it. Speckle fades in
+    # few beams.
+    seen = rows[rows >= 0]
+    assert len(seen) > 0.85 * len(rows)
+    assert np.all((seen > 240) & (seen < 320))
 
 
 def test_all_contenders_run_unless_words_choose_some() -> None:
