@@ -60,14 +60,15 @@ def figures(checks: dict[str, RuleCheck]) -> str:
 
 
 def _text(change: PictureDifference) -> str:
-    return f"{change.level_db:.2f}, {change.cells:.2f}, {change.texture:.3f}"
+    cells = "-" if change.cells is None else f"{change.cells:.2f}"
+    return f"{change.level_db:.2f}, {cells}, {change.texture:.3f}"
 
 
 def _weight(change: PictureDifference, tolerance: Tolerance) -> float:
     """The largest of a change's three over its tolerance."""
     return max(
         change.level_db / tolerance.level_db,
-        change.cells / tolerance.cells,
+        (change.cells or 0.0) / tolerance.cells,
         change.texture / tolerance.texture,
     )
 

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.rule_check import PictureDifference, RuleChecker
+from sonar_sim.effects.plan import EffectPlan
+from sonar_sim.effects.rule_check import PictureDifference, RuleCheck, RuleChecker
 from sonar_sim.scene.scenario import sonar_pose
 from sonar_sim.scene_file import load_scenario, scene_names
 from sonar_sim.simulator import Simulator
@@ -31,9 +32,19 @@ def test_the_tail_of_ghosts_is_not_left_out() -> None:
     assert "reverberation" in planned.plan.names
 
 
+def test_what_displaces_may_be_idle_only_where_displacement_is_found() -> None:
+    tolerance, nothing = Tolerance(), PictureDifference(0.0, 0.0, 0.0)
+    lost = PictureDifference(0.0, None, 0.0)
+    moved = RuleCheck(EffectPlan(()), nothing, {"motion": lost}, tolerance)
+    assert moved.faults == ()
+    for name, change in (("motion", nothing), ("specular", lost)):
+        assert RuleCheck(EffectPlan(()), nothing, {name: change}, tolerance).faults != ()
+
+
 @pytest.mark.parametrize(
     ("change", "within"),
     [
+        (PictureDifference(0.5, None, 0.05), True),
         (PictureDifference(0.5, 0.5, 0.05), True),
         (PictureDifference(0.6, 0.0, 0.0), False),
         (PictureDifference(0.0, 0.6, 0.0), False),

@@ -16,6 +16,7 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
+from sonar_sim.effects.displacement import DISPLACING_EFFECTS
 from sonar_sim.effects.image_difference import (
     Tolerance,
     expected_clipped,
@@ -44,17 +45,23 @@ SEEDS = (0, 1, 2)
 
 @dataclass(frozen=True, slots=True)
 class PictureDifference:
-    """How much two pictures differ; see `Tolerance` for the three."""
+    """How much two pictures differ; see `Tolerance` for the three.
+
+    Attributes:
+        level_db: of the expected level.
+        cells: of displacement; None if no part of the picture is found in the other.
+        texture: of the speckle.
+    """
 
     level_db: float
-    cells: float
+    cells: float | None
     texture: float
 
     def within(self, tolerance: Tolerance) -> bool:
         """Whether none of them exceeds its tolerance."""
         return (
             self.level_db <= tolerance.level_db
-            and self.cells <= tolerance.cells
+            and (self.cells is None or self.cells <= tolerance.cells)
             and self.texture <= tolerance.texture
         )
 
@@ -86,9 +93,14 @@ class RuleCheck:
         idle = [
             f"{n}: {c}"
             for n, c in self.without.items()
-            if c.within(self.tolerance) and n not in self.excused
+            if c.within(self.tolerance) and n not in self.excused and not _is_hidden(n, c)
         ]
         return (*wrong, *idle)
+
+
+def _is_hidden(name: str, change: PictureDifference) -> bool:
+    """Whether an effect that moves the picture does so where no part of it can be followed."""
+    return name in DISPLACING_EFFECTS and change.cells is None
 
 
 @dataclass(frozen=True, eq=False)

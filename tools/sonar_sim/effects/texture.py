@@ -93,8 +93,8 @@ def texture_change(first: SpeckleTexture, second: SpeckleTexture) -> float:
     return max(float(abs(a - b)) for a, b in pairs)
 
 
-def displacement_cells(first: SpeckleTexture, second: SpeckleTexture) -> float:
-    """How far the second picture's parts have moved, in rows or beams.
+def displacement_cells(first: SpeckleTexture, second: SpeckleTexture) -> float | None:
+    """How far the second picture's parts have moved, in rows or beams; None if none is found again.
 
     Blocks are looked for by cross-correlation, and the farthest of nine in ten counts. A
     block that is found nowhere has new speckle, which is no displacement: millimetres of motion
@@ -106,11 +106,9 @@ def displacement_cells(first: SpeckleTexture, second: SpeckleTexture) -> float:
     )
     spread = np.minimum(*(block.std(axis=(1, 2)) for block in blocks))
     good = (seen > MIN_SEEN) & (spread > GRAINED)
-    if not good.any():
-        return 0.0
     moved = [_moved(a, b) for a, b in zip(blocks[0][good], blocks[1][good], strict=True)]
     found = [cells for cells in moved if cells is not None]
-    return float(np.quantile(found, FAR_QUANTILE)) if found else 0.0
+    return float(np.quantile(found, FAR_QUANTILE)) if found else None
 
 
 def _blocks(picture: NDArray[np.float32]) -> NDArray[np.float32]:
