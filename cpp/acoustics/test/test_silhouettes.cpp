@@ -158,6 +158,15 @@ TEST_CASE("without an outline every ray is kept as it is") {
   }
 }
 
+TEST_CASE("an outline that passes by the sonar is seen ahead of it") {
+  const std::vector<float> corners{-6.0F, 0.1F, -0.1F, 4.0F, 0.3F, -0.2F, 4.0F, -0.3F, -0.2F};
+  const float normal[3] = {0.0F, 0.0F, 1.0F};
+  const std::int32_t surface = 0;
+  const acoustics::MeshEdges mesh = acoustics::mesh_edges(corners.data(), normal, &surface, 1);
+  const acoustics::RefinedRays rays = Fan().refined(mesh);
+  CHECK(std::count(rays.from.begin(), rays.from.end(), -1) > 8);
+}
+
 TEST_CASE("an outline behind what all rays about it met is hidden") {
   Fan fan;
   fan.range_m.assign(fan.range_m.size(), 5.0F);
