@@ -73,7 +73,7 @@ PLANS = {
     "harbour": FilterPlan("harbour", 50.0, 3, 1),
     "harbour-lost": FilterPlan("harbour", 24.0, 12, 1, anywhere=8, wrong=4),
     "pile_field": FilterPlan("pile_field", 40.0, 3, 1),
-    "tank": FilterPlan("tank", 30.0, 1, 3),
+    "tank": FilterPlan("tank", 30.0, 1, 9),
 }
 DIVES = (
     StudyDive("harbour", 11),
