@@ -273,7 +273,7 @@ def _seen_in_mirror(
         ray = np.flatnonzero(crossing < 2.0 * here.range_m)
         going, crossing = onward.take(ray, axis=0), crossing.take(ray)
         if own is None:
-            # From the image, of which the sonar's own ray is the mirrored one.
+            # The sonar's own ray is the mirror image of the image's.
             direction = _core.rotated(going, reflector)
             first = here.meshes.cast(
                 here.pose.position_m, direction, here.time_s, reach_m, here.threads
