@@ -657,7 +657,7 @@ MAPPERD_VECTORISED void mark_through(const FanDirections& fan, const MirrorWindo
     const double cosine = nx * x + ny * y + nz * z;
     const bool curved = ahead2 < kMinAhead * kMinAhead;
     const bool grazing = cosine <= 2.0 * off;
-    const bool away = cosine < -2.0 * off;
+    const bool ahead = cosine >= -2.0 * off;
     // It crosses the plane within this margin of where the middle does.
     const double crossing_m = height_m / cosine;
     const double margin_m = window.margin_m + 4.0 * crossing_m * off / cosine;
@@ -667,7 +667,7 @@ MAPPERD_VECTORISED void mark_through(const FanDirections& fan, const MirrorWindo
                                                      row[3 * axis + 2] * z);
       inside &= (at > low_m[axis] - margin_m) & (at < high_m[axis] + margin_m);
     }
-    through[i] = static_cast<std::int32_t>(curved | (!away & (grazing | inside)));
+    through[i] = static_cast<std::int32_t>(curved | (ahead & (grazing | inside)));
   }
 }
 
