@@ -80,6 +80,7 @@ def test_native_records_of_both_axes_are_the_same_pose() -> None:
         {"q": [1.0, 0.0, 0.0]},
         {"t": "noon"},
         {"t": math.nan},
+        {"clk": "gps"},
         {"u": [1e308, 0.0, 0.0]},
         {"r": [1e200, 0.0, 0.0]},
         {"unknown": 1},
@@ -324,6 +325,57 @@ def test_a_position_that_is_no_longer_heard_is_no_motion() -> None:
         assembler.take(PoseRecord(None, rotation=np.eye(3)), 10.0 + second)
     assert live.velocity_mps(15.0) == pytest.approx([0.0, 0.0, 0.0])
     assert live.pose(15.0).position_m[0] == pytest.approx(2.0)
+
+
+def at(stamp_s: float, x_m: float) -> PoseRecord:
+    """Return a record without a velocity."""
+    return PoseRecord(stamp_s, position_m=np.array([x_m, 0.0, -1.0]), rotation=np.eye(3))
+
+
+@pytest.mark.parametrize("gap_s", [0.05, 0.2, 0.5])
+def test_a_jump_between_records_without_velocity_is_no_velocity(gap_s: float) -> None:
+    live = LivePath(FramePose(np.zeros(3), np.eye(3)))
+    assembler = PoseAssembler(live)
+    for k, x_m in enumerate((0.0, 0.0, 20.0)):
+        assembler.take(at(gap_s * k, x_m), gap_s * k + 5.0)
+    end_s = 2.0 * gap_s + 5.0
+    assert live.velocity_mps(end_s + 0.1) == pytest.approx([0.0, 0.0, 0.0])
+    assert live.pose(end_s + 0.4).position_m[0] == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize("age_s", [0.06, 0.9, 1.5, 100.0])
+def test_a_late_record_moves_nothing(age_s: float) -> None:
+    live = LivePath(FramePose(np.zeros(3), np.eye(3)))
+    assembler = PoseAssembler(live)
+    for k in range(50):
+        assert assembler.take(at(0.04 * k, 0.04 * k), 7.0 + 0.04 * k)
+    assert not assembler.take(at(2.0 - age_s, -8.0), 9.0)
+    assert live.pose(9.0).position_m[0] == pytest.approx(2.0)
+    assert assembler.take(at(2.04, 2.04), 9.04)
+    assert live.pose(9.1).position_m[0] == pytest.approx(2.1)
+    assert live.velocity_mps(9.05)[0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("step_s", [-1000.0, -0.9, 0.9, 1000.0])
+def test_a_sender_whose_clock_is_set_is_followed_on(step_s: float) -> None:
+    live = LivePath(FramePose(np.zeros(3), np.eye(3)))
+    assembler = PoseAssembler(live)
+    errors_m = []
+    for k in range(250):
+        arrival_s, x_m = 2000.0 + 0.04 * k, 0.04 * k
+        assembler.take(at(arrival_s + (step_s if k >= 50 else 0.0), x_m), arrival_s)
+        errors_m.append(abs(live.pose(arrival_s).position_m[0] - x_m))
+    assert max(errors_m[1:]) < 0.05
+    assert errors_m[-1] < 1e-6
+
+
+def test_a_delay_that_grows_is_followed_after_seconds() -> None:
+    live = LivePath(FramePose(np.zeros(3), np.eye(3)))
+    assembler = PoseAssembler(live)
+    for k in range(500):
+        arrival_s = 10.0 + 0.04 * k + (0.3 if k >= 100 else 0.0)
+        assembler.take(at(0.04 * k, 0.04 * k), arrival_s)
+    assert live.pose(arrival_s).position_m[0] == pytest.approx(0.04 * 499)
 
 
 def test_a_sender_that_begins_again_is_followed_on() -> None:

@@ -49,6 +49,13 @@ def test_triangles_without_an_area_are_left_out() -> None:
     assert np.isfinite(mesh.vertices).all()  # the point that is not a number was no triangle's
 
 
+def test_a_body_is_closed_though_its_file_repeats_each_vertex(tmp_path: Path) -> None:
+    trimesh.creation.box(extents=(1, 1, 1)).export(tmp_path / "box.stl")
+    (part,) = read_parts(tmp_path / "box.stl")
+    assert part.mesh.is_watertight
+    assert len(part.mesh.vertices) == 8
+
+
 @pytest.mark.parametrize(
     ("content", "ending"),
     [
@@ -134,6 +141,72 @@ def test_a_material_that_the_file_lacks_is_refused(tmp_path: Path, load: Load) -
         load(OBJECT.format('m.obj, materials: {"*": gold}', ", position_m: [0, 0, -5]"))
 
 
+CORNERS = [(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)]
+QUADS = [(1, 3, 4, 2), (5, 6, 8, 7), (1, 2, 6, 5), (3, 7, 8, 4), (1, 5, 7, 3), (2, 4, 8, 6)]
+
+
+def cube_lines(shift_x: int, faces: list[tuple[int, ...]]) -> str:
+    """Vertices of a cube of 1 m, and its faces."""
+    lines = [f"v {x + shift_x} {y} {z}" for x, y, z in CORNERS]
+    return "\n".join(lines + ["f " + " ".join(map(str, face)) for face in faces]) + "\n"
+
+
+COUNTED_BACK = [tuple(k - 9 for k in quad) for quad in QUADS]
+
+
+@pytest.mark.parametrize("form", ["plain", "tabs", "indented", "crlf", "continued"])
+def test_obj_is_read_as_programs_write_it(tmp_path: Path, form: str) -> None:
+    text = (
+        f"# two cubes\nmtllib a b.mtl\no Cube\n{cube_lines(0, COUNTED_BACK)}"
+        f"o Cube.001\ng side\nusemtl Wet Steel\n{cube_lines(5, COUNTED_BACK)}"
+    )
+    changes = {
+        "plain": ("", ""),
+        "tabs": (" ", "\t"),
+        "indented": ("\n", "\n  "),
+        "crlf": ("\n", "\r\n"),
+        "continued": ("f -8 -6 ", "f -8 \\\n -6 "),
+    }
+    (tmp_path / "m.obj").write_bytes(text.replace(*changes[form]).encode())
+    first, second = read_parts(tmp_path / "m.obj")
+    assert (first.name, first.material) == ("Cube", "")
+    assert (second.name, second.material) == ("Cube.001", "Wet Steel")
+    for part, x_m in ((first, 0.5), (second, 5.5)):
+        assert part.mesh.is_watertight
+        assert part.mesh.volume == pytest.approx(1.0)
+        assert part.mesh.centroid == pytest.approx([x_m, 0.5, 0.5])
+
+
+def test_obj_without_objects_has_groups(tmp_path: Path) -> None:
+    text = f"g left\n{cube_lines(0, COUNTED_BACK)}g right\n{cube_lines(5, COUNTED_BACK)}"
+    (tmp_path / "m.obj").write_text(text)
+    assert [part.name for part in read_parts(tmp_path / "m.obj")] == ["left", "right"]
+
+
+@pytest.mark.parametrize("turn", range(8))
+@pytest.mark.parametrize("lying", [(0, 1, 2), (2, 0, 1), (1, 0, 2)])
+def test_concave_polygons_are_cut_inside_their_outline(
+    tmp_path: Path, turn: int, lying: tuple[int, int, int]
+) -> None:
+    outline = [(0, 0), (3, 0), (3, 3), (2, 3), (2, 1), (1, 1), (1, 3), (0, 3)]  # a U of 7 m²
+    vertices = np.array([(x, y, 4.0) for x, y in outline])[:, lying]
+    lines = ["v {} {} {}".format(*vertex) for vertex in vertices]
+    corners = [str((k + turn) % 8 + 1) for k in range(8)]
+    (tmp_path / "u.obj").write_text("\n".join([*lines, "f " + " ".join(corners)]))
+    (part,) = read_parts(tmp_path / "u.obj")
+    assert part.mesh.area == pytest.approx(7.0)
+    inside = part.mesh.triangles_center[:, np.argsort(lying)]
+    in_notch = (abs(inside[:, 0] - 1.5) < 0.5) & (inside[:, 1] > 1.0)
+    assert not in_notch.any()
+
+
+def test_what_obj_cannot_mean_is_refused_with_its_line(tmp_path: Path) -> None:
+    for bad in ("v 0 zero 0", "v 0 0", "f 1 2 x"):
+        (tmp_path / "m.obj").write_text(f"v 0 0 0\n{bad}\n")
+        with pytest.raises(SceneError, match=bad):
+            read_parts(tmp_path / "m.obj")
+
+
 def boxes_of_two_materials() -> trimesh.Scene:
     """A steel box of 1 x 2 x 3 m at the origin, and a wooden one 4 m along x, mirrored."""
     scene = trimesh.Scene()
@@ -180,6 +253,25 @@ def test_collada_stands_upright_in_metres(
     assert np.ptp(corners[:, 2]) == pytest.approx((0.1, 0.2, 0.3)[high])
     mesh = trimesh.Trimesh(corners, made.scene.surfaces[0].faces)
     assert mesh.volume == pytest.approx(0.006)  # not inside out
+
+
+@pytest.mark.filterwarnings("ignore:the matrix subclass", "ignore:The behavior of fromstring")
+def test_collada_has_the_names_of_its_nodes_and_no_broken_points(tmp_path: Path) -> None:
+    exchange: Any = trimesh.exchange
+    text = exchange.dae.export_collada(boxes_of_two_materials().geometry["box 0"]).decode()
+    path = tmp_path / "m.dae"
+    instance = text[text.index("<node") : text.index("</node>") + len("</node>")]
+    body = instance[instance.index(">") + 1 : -len("</node>")]
+    mirrored = f'<node id="b" name="right one"><scale>-1 1 1</scale>{body}</node>'
+    path.write_text(text.replace(instance, f'<node id="a" name="left">{body}</node>{mirrored}'))
+    left, right = read_parts(path)
+    assert (left.name, right.name) == ("left", "right one")
+    assert left.mesh.volume == right.mesh.volume == pytest.approx(6.0)  # neither is inside out
+    array = text.index("float_array")
+    first = text.index("-0.5", array)
+    path.write_text(text[:first] + "NaN" + text[first + len("-0.5") :])
+    with pytest.raises(SceneError, match="not finite"):
+        read_parts(path)
 
 
 @pytest.mark.parametrize(("option", "high_m"), [("", 2.0), (", up: z", 3.0)])

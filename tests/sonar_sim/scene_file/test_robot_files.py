@@ -84,7 +84,20 @@ def test_a_link_without_visuals_has_its_collisions(robot: Path) -> None:
             '<parent link="tip"/><child link="upper"/>',
             "hangs on itself",
         ),
-        ("part.stl", "none.stl", "no such file"),
+        ("part.stl", "none.stl", r"link .*: there is no '.*none\.stl'"),
+        (
+            'filename="package://arm_description/meshes/part.stl"',
+            'filename="arm.urdf"',
+            "cannot be",
+        ),
+        ('<child link="upper"/>', '<child link="lower"/>', "there are 0 links 'lower'"),
+        ('<link name="upper">', '<link name="tip">', "there are 0 links 'upper'"),
+        ('<link name="base">', '<link name="tip"/><link name="base">', "there are 2 links 'tip'"),
+        (
+            '<parent link="base"/><child link="foot"/>',
+            '<parent link="base"/><child link="tip"/>',
+            "two",
+        ),
         ("</robot>", "", "not XML"),
     ],
 )
@@ -189,7 +202,7 @@ def test_a_world_is_laid_out_by_its_frames(
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
-        ("<uri>model://buoy</uri>", "<uri>model://boat</uri>", "no model 'model://boat'"),
+        ("<uri>model://buoy</uri>", "<uri>model://boat</uri>", "there is no 'model://boat'"),
         ('relative_to="deck"', 'relative_to="dock"', "no frame 'dock'"),
         ('relative_to="deck"', 'relative_to="world"', "model 'rig': no frame 'world'"),
         ('relative_to="deck"', 'relative_to="lamp::l"', "no frame 'lamp::l'"),
@@ -207,6 +220,8 @@ def test_a_world_is_laid_out_by_its_frames(
         ("<pose>1 0 0 0 0 0</pose>", "<pose>1 0 0</pose>", "is not 6 numbers"),
         ("<size>2 0.2 0.4</size>", "", "is not 3 numbers"),
         ("<plane>", "<heightmap/><plane>", "terrain"),
+        ('name="rig"', 'name="ground"', "two elements <model> are called 'ground'"),
+        ('link name="box"', 'link name="leg"', "two elements <link> are called 'leg'"),
         ("sdf", "gazebo", "its root is <gazebo>"),
     ],
 )
@@ -246,6 +261,25 @@ CRANE = """<sdf version="1.9"><model name="crane" placement_frame="foot"><pose>5
     <visual name="v"><geometry><box><size>1 1 1</size></box></geometry></visual></link>
 </model></sdf>
 """
+
+
+def test_frames_may_refer_to_an_included_model(tmp_path: Path) -> None:
+    (tmp_path / "crane.sdf").write_text(CRANE)
+    lamp = (
+        '<model name="lamp"><pose relative_to="{}">0 0 1 0 0 0</pose><link name="l"><visual '
+        'name="v"><geometry><box><size>1 1 1</size></box></geometry></visual></link></model>'
+    )
+    path = tmp_path / "port.world"
+    for name, pose, expected in (
+        ("<name>c1</name>", "<pose>10 20 0 0 0 0</pose>", [10.0, 20.0]),
+        ("", "", [50.0, 0.0]),
+    ):
+        include = f"<include><uri>crane.sdf</uri>{name}{pose}</include>"
+        world = include + lamp.format("c1" if name else "crane")
+        path.write_text(f'<sdf version="1.9"><world name="w">{world}</world></sdf>')
+        (found,) = (part for part in read_parts(path) if part.name == "lamp/l/v")
+        # The crane's foot is at its pose, turned and 3 m below its own origin.
+        assert bounds([found]).mean(axis=0) == pytest.approx([*expected, 4.0])
 
 
 def middle_of_cab(path: Path) -> np.ndarray:

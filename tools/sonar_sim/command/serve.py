@@ -257,6 +257,7 @@ def _counted(served: ServedScenario) -> str:
     counts.update({output.name: output.sent for output in served.outputs})
     for name, follower in served.followers.items():
         counts[f"poses of {name}"] += follower.records
+        counts["late poses"] += follower.late
         counts["malformed"] += follower.malformed
     return ", ".join(f"{name} {value}" for name, value in counts.items() if value) or "nothing"
 

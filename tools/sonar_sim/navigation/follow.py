@@ -43,7 +43,8 @@ class PoseFollower:
 
     Attributes:
         url: of it, with the port that it listens on.
-        records: that held a part of a pose; malformed: datagrams and bytes that held none.
+        records: that held a part of a pose; late: those of them that came after newer ones and
+            were ignored; malformed: datagrams and bytes that held none.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class PoseFollower:
         kind, self._host, self._port = _parts(url)
         self.url = url
         self.records = 0
+        self.late = 0
         self.malformed = 0
         self._kind = kind
         self._decoder: PoseDecoder = NativeRecords() if kind == "udp" else MavlinkRecords(vehicle)
@@ -115,7 +117,7 @@ class PoseFollower:
                 continue
             self.records += 1
             self._heard_s = now_s
-            self._assembler.take(record, now_s)
+            self.late += not self._assembler.take(record, now_s)
         self._ask_for_more(now_s, reply)
 
     def _ask_for_more(self, now_s: float, reply: Callable[[bytes], object]) -> None:

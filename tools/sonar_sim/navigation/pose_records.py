@@ -29,10 +29,10 @@ LOCAL_FRAMES, BODY_FRAMES = (1, 20), (8, 12)
 """MAV_FRAME of positions in the map, LOCAL_NED and LOCAL_FRD, and of velocities along the body."""
 JUMP_MPS, JUMP_M = 20.0, 1.0
 """What moves farther than this was put somewhere else."""
-CLOCK_STEP_S = 1.0
-"""A stamp that is off by more comes from a sender that began again."""
-CLOCK_DRIFT = 1e-4
-"""By which two clocks may differ in rate."""
+MAX_GAP_S = 1.0
+"""Two positions further apart in time tell no velocity."""
+DELAY_WINDOW_S = 5.0
+"""The smallest delay is looked for in this long, and in as long before."""
 LOCAL_S = 2.0
 """So long after a local position geographic ones are not used."""
 
@@ -108,6 +108,7 @@ def _native(fields: Any) -> PoseRecord:  # noqa: ANN401 whatever a datagram hold
         raise ValueError("not a native record")
     north_first = {"ned": True, "local_frd": True, "enu": False, "local_flu": False}[fields["w"]]
     body_down = {"frd": True, "flu": False}[fields["b"]]
+    is_stamped = {"unix": True, "boot": True, "arrival": False}[fields["clk"]]
     world = NED_R_ENU if north_first else np.eye(3)  # its own inverse
     body = FRD_R_FLU if body_down else np.eye(3)
 
@@ -124,7 +125,7 @@ def _native(fields: Any) -> PoseRecord:  # noqa: ANN401 whatever a datagram hold
         raise ValueError("p is out of range")
     quaternion = vector("q", 4)
     return PoseRecord(
-        None if fields["clk"] == "arrival" else fields["t"] / 1e9,
+        fields["t"] / 1e9 if is_stamped else None,
         position_m=None if position is None else world @ position,
         rotation=None if quaternion is None else world @ rotation_of_quaternion(quaternion) @ body,
         body_mps=None if velocity is None else body @ velocity,
@@ -291,7 +292,9 @@ _READERS: Mapping[str, Callable[[Any, Vehicle], PoseRecord]] = MappingProxyType(
 class PoseAssembler:
     """Makes a live path of records that state parts of a pose, each at its own time.
 
-    Stamps are carried to the path's clock by the smallest delay that was seen.
+    Stamps are carried to the path's clock by the smallest delay of the last seconds. A record that
+    is stamped before another of its kind is late. Two late ones in order come from a clock that was
+    set back.
 
     Args:
         path: gets each pose as soon as position and attitude are known.
@@ -299,26 +302,37 @@ class PoseAssembler:
 
     def __init__(self, path: LivePath) -> None:
         self._path = path
-        self._offset_s = math.inf
-        self._arrival_s = -math.inf
         self._position: tuple[float, Vector, Vector] | None = None
         self._attitude: tuple[float, Vector, Vector] | None = None
         self._last_s = -math.inf
+        self._begin()
+
+    def _begin(self) -> None:
+        """Know nothing of the sender's clock."""
+        self._newest_s = {"position": -math.inf, "attitude": -math.inf}
+        self._late_s = math.inf
+        self._window_s = -math.inf
+        self._delays_s = math.inf, math.inf
 
     @property
     def is_placed(self) -> bool:
         """Whether position and attitude have come."""
         return self._position is not None and self._attitude is not None
 
-    def take(self, record: PoseRecord, arrival_s: float) -> None:
+    def take(self, record: PoseRecord, arrival_s: float) -> bool:
         """Add a record.
 
         Args:
             record: all of its numbers are finite.
             arrival_s: on the path's clock.
+
+        Returns:
+            False if it is late, and ignored.
         """
         time_s = arrival_s
         if record.stamp_s is not None:
+            if self._is_late(record, record.stamp_s):
+                return False
             time_s = record.stamp_s + self._offset(record.stamp_s, arrival_s)
         if record.rotation is not None:
             rates = np.zeros(3) if record.rates_rps is None else record.rates_rps
@@ -327,8 +341,32 @@ class PoseAssembler:
             self._position = time_s, record.position_m, self._map_velocity(record, time_s)
         if self.is_placed:
             self._publish(time_s)
+        return True
+
+    def _is_late(self, record: PoseRecord, stamp_s: float) -> bool:
+        parts = {"position": record.position_m, "attitude": record.rotation}
+        stated = [name for name, value in parts.items() if value is not None]
+        if any(stamp_s < self._newest_s[name] for name in stated):
+            if stamp_s <= self._late_s:
+                self._late_s = stamp_s
+                return True
+            self._begin()  # its clock was set back
+        self._late_s = math.inf
+        self._newest_s.update(dict.fromkeys(stated, stamp_s))
+        return False
+
+    def _offset(self, stamp_s: float, arrival_s: float) -> float:
+        """Return what carries the sender's clock to the path's."""
+        now_s, before_s = self._delays_s
+        passed_s = arrival_s - self._window_s
+        if passed_s > DELAY_WINDOW_S:
+            before_s = now_s if passed_s <= 2.0 * DELAY_WINDOW_S else math.inf
+            now_s, self._window_s = math.inf, arrival_s
+        self._delays_s = min(now_s, arrival_s - stamp_s), before_s
+        return min(self._delays_s)
 
     def _map_velocity(self, record: PoseRecord, time_s: float) -> Vector:
+        """Return the stated velocity, else that from the last position if it did not jump."""
         if record.map_mps is not None:
             return record.map_mps
         if record.body_mps is not None and self._attitude is not None:
@@ -339,7 +377,9 @@ class PoseAssembler:
         before_s, before_m, _ = self._position
         passed_s = time_s - before_s
         moved_m = record.position_m - before_m
-        return moved_m / passed_s if 0.0 < passed_s < CLOCK_STEP_S else np.zeros(3)
+        if not 0.0 < passed_s < MAX_GAP_S or _is_jump(moved_m, passed_s):
+            return np.zeros(3)
+        return np.asarray(moved_m / passed_s)
 
     def _publish(self, time_s: float) -> None:
         """Join the newest position and attitude, each carried to one time."""
@@ -355,16 +395,12 @@ class PoseAssembler:
         # What has not been heard for long is no motion any more.
         map_mps = map_mps if at_s - placed_s <= LOCAL_S else np.zeros(3)
         rates_rps = rates_rps if at_s - turned_s <= LOCAL_S else np.zeros(3)
-        passed_s = at_s - self._path.last_s
-        leap_m = float(np.linalg.norm(pose.position_m - self._path.pose(at_s).position_m))
-        if self._path.updates == 0 or leap_m > JUMP_M + JUMP_MPS * max(passed_s, 0.0):
+        leap_m = pose.position_m - self._path.pose(at_s).position_m
+        if self._path.updates == 0 or _is_jump(leap_m, at_s - self._path.last_s):
             self._path.jump(at_s, pose)
         self._path.update(at_s, pose, pose.rotation.T @ map_mps, rates_rps)
 
-    def _offset(self, stamp_s: float, arrival_s: float) -> float:
-        delay_s = arrival_s - stamp_s
-        grown_s = self._offset_s + CLOCK_DRIFT * max(arrival_s - self._arrival_s, 0.0)
-        if delay_s - self._offset_s > CLOCK_STEP_S:
-            grown_s, self._last_s = math.inf, -math.inf  # it began again
-        self._offset_s, self._arrival_s = min(delay_s, grown_s), arrival_s
-        return self._offset_s
+
+def _is_jump(moved_m: Vector, passed_s: float) -> bool:
+    """Whether a vehicle cannot have moved so far in that time."""
+    return float(np.linalg.norm(moved_m)) > JUMP_M + JUMP_MPS * max(passed_s, 0.0)

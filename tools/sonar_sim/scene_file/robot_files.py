@@ -6,10 +6,11 @@ at 0. Physics, sensors, plugins and lights are ignored.
 
 import math
 import os
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -66,12 +67,18 @@ def read_urdf(path: Path) -> Iterator[Geometry]:
 
 def _urdf_links(robot: ET.Element, where: str) -> dict[str, Transform]:
     """Each link's frame in the root's."""
+    links = Counter(one.get("name", "") for one in robot.findall("link"))
     parents: dict[str, tuple[str, Transform]] = {}
     for joint in robot.findall("joint"):
         parent, child = (_attribute(joint.find(end), "link", where) for end in ("parent", "child"))
+        for name in (parent, child):
+            if links[name] != 1:
+                raise SceneError(f"{where}: there are {links[name]} links {name!r}, not one")
+        if child in parents:
+            raise SceneError(f"{where}: link {child!r} has two parents")
         parents[child] = parent, _origin(joint.find("origin"), where)
     places = {}
-    for link in (one.get("name", "") for one in robot.findall("link")):
+    for link in links:
         at, transform, seen = link, np.eye(4), {link}
         while at in parents:
             at, joint_pose = parents[at]
@@ -93,7 +100,7 @@ def _urdf_geometry(
 
     match shape.tag:
         case "mesh":
-            file = _resolved(_attribute(shape, "filename", where), path)
+            file = _resolved(_attribute(shape, "filename", where), path, where)
             scale = _numbers(shape.get("scale", "1 1 1"), where)
             return Geometry(*names, transform @ np.diag([*scale, 1.0]), None, file)
         case "box":
@@ -135,12 +142,12 @@ class _Sdf:
         self._depth = depth
         if depth > MAX_INCLUDES:
             raise SceneError(f"{path}: included more than {MAX_INCLUDES} deep")
-        self._root = _root(path, "sdf")
+        self.root = _root(path, "sdf")
 
     def everything(self) -> Iterator[Geometry]:
-        worlds = self._root.findall("world")
-        for frame in worlds or [self._root]:
-            yield from self._models(frame, np.eye(4), "")
+        worlds = self.root.findall("world")
+        for frame in worlds or [self.root]:
+            yield from self._models(frame, self._frames(frame, str(self._path)), np.eye(4), "")
 
     def one_model(
         self, transform: Transform, name: str, placement: str | None
@@ -150,32 +157,48 @@ class _Sdf:
         Its own name stands where the given one is empty or ends in a slash, its own placement frame
         where none is given.
         """
-        model = self._root.find("model")
+        model = self.root.find("model")
         if model is None:
             raise SceneError(f"{self._path}: there is no model in it")
         own = model.get("name", "") if not name or name.endswith("/") else ""
         placed = _placed_by(model, str(self._path), placement)
         yield from self._model(model, transform @ placed, name + own)
 
-    def _models(self, parent: ET.Element, transform: Transform, prefix: str) -> Iterator[Geometry]:
+    def _models(
+        self, parent: ET.Element, frames: "_PoseFrames", transform: Transform, prefix: str
+    ) -> Iterator[Geometry]:
         """Read the models of a world, or those nested in a model."""
-        frames = _PoseFrames(parent, str(self._path))
         for model in parent.findall("model"):
             name = model.get("name", "")
             yield from self._model(model, transform @ frames.pose(name), prefix + name)
+        for include, inner, pose in self._includes(parent):
+            at = transform @ frames.resolved(pose)
+            name = prefix + include.findtext("name", "")
+            yield from inner.one_model(at, name, include.findtext("placement_frame"))
+
+    def _includes(
+        self, parent: ET.Element
+    ) -> Iterator[tuple[ET.Element, "_Sdf", ET.Element | None]]:
+        """Each include of a world or model with its file, and the pose that counts."""
         for include in parent.findall("include"):
             inner = _Sdf(self._included(include), self._depth + 1)
             pose = include.find("pose")
-            placement = include.findtext("placement_frame")
-            if placement is not None and pose is None:
+            if include.find("placement_frame") is not None and pose is None:
                 raise SceneError(f"{self._path}: an include has a placement_frame, but no pose")
-            own = inner._root.find("model/pose")
-            at = frames.resolved(pose) if pose is not None else frames.resolved(own)
-            name = prefix + include.findtext("name", "")
-            yield from inner.one_model(transform @ at, name, placement)
+            yield include, inner, inner.root.find("model/pose") if pose is None else pose
+
+    def _frames(self, parent: ET.Element, where: str) -> "_PoseFrames":
+        """All frames of a world or model, included models' too."""
+        frames = _PoseFrames(parent, where)
+        for include, inner, pose in self._includes(parent):
+            model = inner.root.find("model")
+            if model is not None:
+                name = include.findtext("name", "") or model.get("name", "")
+                frames.add_included(name, pose, model, include.findtext("placement_frame"))
+        return frames
 
     def _model(self, model: ET.Element, transform: Transform, name: str) -> Iterator[Geometry]:
-        frames = _PoseFrames(model, f"{self._path}: model {name!r}")
+        frames = self._frames(model, f"{self._path}: model {name!r}")
         for link in model.findall("link"):
             link_name = link.get("name", "")
             at = transform @ frames.pose(link_name)
@@ -191,7 +214,7 @@ class _Sdf:
                 found = self._geometry(visual, pose, (label, material), where)
                 if found is not None:
                     yield found
-        yield from self._models(model, transform, f"{name}/")
+        yield from self._models(model, frames, transform, f"{name}/")
 
     def _geometry(
         self, visual: ET.Element, transform: Transform, names: tuple[str, str], where: str
@@ -205,7 +228,7 @@ class _Sdf:
             case "empty":
                 return None
             case "mesh":
-                file = _resolved(shape.findtext("uri", "").strip(), self._path)
+                file = _resolved(shape.findtext("uri", "").strip(), self._path, where)
                 scale = _numbers(shape.findtext("scale", "1 1 1"), where)
                 if shape.find("submesh") is not None:
                     raise SceneError(f"{where}: submesh is not supported: save it as its own file")
@@ -229,19 +252,25 @@ class _Sdf:
 
     def _included(self, include: ET.Element) -> Path:
         uri = include.findtext("uri", "").strip()
-        file = _resolved(uri, self._path)
+        file = _resolved(uri, self._path, f"{self._path}: include")
         if file.is_dir():
             config = file / "model.config"
             name = "model.sdf"
             if config.is_file():
                 name = _root(config, "model").findtext("sdf", name).strip()
             file /= name
-        if not file.is_file():
-            raise SceneError(
-                f"{self._path}: no model {uri!r}: it is in no folder beside the file, nor in "
-                f"${MODEL_PATHS[0]}"
-            )
+            if not file.is_file():
+                raise SceneError(f"{self._path}: include: {uri!r} has no {name}")
         return file
+
+
+class _FrameEntry(NamedTuple):
+    """A frame: its pose, what that is relative to by default, and of a model what places it."""
+
+    pose: ET.Element | None
+    default: str
+    model: ET.Element | None
+    placement: str | None
 
 
 class _PoseFrames:
@@ -252,11 +281,25 @@ class _PoseFrames:
         self._own = {"", parent.get("name", ""), "__model__"}
         if parent.tag != "model":
             self._own.add("world")
-        self._elements = {
-            one.get("name", ""): one
-            for tag in ("link", "frame", "model", "joint")
-            for one in parent.findall(tag)
-        }
+        self._entries: dict[str, _FrameEntry] = {}
+        for tag in ("link", "frame", "model", "joint"):
+            named = [one.get("name", "") for one in parent.findall(tag)]
+            for name in named:
+                if named.count(name) > 1:
+                    raise SceneError(f"{where}: two elements <{tag}> are called {name!r}")
+            for one in parent.findall(tag):
+                default = one.get("attached_to", "")
+                if tag == "joint":
+                    default = one.findtext("child", "").strip()
+                model = one if tag == "model" else None
+                entry = _FrameEntry(one.find("pose"), default, model, None)
+                self._entries.setdefault(one.get("name", ""), entry)
+
+    def add_included(
+        self, name: str, pose: ET.Element | None, model: ET.Element, placement: str | None
+    ) -> None:
+        """Add a model of another file, where no other frame has its name."""
+        self._entries.setdefault(name, _FrameEntry(pose, "", model, placement))
 
     def pose(self, name: str) -> Transform:
         """Return the frame of an element in that of the parent."""
@@ -268,18 +311,14 @@ class _PoseFrames:
         return self._pose(relative, frozenset()) @ _sdf_pose(pose, self._where)
 
     def _pose(self, name: str, above: frozenset[str]) -> Transform:
-        if name in self._own and name not in self._elements:
+        if name in self._own and name not in self._entries:
             return np.eye(4)
-        if name not in self._elements or name in above:
+        if name not in self._entries or name in above:
             raise SceneError(f"{self._where}: no frame {name!r}, or one that refers to itself")
-        element = self._elements[name]
-        pose = element.find("pose")
-        default = element.get("attached_to", "")
-        if element.tag == "joint":
-            default = element.findtext("child", "").strip()
+        pose, default, model, placement = self._entries[name]
         relative = (pose.get("relative_to") if pose is not None else None) or default
         placed = self._pose(relative, above | {name}) @ _sdf_pose(pose, self._where)
-        return placed @ _placed_by(element, self._where) if element.tag == "model" else placed
+        return placed if model is None else placed @ _placed_by(model, self._where, placement)
 
 
 def _placed_by(model: ET.Element, where: str, frame: str | None = None) -> Transform:
@@ -351,24 +390,32 @@ def _plane(shape: ET.Element, where: str) -> trimesh.Trimesh:
     return mesh
 
 
-def _resolved(uri: str, path: Path) -> Path:
+def _resolved(uri: str, path: Path, where: str) -> Path:
     """Return the file or folder of a URI: file://, package://, model://, or a path.
 
     A package or model is looked for in the folders above the file, in their `models`, and in
     Gazebo's.
+
+    Raises:
+        SceneError: nothing is there.
     """
     scheme, found, rest = uri.partition("://")
+    looked = "beside the file"
     if not found:
-        return path.parent / uri
-    if scheme == "file":
-        return path.parent / rest
-    named = [part for key in MODEL_PATHS for part in os.environ.get(key, "").split(os.pathsep)]
-    above = [*path.resolve().parents]
-    folders = [*above, *(one / "models" for one in above), *map(Path, filter(None, named))]
-    places = [folder / rest for folder in folders]
-    inside = rest.partition("/")[2]  # of a package whose folder has another name
-    places += [folder / inside for folder in folders[:3] if inside]
-    return next((place for place in places if place.exists()), places[0])
+        places = [path.parent / uri]
+    elif scheme == "file":
+        places = [path.parent / rest]
+    else:
+        looked = f"in the folders above the file, their models, and ${MODEL_PATHS[0]}"
+        named = [part for key in MODEL_PATHS for part in os.environ.get(key, "").split(os.pathsep)]
+        above = [*path.resolve().parents]
+        folders = [*above, *(one / "models" for one in above), *map(Path, filter(None, named))]
+        places = [folder / rest for folder in folders]
+        inside = rest.partition("/")[2]  # of a package whose folder has another name
+        places += [folder / inside for folder in folders[:3] if inside]
+    if not uri or not any(place.exists() for place in places):
+        raise SceneError(f"{where}: there is no {uri!r} {looked}")
+    return next(place for place in places if place.exists())
 
 
 def _root(path: Path, tag: str) -> ET.Element:
