@@ -39,6 +39,7 @@ class HarbourEnv(Base):
 
     def __init__(self) -> None:
         self._scene = load_scenario("harbour").scene
+        self._random = np.random.default_rng()
         if Base is not object:
             box = gymnasium.spaces.Box
             self.action_space = box(-1.0, 1.0, (2,), np.float32)
@@ -47,11 +48,13 @@ class HarbourEnv(Base):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode; equal seeds give equal ones."""
+        """Begin an episode: equal seeds give equal ones, no seed goes on with another."""
         del options
         if Base is not object:
             super().reset(seed=seed)
-        self._world = World(self._scene, seed=seed or 0)
+        if seed is not None:
+            self._random = np.random.default_rng(seed)
+        self._world = World(self._scene, seed=int(self._random.integers(1 << 31)))
         self._rov = self._world.add_vehicle(
             "rov", FramePose(np.array([-6.0, -6.0, -3.0]), np.eye(3))
         )

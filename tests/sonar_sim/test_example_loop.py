@@ -30,6 +30,15 @@ def test_gymnasium_accepts_it(example: Any) -> None:
     checker.check_env(env, skip_render_check=True)
 
 
+def test_episodes_differ_unless_they_are_seeded(example: Any) -> None:
+    env = example.HarbourEnv()
+    first, _ = env.reset(seed=3)
+    other, _ = env.reset()
+    again, _ = env.reset(seed=3)
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
 def test_an_episode_is_the_same_for_the_same_seed_and_comes_nearer(example: Any) -> None:
     def run() -> tuple[bytes, float]:
         env = example.HarbourEnv()

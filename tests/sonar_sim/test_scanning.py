@@ -94,3 +94,5 @@ def test_what_the_head_cannot_is_refused() -> None:
     for sector in ((0.0, 0.0), (0.0, 7.0)):
         with pytest.raises(SceneError, match="no sector"):
             next(sonar.scan(lambda _: still(), sector))
+    with pytest.raises(SceneError, match="401 steps of a Ping360 are more than a turn"):
+        next(sonar.scan(lambda _: still(), steps=401))

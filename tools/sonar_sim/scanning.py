@@ -188,12 +188,14 @@ class ScanningSonar:
             steps: of the motor between two lines.
 
         Raises:
-            SceneError: the sector is empty or more than a turn.
+            SceneError: the sector is empty or more than a turn, or so are the steps.
         """
         first, last = sector_rad
         if not 0.0 < last - first <= math.tau + 1e-9 or steps < 1:
             raise SceneError(f"no sector runs from {first:g} to {last:g} rad in {steps} steps")
         pitch = steps * self.head.step_rad
+        if pitch > math.tau:
+            raise SceneError(f"{steps} steps of a {self.head.name} are more than a turn")
         whole_turn = last - first > math.tau - 1e-9
         count = (
             round((last - first) / pitch) if whole_turn else int((last - first) / pitch + 1e-9) + 1

@@ -139,6 +139,26 @@ def test_geotiff_in_feet_is_laid_out_in_metres(tmp_path: Path) -> None:
     assert corners == pytest.approx([0.0, -15.0], abs=5e-3)
 
 
+def test_stored_numbers_of_a_geotiff_have_its_scale_and_offset(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    stored = np.arange(16, dtype=np.int16).reshape(1, 4, 4)
+    form = {"driver": "GTiff", "count": 1, "height": 4, "width": 4, "dtype": "int16"}
+    place = rasterio.Affine(1.0, 0.0, 500.0, 0.0, -1.0, 900.0)
+    with rasterio.open(tmp_path / "d.tif", "w", transform=place, **form) as raster:
+        raster.write(stored)
+        raster.scales, raster.offsets = (0.01,), (-20.0,)
+    height_m = height_of(terrain(schema.HeightField(file="d.tif")), tmp_path)
+    assert height_m(np.array([-1.5]), np.array([1.5])) == pytest.approx([-20.0])
+    assert height_m(np.array([1.5]), np.array([-1.5])) == pytest.approx([-19.85])
+
+
+def test_a_raster_that_lies_nowhere_is_refused(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    tifffile.imwrite(tmp_path / "d.tif", np.full((4, 4), -5.0, dtype=np.float32))
+    with pytest.raises(SceneError, match=r"d\.tif: it does not say where it lies"):
+        height_of(terrain(schema.HeightField(file="d.tif")), tmp_path)
+
+
 def test_a_file_that_only_names_a_raster_is_refused(tmp_path: Path) -> None:
     geotiff(tmp_path / "real.tif", np.full((4, 4), -5.0), corner=(0.0, 0.0))
     (tmp_path / "d.tif").write_text(

@@ -101,8 +101,13 @@ def _geotiff(path: Path, origin: tuple[float, float] | None) -> tuple[Floats, Fl
             is_projected = raster.crs is not None and raster.crs.is_projected
             unit_m = raster.crs.linear_units_factor[1] if is_projected else 1.0
             values = raster.read(1, masked=True).astype(np.float64).filled(np.nan)
+            values = values * raster.scales[0] + raster.offsets[0]
     except RasterioError as error:
         raise SceneError(f"{path}: not a GeoTIFF: {error}") from error
+    if place.is_identity:
+        raise SceneError(
+            f"{path}: it does not say where it lies: georeference it, or save it as .npy"
+        )
     values[~np.isfinite(values)] = np.nan
     rows, columns = values.shape
     if min(rows, columns) < 2 or np.isnan(values).all():  # noqa: PLR2004 a table
