@@ -382,6 +382,7 @@ class Rays:
         gain: NDArray[np.float32],
         legs: NDArray[np.float64],
         both_ways: bool = False,
+        lean: NDArray[np.float32] | None = None,
     ) -> None:
         """Keep the arrays.
 
@@ -398,6 +399,8 @@ class Rays:
                 per unit of direction in m, gain of pressure; in the object's frame, (L, 16).
             both_ways: whether the sound goes there by `receive` and back by `transmit` too; no leg
                 has a drift then.
+            lean: by which a cell's s grows with w from its middle, and its w with s, (H, 2); None
+                is upright.
         """
 
 class ScatterSetting:
@@ -738,7 +741,13 @@ def refined_rays(
     reach_m: float,
     layers: NDArray[np.float64],
     up: NDArray[np.float64],
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+) -> tuple[
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.int32],
+    NDArray[np.int32],
+]:
     """Cut a fan's cells along the outlines of what it sees, into parts of one surface each.
 
     Args:
@@ -758,8 +767,8 @@ def refined_rays(
         up: the upward direction in the sonar's frame, and the sonar's height over the sea, (4,).
 
     Returns:
-        Directions (M, 3), cells (M, 4) and columns (M,) of the finer fan; and the ray of the given
-        fan that each is, -1 for new ones, (M,).
+        Directions (M, 3), cells (M, 4), by how much they lean (M, 2), see `Rays`, and columns (M,)
+        of the finer fan; and the ray of the given fan that each is, -1 for new ones, (M,).
     """
 
 def scatter_field(

@@ -41,8 +41,11 @@ void widen(const ScatterInput& echoes, const std::int32_t* legs, std::size_t fir
       continue;
     }
     if (hits.seen[hit] == legs[hit]) {
-      interval.add(hits.cell[4 * hit]);
-      interval.add(hits.cell[4 * hit + 1]);
+      const float* cell = hits.cell + 4 * hit;
+      const float lean = hits.lean == nullptr ? 0.0F : std::fabs(hits.lean[2 * hit]);
+      const float off = 0.5F * lean * (cell[3] - cell[2]);
+      interval.add(cell[0] - off);
+      interval.add(cell[1] + off);
     } else {
       all_seen = false;
     }

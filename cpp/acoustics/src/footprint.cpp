@@ -14,6 +14,7 @@ constexpr double kPi = 3.14159265358979323846;
 struct SeenCells {
   PerHit<double> rotation[9];  // of the seeing leg
   PerHit<double> from_s, to_s, from_w, to_w;
+  PerHit<double> s_per_w, w_per_s;
 };
 
 // Copies what belongs to one hit into the batch.
@@ -44,6 +45,8 @@ void load_hit(const ScatterInput& echoes, std::size_t hit, SeenCells& seen, Foot
   seen.to_s[i] = cell[1];
   seen.from_w[i] = cell[2];
   seen.to_w[i] = cell[3];
+  seen.s_per_w[i] = hits.lean == nullptr ? 0.0F : hits.lean[2 * hit];
+  seen.w_per_s[i] = hits.lean == nullptr ? 0.0F : hits.lean[2 * hit + 1];
   to.min_m[i] = hits.span_m[2 * hit];
   to.max_m[i] = hits.span_m[2 * hit + 1];
 }
@@ -87,10 +90,13 @@ MAPPERD_VECTORISED void intersect_planes(const SeenCells& seen, const PerHit<dou
     const PerHit<double>& corner_w = *w_of[k];
     MAPPERD_INDEPENDENT
     for (std::size_t i = 0; i < kPatches; ++i) {
-      const double w = corner_w[i];
+      const double off_s = corner_s[i] - 0.5 * (seen.from_s[i] + seen.to_s[i]);
+      const double off_w = corner_w[i] - 0.5 * (seen.from_w[i] + seen.to_w[i]);
+      const double w = corner_w[i] + seen.w_per_s[i] * off_s;
+      const double leaning_s = corner_s[i] + seen.s_per_w[i] * off_w;
       // Where the fan of directions ends, cells end with it.
       const double max_s = std::sqrt(1.0 - w * w);
-      const double below_s = corner_s[i] < max_s ? corner_s[i] : max_s;
+      const double below_s = leaning_s < max_s ? leaning_s : max_s;
       const double s = below_s > -max_s ? below_s : -max_s;
       const double square = 1.0 - s * s - w * w;
       const double ahead = std::sqrt(square > 0.0 ? square : 0.0);

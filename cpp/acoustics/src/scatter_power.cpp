@@ -51,7 +51,8 @@ class MeanPowerKernel {
     const double w_count = pieces(std::min(all.along_m, max_m));
     for (double i = 0.5; i < s_count; i += 1.0) {
       for (double j = 0.5; j < w_count; j += 1.0) {
-        piece(cell[0] + s_width * i / s_count, cell[2] + w_width * j / w_count, s_width / s_count,
+        const double s = cell[0] + s_width * i / s_count, w = cell[2] + w_width * j / w_count;
+        piece(s + s_per_w_ * (w - w_mid), w + w_per_s_ * (s - s_mid), s_width / s_count,
               w_width / w_count);
       }
     }
@@ -80,6 +81,8 @@ class MeanPowerKernel {
     transmit_ = &hits.legs[hits.transmit[hit]];
     receive_ = &hits.legs[hits.receive[hit]];
     const float* cell = hits.cell + 4 * hit;
+    s_per_w_ = hits.lean == nullptr ? 0.0F : hits.lean[2 * hit];
+    w_per_s_ = hits.lean == nullptr ? 0.0F : hits.lean[2 * hit + 1];
     const double step_rad = 0.125 * std::max(cell[1] - cell[0], cell[3] - cell[2]);
     curved_normal_ = face.smooth < 0 ? nullptr : e_.faces.curved_normal + 12 * face.smooth;
     const double turn = 1.0 + face.turn_per_m * far_m_;
@@ -98,8 +101,10 @@ class MeanPowerKernel {
     const double facing =
         std::max(std::fabs(normal_[0] * x - normal_[1] * s + normal_[2] * w), min_facing_);
     const double reach_m = std::fabs(height_m_) / (facing * facing);
-    return {reach_m * std::fabs(normal_[0] * s / x + normal_[1]) * s_width,
-            reach_m * std::fabs(normal_[2] - normal_[0] * w / x) * w_width};
+    const double by_s = -normal_[0] * s / x - normal_[1];
+    const double by_w = normal_[2] - normal_[0] * w / x;
+    return {reach_m * std::fabs(by_s + w_per_s_ * by_w) * s_width,
+            reach_m * std::fabs(by_w + s_per_w_ * by_s) * w_width};
   }
 
   struct Bearing {
@@ -207,6 +212,7 @@ class MeanPowerKernel {
   Vec3 plane_normal_{};  // object's frame
   double height_m_ = 0.0, min_facing_ = 0.0;
   double min_m_ = 0.0, max_m_ = 0.0, near_m_ = 0.0, far_m_ = 0.0;
+  double s_per_w_ = 0.0, w_per_s_ = 0.0;  // see `RayHits::lean`
   Strength strength_{ScatterModel{}, Material{}, 0.0};
   const Leg* seen_ = nullptr;
   const Leg* transmit_ = nullptr;

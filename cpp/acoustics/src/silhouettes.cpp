@@ -295,16 +295,18 @@ class Rasteriser {
 
 // Where a slab's middle crosses an outline.
 struct Cut {
-  double at;
+  double at, lean;  // in s; its growth with w
   bool face_below, face_above, round;
 };
 
 struct Box {
   double s0, s1, w0, w1;
+  double s_per_w = 0.0, w_per_s = 0.0;  // see `RefinedRays::lean`
 };
 
 // Cuts cells into parts of one surface each: slabs in w between the ends of segments, in them parts
-// in s between the segments. A part is a rectangle as large as the trapezium that it stands for.
+// in s between the segments. A part is a rectangle as large as the trapezium that it stands for;
+// between two outlines it leans as they do.
 class Cutter {
  public:
   // Boxes that together are the cell.
@@ -320,7 +322,7 @@ class Cutter {
       std::transform(segments, segments + count, turned_.begin(), transposed);
       slabs_.swap(others_);
       slabs({cell.w0, cell.w1, cell.s0, cell.s1}, turned_.data(), count);
-      for (Box& box : boxes_) box = {box.w0, box.w1, box.s0, box.s1};
+      for (Box& box : boxes_) box = {box.w0, box.w1, box.s0, box.s1, 0.0, box.s_per_w};
     }
     return boxes_;
   }
@@ -422,8 +424,8 @@ class Cutter {
       if ((a <= w) == (b <= w)) continue;
       const double s0 = static_cast<double>(g.s[0]), s1 = static_cast<double>(g.s[1]);
       const float upwards = b > a ? g.face_side : -g.face_side;  // positive: towards smaller s
-      cuts_.push_back(
-          {s0 + (w - a) / (b - a) * (s1 - s0), upwards > 0.0F, upwards < 0.0F, g.round});
+      const double lean = (s1 - s0) / (b - a);
+      cuts_.push_back({s0 + (w - a) * lean, lean, upwards > 0.0F, upwards < 0.0F, g.round});
     }
     std::sort(cuts_.begin(), cuts_.end(), [](const Cut& a, const Cut& b) { return a.at < b.at; });
     // Of too many, as of a net far off, each part shows what its middle meets.
@@ -431,7 +433,8 @@ class Cutter {
     if (cuts_.size() > most) {
       cuts_.clear();
       for (std::size_t k = 0; k < most; ++k) {
-        cuts_.push_back({cell.s0 + (cell.s1 - cell.s0) * uneven(k, most), false, false, false});
+        cuts_.push_back(
+            {cell.s0 + (cell.s1 - cell.s0) * uneven(k, most), 0.0, false, false, false});
       }
     }
   }
@@ -446,7 +449,9 @@ class Cutter {
         // A round surface turns away from its middle to its outline.
         const int round = static_cast<int>(face_above && round_before) +
                           static_cast<int>(!last && cuts_[k].face_below && cuts_[k].round);
-        add(from, to, w0, w1, round == 0 ? 1 : 3 * round);
+        const Box part{from, to, w0, w1};
+        add(k == 0 || last ? part : leaning(cell, part, 0.5 * (cuts_[k - 1].lean + cuts_[k].lean)),
+            round == 0 ? 1 : 3 * round);
         from = to;
       }
       if (!last) {
@@ -456,9 +461,21 @@ class Cutter {
     }
   }
 
-  void add(double s0, double s1, double w0, double w1, int pieces) {
+  // The part, leaning as far as it stays in its cell.
+  static Box leaning(const Box& cell, Box part, double lean) {
+    const double room = std::max(std::min(part.s0 - cell.s0, cell.s1 - part.s1), 0.0);
+    const double most = 2.0 * room / (part.w1 - part.w0);
+    part.s_per_w = std::clamp(lean, -most, most);
+    return part;
+  }
+
+  void add(const Box& whole, int pieces) {
+    const double wide = (whole.s1 - whole.s0) / pieces;
     for (int k = 0; k < pieces; ++k) {
-      boxes_.push_back({s0 + (s1 - s0) * k / pieces, s0 + (s1 - s0) * (k + 1) / pieces, w0, w1});
+      Box piece = whole;
+      piece.s0 = whole.s0 + wide * k;
+      piece.s1 = whole.s0 + wide * (k + 1);
+      boxes_.push_back(piece);
     }
   }
 
@@ -500,6 +517,7 @@ class Refiner {
     to_.direction.insert(to_.direction.end(), hits_.direction + 3 * first,
                          hits_.direction + 3 * last);
     to_.cell.insert(to_.cell.end(), hits_.cell + 4 * first, hits_.cell + 4 * last);
+    to_.lean.resize(to_.lean.size() + 2 * (last - first), 0.0F);
     to_.column.insert(to_.column.end(), columns + first, columns + last);
     const std::size_t before = to_.from.size();
     to_.from.resize(before + last - first);
@@ -513,6 +531,7 @@ class Refiner {
     const float* direction = hits_.direction + 3 * ray;
     to_.direction.insert(to_.direction.end(), direction, direction + 3);
     to_.cell.insert(to_.cell.end(), {cell[0], cell[1], w0, w1});
+    to_.lean.insert(to_.lean.end(), {0.0F, 0.0F});
     to_.column.push_back(column);
     to_.from.push_back(static_cast<std::int32_t>(ray));
   }
@@ -526,6 +545,9 @@ class Refiner {
     for (const double axis : {ahead, -s, w}) to_.direction.push_back(static_cast<float>(axis));
     for (const double edge : {box.s0, box.s1, box.w0, box.w1}) {
       to_.cell.push_back(static_cast<float>(edge));
+    }
+    for (const double lean : {box.s_per_w, box.w_per_s}) {
+      to_.lean.push_back(static_cast<float>(lean));
     }
     to_.column.push_back(column);
     to_.from.push_back(-1);
@@ -585,6 +607,7 @@ RefinedRays refined_rays(const FanGrid& grid, const FanHits& hits,
   const std::size_t about = hits.count + hits.count / 2;
   to.direction.reserve(3 * about);
   to.cell.reserve(4 * about);
+  to.lean.reserve(2 * about);
   to.column.reserve(about);
   to.from.reserve(about);
   Refiner refiner(hits, to);

@@ -1,9 +1,11 @@
 #include "scatter.hpp"
 
 #include <pybind11/numpy.h>
+#include <pybind11/stl.h>
 
 #include <algorithm>
 #include <complex>
+#include <optional>
 #include <vector>
 
 #include "checked_array.hpp"
@@ -77,6 +79,7 @@ struct RayArrays {
   Array<float> cell, span_m, gain;
   Array<double> legs;
   bool both_ways = false;
+  std::optional<Array<float>> lean;
 };
 
 void check(const FaceTable& faces, const RayArrays& rays) {
@@ -86,6 +89,7 @@ void check(const FaceTable& faces, const RayArrays& rays) {
               rays.receive.size() == count && rays.gain.size() == count &&
               rays.cell.size() == 4 * count && rays.span_m.size() == 2 * count,
           "face, seen, transmit, receive, gain must be (H,), cell (H, 4), span_m (H, 2)");
+  require(!rays.lean || rays.lean->size() == 2 * count, "lean must be (H, 2)");
   require(rays.legs.ndim() == 2 && rays.legs.shape(1) == 16, "legs must be (L, 16)");
   const auto legs = static_cast<std::int32_t>(rays.legs.shape(0));
   const auto all = static_cast<std::int32_t>(faces.faces.size());
@@ -110,7 +114,8 @@ acoustics::ScatterInput echoes_of(const FaceTable& faces, const RayArrays& rays,
       faces.view(),
       {static_cast<std::size_t>(rays.face.size()), rays.face.data(), rays.seen.data(),
        rays.transmit.data(), rays.receive.data(), rays.cell.data(), rays.span_m.data(),
-       rays.gain.data(), reinterpret_cast<const acoustics::Leg*>(rays.legs.data()), rays.both_ways},
+       rays.gain.data(), reinterpret_cast<const acoustics::Leg*>(rays.legs.data()), rays.both_ways,
+       rays.lean ? rays.lean->data() : nullptr},
       s.grid,
       {s.loss.data(), s.vertical.data(), static_cast<std::size_t>(s.vertical.size()), s.taps.data(),
        static_cast<std::size_t>(s.taps.shape(0)), static_cast<std::size_t>(s.taps.shape(1))},
@@ -142,8 +147,9 @@ void scatter_power(Array<float> power, const FaceTable& faces, const RayArrays& 
 
 RayArrays rays_of(Array<std::int32_t> face, Array<std::int32_t> seen, Array<std::int32_t> transmit,
                   Array<std::int32_t> receive, Array<float> cell, Array<float> span_m,
-                  Array<float> gain, Array<double> legs, bool both_ways) {
-  return {face, seen, transmit, receive, cell, span_m, gain, legs, both_ways};
+                  Array<float> gain, Array<double> legs, bool both_ways,
+                  std::optional<Array<float>> lean) {
+  return {face, seen, transmit, receive, cell, span_m, gain, legs, both_ways, lean};
 }
 
 py::tuple coarse_patches(const FaceTable& faces, const Array<std::int32_t>& face,
@@ -210,7 +216,8 @@ void bind_scatter(py::module_& module) {
            arg("map_T_sonar"), arg("map_T_group"), arg("reach_m"));
   py::class_<RayArrays>(module, "Rays")
       .def(py::init(&rays_of), arg("face"), arg("seen"), arg("transmit"), arg("receive"),
-           arg("cell"), arg("span_m"), arg("gain"), arg("legs"), arg("both_ways") = false);
+           arg("cell"), arg("span_m"), arg("gain"), arg("legs"), arg("both_ways") = false,
+           arg("lean") = py::none());
   py::class_<ScatterSetting>(module, "ScatterSetting")
       .def(py::init(&setting), arg("loss"), arg("vertical"), arg("taps"), arg("columns"),
            arg("row_m"), arg("first_sine"), arg("sine_pitch"), arg("range_scale"), arg("lambert"),

@@ -367,7 +367,8 @@ py::tuple refined_rays(const Array<float>& direction, const Array<float>& cell,
         lower, reach_m, view);
   }
   return py::make_tuple(rows_of(std::move(found.direction), 3), rows_of(std::move(found.cell), 4),
-                        rows_of(std::move(found.column), 1), rows_of(std::move(found.from), 1));
+                        rows_of(std::move(found.lean), 2), rows_of(std::move(found.column), 1),
+                        rows_of(std::move(found.from), 1));
 }
 
 }  // namespace

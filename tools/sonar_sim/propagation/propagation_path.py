@@ -112,6 +112,7 @@ def direct_paths(here: PingGeometry, rays: Trace) -> list[_core.Rays]:
                 span_m=spans(here.meshes, rays.fan, met),
                 gain=gain,
                 legs=legs.rows,
+                lean=rays.fan.lean,
             )
         )
     return ways
@@ -212,7 +213,7 @@ def mirror_paths(
         *,
         both_ways: bool = False,
     ) -> _core.Rays:
-        its = hit[which]
+        its, lean = hit[which], seen.fan.lean
         return _core.Rays(
             face=met.face[its],
             seen=twice[which],
@@ -223,6 +224,7 @@ def mirror_paths(
             gain=np.full(len(its), gain, dtype=np.float32),
             legs=legs,
             both_ways=both_ways,
+            lean=None if lean is None else lean.take(its, axis=0),
         )
 
     both = range_m < here.range_m

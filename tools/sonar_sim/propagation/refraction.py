@@ -302,6 +302,7 @@ def _ways(
         span_m=spans(here.meshes, fan, found.met)[hit],
         gain=gain,
         legs=legs,
+        lean=None if fan.lean is None else fan.lean[hit],
     )
 
 

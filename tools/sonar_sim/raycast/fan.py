@@ -56,6 +56,8 @@ class RayFan:
         columns: beams and a margin on both sides.
         sine_pitch: of the columns.
         grid: of its cells.
+        lean: by which a cell's s grows with w from its middle, and its w with s, (N, 2); None
+            before the fan was refined: all cells are upright.
     """
 
     directions: NDArray[np.float32]
@@ -64,6 +66,7 @@ class RayFan:
     columns: int
     sine_pitch: float
     grid: FanCells
+    lean: NDArray[np.float32] | None = None
 
     @property
     def first_sine(self) -> float:

@@ -160,7 +160,7 @@ def refined_fan(
     Returns:
         The finer fan, and the ray of the other that each of its rays is; -1 for those to be cast.
     """
-    directions, cell, column, source = _core.refined_rays(
+    directions, cell, lean, column, source = _core.refined_rays(
         fan.directions,
         fan.cell,
         met.range_m,
@@ -174,7 +174,8 @@ def refined_fan(
         np.empty((0, 2)) if layers is None else layers,
         np.append(viewpoints[0].rotation[2], viewpoints[0].position_m[2]),
     )
-    return RayFan(directions, cell, column, fan.columns, fan.sine_pitch, fan.grid), source
+    fine = RayFan(directions, cell, column, fan.columns, fan.sine_pitch, fan.grid, lean)
+    return fine, source
 
 
 def _behind(

@@ -59,6 +59,8 @@ struct RayHits {
   const float* gain;             ///< of pressure
   const Leg* legs;
   bool both_ways;  ///< the sound goes there by `receive` and back by `transmit` too; no leg drifts
+  const float* lean = nullptr;  ///< (count, 2): by which a cell's s grows with w from its middle,
+                                ///< or its w with s; null: all are upright
 };
 
 /// Rows of range, columns of bearing.

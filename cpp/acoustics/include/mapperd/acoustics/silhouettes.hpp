@@ -3,7 +3,8 @@
 ///
 /// A ray stands for a cell of directions. Where an outline crosses a cell, the cell is cut along it
 /// into parts that each show one surface, and each part gets a ray: an object of any width shows,
-/// with the solid angle that it has. Directions are counted in s (starboard) and w (up).
+/// with the solid angle that it has. A part between two outlines leans as they do, so that all of
+/// it lies on what it shows. Directions are counted in s (starboard) and w (up).
 ///
 /// \par Threads
 /// Functions of their arguments: any thread may call them.
@@ -48,6 +49,7 @@ struct FanGrid {
 struct RefinedRays {
   std::vector<float> direction;      ///< sonar frame, (count, 3)
   std::vector<float> cell;           ///< s from, s to, w from, w to, (count, 4)
+  std::vector<float> lean;           ///< see `RayHits::lean`, (count, 2)
   std::vector<std::int32_t> column;  ///< (count,)
   std::vector<std::int32_t> from;    ///< ray of the fan that it is, or -1 for a new one, (count,)
 };
