@@ -10,7 +10,8 @@ from sonar_sim.effects.plan import EffectSelection
 from sonar_sim.effects.planner import HEADINGS, TURN_SLACK_RAD, PlannedPing, Planner
 from sonar_sim.effects.previewer import Previewer
 from sonar_sim.geometry.pose import FramePose, rotation_of
-from sonar_sim.scene.scene import Emitter, Scene
+from sonar_sim.scene.material import Material
+from sonar_sim.scene.scene import Bubbles, CloudSpec, Emitter, Scene, Sea
 
 from tests.sonar_sim.effects.previews import LOUD, SONAR, floor, motion, wall
 
@@ -122,3 +123,31 @@ def test_each_ping_hears_other_sonars_at_its_own_time() -> None:
 def test_the_wish_is_obeyed(choice: str, *, on: bool) -> None:
     asked = Planner(Previewer(Scene((floor(),)), LOUD), EffectSelection.read(choice), Tolerance())
     assert {d.on for d in asked.at(at()).plan.decisions} == {on}
+
+
+@pytest.mark.parametrize("height_m", [9.6, 9.75, 9.9])
+def test_what_only_shows_in_the_last_rows_is_not_lost(height_m: float) -> None:
+    """The middle of a cell of poses may be so high that the floor is out of its range."""
+    assert LOUD.range_m == pytest.approx(10.0, abs=0.02)
+    down = rotation_of(0.0, np.radians(90.0), 0.0)
+    for depth_m in np.linspace(3.0, 3.7, 8):
+        pose = FramePose(np.array([0.0, 0.0, -depth_m]), down)
+        asked = planner(floor(depth_m + height_m))
+        assert "bottom_reverberation" in asked.at(pose).plan.names
+
+
+def test_a_floor_that_only_a_mirror_may_show_is_computed() -> None:
+    """All rays meet the wall, and the wall mirrors."""
+    steel = Material("steel", -30.0, 0.9, 0.0, 0.01)
+    scene = Scene((floor(5.0), wall(3.0, steel, 5.0), wall(-3.0, steel, 5.0)), sea=Sea())
+    for pitch_deg in (-30.0, -60.0, -80.0):
+        names = planner(scene=scene).at(at(0.0, 0.0, pitch_deg)).plan.names
+        assert "multipath" in names
+        assert "bottom_reverberation" in names
+
+
+def test_clouds_beyond_the_usual_fan_call_for_all_elevations() -> None:
+    cloud = CloudSpec("plume", (-1.0, -3.0, -2.9), (1.0, 3.0, -1.0), Bubbles(1e-3, 1e6))
+    planned = planner(scene=Scene(clouds=(cloud,))).at(at())
+    assert len(planned.view.echoes.range_m) == 0
+    assert "all_elevations" in planned.plan.names

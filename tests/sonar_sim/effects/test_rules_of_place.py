@@ -134,7 +134,11 @@ def test_grain_can_be_declared_unimportant() -> None:
     assert not verdict("range_spread", view_of(floor()), blind).on
 
 
-def test_a_beam_wider_than_half_the_distance_is_a_pattern() -> None:
-    assert verdict("azimuth_pattern", view_of(floor())).on
-    sharp = replace(SONAR, beam_width_rad=math.radians(0.05))
-    assert not verdict("azimuth_pattern", view_of(floor(), sonar=sharp)).on
+@pytest.mark.parametrize("beams", [512, 64, 16])
+def test_few_beams_hear_less_than_the_water_between_them(beams: int) -> None:
+    sonar = replace(SONAR, beams=beams)
+    found = verdict("azimuth_pattern", view_of(floor(), sonar=sonar))
+    assert found.on
+    # The power of a Gaussian beam is as wide as sqrt(pi / (8 ln 2)) of its -3 dB width.
+    equal = math.sqrt(math.pi / (4.0 * math.log(2.0))) * sonar.beam_width_rad / sonar.sine_pitch
+    assert found.predicted_db == pytest.approx(abs(10.0 * math.log10(equal)), abs=0.3)

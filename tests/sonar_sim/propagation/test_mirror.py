@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import NDArray
 from sonar_sim.effects.planes import mirror_planes
 from sonar_sim.engine import PingEngine
@@ -201,3 +202,26 @@ def test_rays_that_pass_by_a_mirror_add_nothing(*, speckle: bool) -> None:
     elsewhere = dataclasses.replace(boxed, low_m=boxed.low_m + 2.0, high_m=boxed.high_m + 2.0)
     assert ghosts(rows(scene, boxed)) == (True, True)
     assert ghosts(rows(scene, elsewhere)) == (False, False)
+
+
+@pytest.mark.parametrize("subdivisions", [3, 6])
+def test_ghosts_of_small_faces_have_the_expected_level(subdivisions: int) -> None:
+    """A face's plane is followed over its cell, however small the face is."""
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.25)
+    points = np.array([4.0, 0.0, -0.4]) + np.asarray(ball.vertices)
+    round_one = Surface("ball", points, np.asarray(ball.faces), CHALK, smooth=True)
+    scene = Scene((plate(-50.0, 50.0), round_one))
+    engine = PingEngine(scene, narrow_sonar(6.0, ROW_M), elevations=448)
+
+    def ghosts_power(seed: int, *, speckle: bool) -> float:
+        physics = dataclasses.replace(MEAN, specular=False, speckle=speckle)
+        pings = [
+            engine.reseeded(seed).ping(HERE, dataclasses.replace(physics, mirrors=mirrors))
+            for mirrors in ((MIRROR,), ())
+        ]
+        whole, direct = (float(np.square(ping.amplitude).sum()) for ping in pings)
+        return whole - direct
+
+    expected = ghosts_power(0, speckle=False)
+    speckled = np.mean([ghosts_power(seed, speckle=True) for seed in range(30)])
+    assert 10.0 * np.log10(speckled / expected) == pytest.approx(0.0, abs=0.6)

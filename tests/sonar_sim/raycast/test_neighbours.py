@@ -1,13 +1,8 @@
 """Neighbouring rays: the kernels against the plain definition."""
 
-from types import SimpleNamespace
-from typing import cast
-
 import numpy as np
 import pytest
 from sonar_sim import _core
-from sonar_sim.raycast.meshes import Hits, Meshes
-from sonar_sim.raycast.tracing import span_about
 
 RNG = np.random.default_rng(5)
 COLUMN = np.repeat(np.arange(3, dtype=np.int32), [4, 5, 3])
@@ -37,18 +32,6 @@ def test_spans_take_in_neighbours_on_the_same_surface() -> None:
         size = SIZE_M[FACE[ray]]
         assert got[ray, 0] == max(min(*met, RANGE_M[ray] - size), 0.0)
         assert got[ray, 1] == max(*met, RANGE_M[ray] + size)
-
-
-def test_a_span_about_a_hit_is_as_wide_as_its_face_and_begins_at_the_sonar_at_the_nearest() -> None:
-    meshes = cast("Meshes", SimpleNamespace(size_m=SIZE_M))
-    face = np.array([0, 2, 3, -1], np.int32)
-    range_m = np.array([5.0, 0.25, 4.0, np.inf], np.float32)
-    low_m, high_m = np.array([[4.0, 0.25, 4.0, 1.0], [5.0, 6.0, 4.0, 1.0]], np.float32)
-    got = span_about(meshes, Hits(range_m, face, np.zeros(4, np.int32)), low_m, high_m)
-    size_m = SIZE_M[[0, 2, 3]]
-    assert got[:3, 0] == pytest.approx([4.0, 0.0, 0.0])
-    assert got[:3, 1] == pytest.approx(np.maximum([5.0, 6.0, 4.0], range_m[:3] + size_m))
-    assert (np.isfinite(got) & (got >= 0)).all()
 
 
 NORMALS = np.array([[0, 0, 1], [0, 0, 1], [0, 1, 0], [0, 0.2, 0.98]], dtype=np.float32)

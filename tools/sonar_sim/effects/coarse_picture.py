@@ -23,6 +23,8 @@ from sonar_sim.receiver.gain import MAX_DB
 from sonar_sim.scene.sonar import SonarSettings
 
 MAX_ROWS = 128
+OFFSETS = 16
+"""In a beams' distance, at which a beam's pattern is summed."""
 MAX_LOSS_DB = 2000.0
 """Limit of loss: beyond it echoes are inaudible, but the loss can still be removed."""
 
@@ -151,8 +153,9 @@ def change_db(
 
 @lru_cache(maxsize=32)
 def equivalent_beams(sonar: SonarSettings) -> float:
-    """Sum of the squared weights by which a beam hears the columns: its width in beams."""
-    return float(np.sum(np.square(_pattern(sonar, _offsets(sonar)))))
+    """Width of a beam in beams: of its pattern's power, over the beams' distance."""
+    offset = np.arange(-256.0 * OFFSETS, 256.0 * OFFSETS + 1.0) / OFFSETS
+    return float(np.sum(np.square(_pattern(sonar, offset * sonar.sine_pitch)))) / OFFSETS
 
 
 @lru_cache(maxsize=32)
@@ -172,11 +175,6 @@ def side_lobe_matrix(sonar: SonarSettings) -> NDArray[np.float32]:
     matrix: NDArray[np.float32] = leak[index[:, None] - index + COLUMNS - 1].astype(np.float32)
     matrix.setflags(write=False)
     return matrix
-
-
-def _offsets(sonar: SonarSettings) -> NDArray[np.float64]:
-    offsets: NDArray[np.float64] = np.arange(-256.0, 257.0) * sonar.sine_pitch
-    return offsets
 
 
 def _pattern(sonar: SonarSettings, sine: NDArray[np.float64]) -> NDArray[np.float64]:

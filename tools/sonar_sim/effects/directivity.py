@@ -26,13 +26,13 @@ from sonar_sim.raycast.fan import ALL_ELEVATIONS_RAD, MAX_ELEVATION_RAD, USUAL_E
 
 
 def decide_azimuth_pattern(view: PingPreview, tolerance: Tolerance) -> RuleResult:
-    """On if a beam is wider than half the beams' distance."""
+    """On: beams overlap, or leave gaps between them."""
     del tolerance
     width = 2.0 * math.sin(view.sonar.beam_width_rad / 2.0)
     pitch = view.sonar.sine_pitch
     predicted_db = abs(10.0 * math.log10(equivalent_beams(view.sonar)))
     reason = f"a beam is {width / pitch:.1f} times as wide as the beams' distance"
-    return RuleResult(width > pitch / 2.0, reason, predicted_db)
+    return RuleResult(on=True, reason=reason, predicted_db=predicted_db)
 
 
 def configure_azimuth_pattern(physics: Physics, view: PingPreview) -> None:
@@ -46,7 +46,7 @@ AZIMUTH_PATTERN = Effect(
     needs="beam width",
     formula="Gaussian main lobe over the difference of sines",
     source="line array shaded by a Gaussian, receive only: as a public recording shows",
-    rule="beam width above half the beams' distance",
+    rule="always: beams overlap, or leave gaps between them",
     cost=Cost.CELL,
     parameters=(EffectParameter("sonar.beam_width_rad", "rad", "-3 dB full width at broadside"),),
     decide=decide_azimuth_pattern,
@@ -124,7 +124,7 @@ def decide_all_elevations(view: PingPreview, tolerance: Tolerance) -> RuleResult
     steep = np.abs(view.echoes.up) > math.sin(MAX_ELEVATION_RAD)
     share = f"{steep.mean() if len(steep) else 0.0:.0%} of what is met lies"
     reason = f"{share} more than {math.degrees(MAX_ELEVATION_RAD):.0f}° off the fan's plane"
-    if not steep.any():
+    if not steep.any() and not view.clouds:
         return RuleResult(on=False, reason=reason, predicted_db=0.0)
     predicted_db = view.change_beyond_db(USUAL_ELEVATIONS_RAD, tolerance, PoseSlack())
     return by_level(predicted_db, tolerance, reason)

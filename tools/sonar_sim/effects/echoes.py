@@ -123,6 +123,7 @@ def coarse_echoes(
     *,
     map_T_sonar: FramePose,  # noqa: N803 frames in the name
     time_s: float,
+    slack_m: float = 0.0,
 ) -> Echoes:
     """Give what the rays hit its scattering strengths; what is out of range is left out.
 
@@ -134,6 +135,7 @@ def coarse_echoes(
         hits: of the rays.
         map_T_sonar: where they start.
         time_s: at which moving objects are met.
+        slack_m: what lies so little out of range is taken to be in the last row.
     """
     poses = [np.append(pose.rotation, pose.position_m) for pose in meshes.poses(time_s)]
     ray, point_m, normal, cos_incidence, area_m2, extent_m, turn = meshes.faces.coarse_patches(
@@ -146,7 +148,7 @@ def coarse_echoes(
         fan.up_step,
         np.append(map_T_sonar.rotation, map_T_sonar.position_m),
         np.array(poses),
-        sonar.range_m,
+        sonar.range_m + slack_m,
     )
     surface = meshes.surface[hits.face[ray]].astype(np.int64)
     surface[surface == SEA] = SEA_SURFACE
@@ -158,7 +160,7 @@ def coarse_echoes(
         direction=fan.directions.take(ray, axis=0),
         point_m=point_m,
         normal=normal,
-        range_m=hits.range_m[ray].astype(np.float64),
+        range_m=within_range(sonar, hits.range_m[ray].astype(np.float64)),
         extent_m=extent_m,
         surface=surface,
         cos_incidence=cos_incidence,
@@ -166,6 +168,13 @@ def coarse_echoes(
         isotropic_m2=mu * area_m2,
         lobe_m2=lobe * area_m2,
     )
+
+
+def within_range(sonar: SonarSettings, range_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ranges, the farthest no farther than the last row's middle."""
+    last_m = sonar.range_m - 0.5 * sonar.range_resolution_m
+    within: NDArray[np.float64] = np.minimum(range_m, last_m)
+    return within
 
 
 def _scattering(

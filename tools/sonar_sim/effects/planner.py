@@ -31,11 +31,12 @@ from sonar_sim.effects.directivity import (
 from sonar_sim.effects.displacement import DISPLACING_EFFECTS
 from sonar_sim.effects.effect import RuleResult
 from sonar_sim.effects.image_difference import Tolerance
+from sonar_sim.effects.multipath import MULTIPATH
 from sonar_sim.effects.plan import AUTO, Decision, EffectPlan, EffectSelection
 from sonar_sim.effects.preview import PingInstance, PingPreview, PoseSlack
 from sonar_sim.effects.previewer import Previewer
 from sonar_sim.effects.registry import EFFECTS
-from sonar_sim.effects.scattering import SPECULAR
+from sonar_sim.effects.scattering import BOTTOM_REVERBERATION, SPECULAR
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.raycast.fan import MAX_ELEVATION_RAD
@@ -88,6 +89,7 @@ def decide_cell(
         return EffectPlan.make(view, selection, bright, names)
     plan = EffectPlan.make(view, selection, bright, frozenset(names) - frozenset(_BOUNDS))
     decisions = [_in_doubt_on(decision, view, selection, tolerance) for decision in plan.decisions]
+    decisions = _with_mirrored_floor(decisions, view, selection)
     if not any(d.on and d.effect.name == SPECULAR.name for d in decisions):
         decisions = [_within_limits(decision, view, selection, bright) for decision in decisions]
     for name, bound in _BOUNDS.items():
@@ -107,6 +109,23 @@ def _in_doubt_on(
         return decision
     doubt = replace(verdict, on=True, reason=f"{verdict.reason}; in doubt")
     return Decision(decision.effect, doubt, selection.on(name, doubt))
+
+
+def _with_mirrored_floor(
+    decisions: list[Decision], view: PingPreview, selection: EffectSelection
+) -> list[Decision]:
+    """Let the floor echo where mirrors are: the coarse rays do not look into them."""
+    if not view.bottoms or not any(d.on and d.effect.name == MULTIPATH.name for d in decisions):
+        return decisions
+
+    def decide(decision: Decision) -> Decision:
+        name, verdict = decision.effect.name, decision.verdict
+        if name != BOTTOM_REVERBERATION.name or verdict.on:
+            return decision
+        doubt = replace(verdict, on=True, reason=f"{verdict.reason}; mirrors may show it")
+        return Decision(decision.effect, doubt, selection.on(name, doubt))
+
+    return [decide(decision) for decision in decisions]
 
 
 def _within_limits(
@@ -274,7 +293,10 @@ class Planner:
         with self._lock:
             shared = self._cache.get(cell)
         if shared is None:
-            shared = self._decide_shared(self._previewer.at(cell.pose, 0, cell.time * TIME_STEP_S))
+            slack_m = math.sqrt(3.0) * 0.5 * cell.step_m
+            time_s = cell.time * TIME_STEP_S
+            view = self._previewer.at(cell.pose, 0, time_s, slack_m=slack_m)
+            shared = self._decide_shared(view)
             with self._lock:
                 self._cache[cell] = shared
                 while len(self._cache) > MAX_PREVIEWS:

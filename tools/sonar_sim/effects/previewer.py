@@ -13,6 +13,7 @@ from sonar_sim.effects.echoes import (
     Echoes,
     coarse_echoes,
     coarse_fan,
+    within_range,
 )
 from sonar_sim.effects.planes import mirror_planes
 from sonar_sim.effects.preview import PingPreview, SolidObjects
@@ -70,10 +71,20 @@ class Previewer:
         ping_id: int = 0,
         time_s: float = 0.0,
         motion: SonarMotion | None = None,
+        slack_m: float = 0.0,
     ) -> PingPreview:
-        """Cast the coarse rays; once more from behind what they met if that is asked for."""
+        """Cast the coarse rays; once more from behind what they met if that is asked for.
+
+        Args:
+            map_T_sonar: from which the rays are cast.
+            ping_id: of the ping.
+            time_s: of the ping.
+            motion: of the sonar in the ping.
+            slack_m: how far the ping's own pose may be from this one. What lies so little out of
+                range is taken to be in the last row.
+        """
         turned = chunked_matmul(self._fan.directions, map_T_sonar.rotation.T).astype(np.float32)
-        origin_m, reach_m = map_T_sonar.position_m, self._sonar.range_m
+        origin_m, reach_m = map_T_sonar.position_m, self._sonar.range_m + slack_m
         met = self._meshes.cast(origin_m, turned, time_s, reach_m, threads=1)
 
         def echoes_of(fan: CoarseFan, hits: Hits) -> Echoes:
@@ -85,6 +96,7 @@ class Previewer:
                 hits,
                 map_T_sonar=map_T_sonar,
                 time_s=time_s,
+                slack_m=slack_m,
             )
 
         def hidden() -> Echoes:
@@ -102,7 +114,7 @@ class Previewer:
             )
             return echoes_of(fan, behind)
 
-        points = self._points(map_T_sonar, time_s)
+        points = self._points(map_T_sonar, time_s, reach_m)
         return PingPreview(
             scene=self._scene,
             sonar=self._sonar,
@@ -120,7 +132,12 @@ class Previewer:
             cast_hidden=hidden,
         )
 
-    def _points(self, map_T_sonar: FramePose, time_s: float) -> Echoes:  # noqa: N803
+    def _points(
+        self,
+        map_T_sonar: FramePose,  # noqa: N803
+        time_s: float,
+        reach_m: float,
+    ) -> Echoes:
         """The scene's point targets ahead and in range; what hides them is not asked."""
         targets = self._scene.targets
         point_m = np.array([t.position_at_m(time_s) for t in targets]).reshape(-1, 3)
@@ -130,7 +147,7 @@ class Previewer:
         direction = away_m / range_m[:, None]
         column = np.floor((-direction[:, 1] - self._fan.left_sine) / self._fan.sine_step)
         column = column.astype(np.int64)
-        kept = (range_m < self._sonar.range_m) & (direction[:, 0] > 0.0)
+        kept = (range_m < reach_m) & (direction[:, 0] > 0.0)
         kept &= (column >= 0) & (column < COLUMNS)
         none, one = np.zeros(int(kept.sum())), np.ones(int(kept.sum()))
         return Echoes(
@@ -138,7 +155,7 @@ class Previewer:
             direction=direction[kept],
             point_m=point_m[kept],
             normal=np.zeros((len(none), 3)),
-            range_m=range_m[kept],
+            range_m=within_range(self._sonar, range_m[kept]),
             extent_m=none,
             surface=np.full(len(none), NO_SURFACE, dtype=np.int64),
             cos_incidence=one,

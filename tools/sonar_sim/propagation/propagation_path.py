@@ -19,7 +19,7 @@ from sonar_sim.propagation.mirror import (
 from sonar_sim.propagation.physics import Mirror, Physics
 from sonar_sim.raycast.fan import RayFan
 from sonar_sim.raycast.meshes import NOTHING, Hits, Meshes
-from sonar_sim.raycast.tracing import Trace, span_about, spans, trace
+from sonar_sim.raycast.tracing import Trace, spans, trace
 
 LEG_SIZE = 16
 """Numbers of a leg: origin (3), rotation (9), drift (3), gain (1)."""
@@ -201,7 +201,7 @@ def mirror_paths(
     range_m = met.range_m[hit]
     away_m = range_m[:, None].astype(np.float64) * seen.direction.take(hit, axis=0)
     group = met.group[hit]
-    span = span_about(here.meshes, met, met.range_m, met.range_m)
+    span = spans(here.meshes, seen.fan, met)
     twice = group + np.int32(len(frames))
     once = _in_sight(here, image.position_m + away_m, 2.0 * here.range_m - range_m)
 
