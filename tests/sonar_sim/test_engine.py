@@ -10,7 +10,13 @@ from sonar_sim.errors import SceneError, SonarSimError
 from sonar_sim.geometry.pose import FramePose, SonarMotion
 from sonar_sim.geometry.trajectory import Drift
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
-from sonar_sim.propagation.physics import Cloud, Mirror, Physics, SoundSpeedProfile
+from sonar_sim.propagation.physics import (
+    Cloud,
+    Mirror,
+    Physics,
+    Reverberation,
+    SoundSpeedProfile,
+)
 from sonar_sim.raycast.fan import ALL_ELEVATIONS_RAD
 from sonar_sim.raycast.meshes import NOTHING, SEA
 from sonar_sim.scene.material import Material
@@ -250,6 +256,36 @@ def test_moving_objects_stand_where_they_are_by_then() -> None:
     for time_s, range_m in ((0.0, 3.0), (2.0, 4.0)):
         rows = picture(Scene((moved,)), MEAN, time_s=time_s).max(axis=1)
         assert abs(np.flatnonzero(rows)[0] * 0.01 - range_m) < 0.02
+
+
+@pytest.mark.parametrize("range_m", [3.1, 5.7])
+def test_an_object_is_heard_from_where_the_sound_meets_it(range_m: float) -> None:
+    """It crosses the fan at 20 m/s: in half of the sound's way it moves range_m / 75."""
+    crossing = Drift((range_m, 0.0, 0.0), velocity_mps=(0.0, 20.0, 0.0))
+    small = dataclasses.replace(
+        rectangle((0.0, 0.0, 0.0), (0.0, 0.02, 0.0), (0.0, 0.0, 0.02)), motion=crossing
+    )
+    beams = []
+    for blocks in (1, 64):
+        physics = dataclasses.replace(MEAN, pose_blocks=blocks, beam_width_rad=0.02)
+        power = np.square(picture(Scene((small,)), physics)).sum(axis=0)
+        beams.append(float(np.average(np.arange(len(power)), weights=power)))
+    moved = 20.0 * range_m / Water().speed_of_sound_mps / range_m  # in the sine of the bearing
+    assert beams[0] - beams[1] == pytest.approx(moved / narrow_sonar(6.0).sine_pitch, rel=0.1)
+
+
+def test_the_tail_behind_speckle_has_the_expected_power() -> None:
+    physics = dataclasses.replace(
+        MEAN, reverberation=Reverberation(0.02, 9.0), beam_width_rad=math.radians(0.6)
+    )
+    engine = PingEngine(Scene((plate(3.0),)), narrow_sonar(6.0, 0.01))
+    expected = np.square(engine.ping(HERE, physics).amplitude)[320:400].sum()
+    speckled = dataclasses.replace(physics, speckle=True)
+    found = [
+        np.square(engine.reseeded(seed).ping(HERE, speckled).amplitude)[320:400].sum()
+        for seed in range(12)
+    ]
+    assert 10.0 * np.log10(np.mean(found) / expected) == pytest.approx(0.0, abs=0.25)
 
 
 def test_doppler_moves_what_closes() -> None:

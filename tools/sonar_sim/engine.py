@@ -26,7 +26,7 @@ from sonar_sim.raycast.fan import ELEVATIONS, MARGIN_BEAMS, ray_fan
 from sonar_sim.raycast.meshes import Meshes
 from sonar_sim.raycast.tracing import Trace, trace
 from sonar_sim.raycast.visible_surface import visible_points
-from sonar_sim.receiver.beamformer import BeamFormer, beam_former, column_taps
+from sonar_sim.receiver.beamformer import BeamFormer, beam_former, cells_share, column_taps
 from sonar_sim.receiver.gain import amplitude as received
 from sonar_sim.receiver.gain import quantise, ring_down_power_db, row_gain
 from sonar_sim.receiver.noise import (
@@ -299,6 +299,7 @@ class PingEngine:
                 self.sonar,
                 limit=limit,
                 key=key,
+                shared=cells_share(self.sonar, physics),
                 threads=self._threads,
             )
         if physics.volume_strength_db is not None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from sonar_sim.effects.planes import mirror_planes
 from sonar_sim.engine import PingEngine
 from sonar_sim.propagation.physics import Mirror, SoundSpeedProfile
@@ -225,3 +226,23 @@ def test_ghosts_of_small_faces_have_the_expected_level(subdivisions: int) -> Non
     expected = ghosts_power(0, speckle=False)
     speckled = np.mean([ghosts_power(seed, speckle=True) for seed in range(30)])
     assert 10.0 * np.log10(speckled / expected) == pytest.approx(0.0, abs=0.6)
+
+
+@pytest.mark.parametrize("roll_deg", [0.0, 1.0, 2.0, 4.0, 9.0])
+def test_ways_there_and_back_add_up_where_one_beam_hears_both(roll_deg: float) -> None:
+    """Both are equally long. A sonar that leans hears them in two bearings."""
+    width_rad = math.radians(1.0)
+    scene = Scene((plate(-50.0, 50.0),), targets=(target((AWAY_M, 0.0, 0.0)),))
+    turn = Rotation.from_euler("x", roll_deg, degrees=True).as_matrix()
+    sonar = narrow_sonar(7.0, ROW_M, 65)
+    engine = PingEngine(scene, sonar)
+    physics = dataclasses.replace(MEAN, specular=False, mirrors=(MIRROR,), beam_width_rad=width_rad)
+    power = np.square(engine.ping(dataclasses.replace(HERE, rotation=turn), physics).amplitude)
+    heard = power[ONCE_ROW - 2 : ONCE_ROW + 3].sum() / power[TWICE_ROW - 2 : TWICE_ROW + 3].sum()
+    sines = np.linspace(-0.5, 0.5, 4001)
+    away = np.array([[AWAY_M, 0.0, 0.0], [AWAY_M, 0.0, -2.0 * BELOW_M]])
+    bearings = -(away @ turn[:, 1]) / np.linalg.norm(away, axis=1)
+    beams = [np.exp(-2.0 * math.log(2.0) * np.square((sines - s) / width_rad)) for s in bearings]
+    once = np.square(beams[0] + beams[1]).sum() / np.square(beams[0]).sum()
+    expected = once * (BOUNCED_M / AWAY_M) ** 2 / MIRROR.reflection**2
+    assert 10.0 * np.log10(heard / expected) == pytest.approx(0.0, abs=0.1)

@@ -216,6 +216,21 @@ def test_the_tail_of_a_field_has_the_power_of_the_mean() -> None:
     assert total[5] == pytest.approx(mean[5])
 
 
+def test_a_flash_does_not_swallow_the_tail_beside_it() -> None:
+    """Weights of whole columns may be negative, and so mean powers beside something loud."""
+    quiet = np.zeros((SONAR.rows, COLUMNS), dtype=np.float32)
+    quiet[5, 200:300] = 1e-3
+    flash = quiet.copy()
+    flash[5, 240:250] += 1e6
+    flash[5, 230:240] -= 1e5
+    tails = []
+    for cells in (quiet, flash):
+        before = cells.copy()
+        add_tail(cells, TAIL, SONAR, limit=np.full(SONAR.rows, 1e-3), key=3)
+        tails.append((cells - before)[20:40, 200:300].sum(axis=0))
+    assert np.all(tails[1] > 0.5 * tails[0])
+
+
 def test_the_tail_stays_while_the_sonar_does() -> None:
     pose = FramePose(np.array([1.0, 2.0, -3.0]), np.eye(3))
     moved = FramePose(np.array([1.001, 2.0, -3.0]), np.eye(3))

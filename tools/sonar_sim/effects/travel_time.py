@@ -160,7 +160,10 @@ def _speeds(view: PingPreview) -> str:
 
 def configure_motion(physics: Physics, view: PingPreview) -> None:
     """Give the ping as many poses as keep the motion within each small."""
-    blocks = math.ceil(displaced_cells(view, "motion") / BLOCK_CELLS)
+    # What the coarse rays miss turns by no more than this until the last row is heard.
+    listening_s = 2.0 * view.sonar.range_m / view.speed_of_sound_mps
+    turned = sonar_turn_rate_rps(view) * listening_s / view.sonar.sine_pitch
+    blocks = math.ceil(max(displaced_cells(view, "motion"), turned) / BLOCK_CELLS)
     physics.pose_blocks = min(max(blocks, MIN_BLOCKS), MAX_BLOCKS)
 
 

@@ -104,7 +104,8 @@ def _ways(
         if image is None or not _sees_via_mirror(here, mirror, image, position_m):
             continue
         if direct:
-            once = mirror.reflection * single_bounce_gain(here, mirror)
+            pair = single_bounce_gain(here, image, position_m[None, :])
+            once = mirror.reflection * float(pair[0])
             ways += [(here.pose, image, once), (image, here.pose, once)]
         ways.append((image, image, mirror.reflection**2))
     return ways

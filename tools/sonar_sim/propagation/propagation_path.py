@@ -48,8 +48,6 @@ def leg_in_frame(
 
 
 OBJECT_STEP_S = 1e-3
-SAME_COLUMN = 0.1
-"""A mirror that leans no more than this along the array keeps the bearing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +104,7 @@ def direct_paths(here: PingGeometry, rays: Trace) -> list[_core.Rays]:
             _core.Rays(
                 face=np.where(echoes, met.face, np.int32(NOTHING)),
                 seen=met.group,
-                transmit=met.group,
+                transmit=legs.transmit(met.group, met.range_m),
                 receive=legs.receive(met.group, met.range_m),
                 cell=rays.fan.cell,
                 span_m=spans(here.meshes, rays.fan, met),
@@ -119,7 +117,11 @@ def direct_paths(here: PingGeometry, rays: Trace) -> list[_core.Rays]:
 
 
 class _LegTable:
-    """Legs of each group at the transmission, then of each block of the listening time."""
+    """Legs of each group at the transmission, then of each block of the listening time.
+
+    An echo leaves an object in the middle between transmission and reception: there and back the
+    object stands where it is then. Its rays are cast at the transmission.
+    """
 
     def __init__(self, here: PingGeometry) -> None:
         moves = here.motion is not None or here.meshes.moving
@@ -127,24 +129,33 @@ class _LegTable:
         self._block_m = here.range_m / self._blocks
         start = here.meshes.poses(here.time_s)
         self._groups = len(start)
+        self._moving = here.meshes.moving
         drifts = [_drift(here, number) for number in range(self._groups)]
         rows = [
             leg_in_frame(frame, here.pose.position_m, here.pose.rotation, drift)
             for frame, drift in zip(start, drifts, strict=True)
         ]
         if self._blocks > 1:
-            for block in range(self._blocks):
-                after_s = (block + 0.5) / self._blocks * here.listening_s
-                pose = here.pose
-                if here.motion is not None:
-                    pose = here.motion.pose(here.pose, after_s)
+            after_s = (np.arange(self._blocks) + 0.5) / self._blocks * here.listening_s
+            frames = [here.meshes.poses(here.time_s + float(s) / 2.0) for s in after_s]
+            poses = [here.pose] * self._blocks
+            if here.motion is not None:
+                poses = [here.motion.pose(here.pose, float(s)) for s in after_s]
+            # Back, then there.
+            for sonar in (poses, [here.pose] * self._blocks):
                 rows += [
                     leg_in_frame(frame, pose.position_m, pose.rotation, drift)
-                    for frame, drift in zip(
-                        here.meshes.poses(here.time_s + after_s), drifts, strict=True
-                    )
+                    for pose, then in zip(sonar, frames, strict=True)
+                    for frame, drift in zip(then, drifts, strict=True)
                 ]
         self.rows = np.array(rows)
+
+    def transmit(self, group: NDArray[np.int32], range_m: NDArray[np.float32]) -> NDArray[np.int32]:
+        """Leg by which the sound goes to an echo at a range."""
+        if self._blocks == 1 or not self._moving:
+            return group
+        there = self.receive(group, range_m) + np.int32(self._blocks * self._groups)
+        return np.asarray(there, dtype=np.int32)
 
     def receive(self, group: NDArray[np.int32], range_m: NDArray[np.float32]) -> NDArray[np.int32]:
         """Leg by which an echo from a range comes back."""
@@ -209,7 +220,7 @@ def mirror_paths(
         which: NDArray[np.bool_],
         there: NDArray[np.int32],
         back: NDArray[np.int32],
-        gain: float = 1.0,
+        gain: NDArray[np.float64] | float = 1.0,
         *,
         both_ways: bool = False,
     ) -> _core.Rays:
@@ -228,18 +239,28 @@ def mirror_paths(
         )
 
     both = range_m < here.range_m
-    pair = single_bounce_gain(here, mirror)
+    pair = single_bounce_gain(here, image, (image.position_m + away_m)[once])
     return [way(once, twice, group, pair, both_ways=True), way(both, twice, twice)]
 
 
-def single_bounce_gain(here: PingGeometry, mirror: Mirror) -> float:
-    """Gain of the two ways that use a mirror once: there or back.
+def single_bounce_gain(
+    here: PingGeometry, image: FramePose, point_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Gain of the two ways to points (N, 3) that use a mirror once: there or back, (N,).
 
-    They are equally long, so their pressures add: where both are heard in one column, the sum of
-    their mean powers is 3 dB too small.
+    They are equally long, so their pressures add: where a beam hears both, the sum of their mean
+    powers is up to 3 dB too small. What beams hear of both is the correlation of two Gaussian beams
+    as far apart as the two bearings; without an azimuth pattern all of it.
     """
-    across = abs(float(np.dot(mirror.normal, here.pose.rotation[:, 1])))
-    return math.sqrt(2.0) if not here.physics.speckle and across < SAME_COLUMN else 1.0
+    width_rad = here.physics.beam_width_rad
+    if here.physics.speckle or width_rad is None:
+        return np.full(len(point_m), 1.0 if here.physics.speckle else math.sqrt(2.0))
+    sines = []
+    for pose in (here.pose, image):
+        way = point_m - pose.position_m
+        sines.append(way @ pose.rotation[:, 1] / np.maximum(np.linalg.norm(way, axis=1), 1e-9))
+    apart = (sines[0] - sines[1]) / width_rad
+    return np.asarray(np.sqrt(1.0 + np.exp(-math.log(2.0) * np.square(apart))))
 
 
 def mirrored(pose: FramePose, mirror: Mirror) -> FramePose | None:

@@ -183,6 +183,15 @@ def column_taps(sonar: SonarSettings, physics: Physics) -> NDArray[np.float32]:
     )
 
 
+def cells_share(sonar: SonarSettings, physics: Physics) -> float:
+    """Mean power that an echo leaves in the cells, over what a beam upon it receives.
+
+    Weights of whole columns overlap: in a field their squares add to less than 1.
+    """
+    taps = column_taps(sonar, physics).astype(np.float64)
+    return float(np.mean(np.sum(np.square(taps) if physics.speckle else taps, axis=1)))
+
+
 @functools.lru_cache(maxsize=16)
 def _fitted(
     width_rad: float, side_lobe_db: float, pitch: float, *, power: bool, main_only: bool

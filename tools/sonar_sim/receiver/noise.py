@@ -168,6 +168,7 @@ def add_tail(
     *,
     limit: NDArray[np.float64],
     key: int,
+    shared: float = 1.0,
     threads: int = 2,
 ) -> None:
     """Add the tail behind all echoes in the cells, in place.
@@ -178,12 +179,15 @@ def add_tail(
         sonar: for rows and columns.
         limit: of the mean power that leaves a tail, (rows,).
         key: of the numbers; mean powers need none.
+        shared: mean power of an echo's cells over its own, see `cells_share`.
         threads: that share the work.
     """
     columns = cells.shape[1]
     width = max(1, int(TAIL_STEP_SINE / sonar.sine_pitch))
     blocks = _core.block_powers(cells, width, threads)
-    np.minimum(blocks, limit[:, None].astype(np.float32), out=blocks)
+    blocks /= np.float32(shared)
+    # Some weights of whole columns are negative: beside a flash so is a block of mean powers.
+    np.clip(blocks, 0.0, limit[:, None].astype(np.float32), out=blocks)
     ends = np.minimum(np.arange(blocks.shape[1] + 1) * width, columns)
     sines = column_sines(columns, sonar)
     middles = 0.5 * (sines[ends[:-1]] + sines[ends[1:] - 1])
