@@ -247,7 +247,7 @@ def configure_multipath(physics: Physics, view: PingPreview) -> None:
 MULTIPATH = Effect(
     name="multipath",
     does="repeats echoes behind themselves, by way of the surface or a wall",
-    needs="planes smooth against the wavelength",
+    needs="planes of at least 0.2 m², smooth against the wavelength",
     formula="images at (d + b) / 2, coherent, and b; G exp(-2 k² h² cos² i) a bounce",
     source="Eckart 1953; Lloyd's mirror",
     rule="the ghosts of a coarse picture change it by more than the tolerance",
