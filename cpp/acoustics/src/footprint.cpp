@@ -92,7 +92,9 @@ MAPPERD_VECTORISED void intersect_planes(const SeenCells& seen, const PerHit<dou
     for (std::size_t i = 0; i < kPatches; ++i) {
       const double off_s = corner_s[i] - 0.5 * (seen.from_s[i] + seen.to_s[i]);
       const double off_w = corner_w[i] - 0.5 * (seen.from_w[i] + seen.to_w[i]);
-      const double w = corner_w[i] + seen.w_per_s[i] * off_s;
+      const double leaning_w = corner_w[i] + seen.w_per_s[i] * off_s;
+      const double below_w = leaning_w < 1.0 ? leaning_w : 1.0;
+      const double w = below_w > -1.0 ? below_w : -1.0;
       const double leaning_s = corner_s[i] + seen.s_per_w[i] * off_w;
       // Where the fan of directions ends, cells end with it.
       const double max_s = std::sqrt(1.0 - w * w);

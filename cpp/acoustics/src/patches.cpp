@@ -336,9 +336,11 @@ void make_patches(const ScatterInput& echoes, const Footprints& footprints, Patc
         i < footprints.count && footprints.exists[i] && lattices.projected_m2[i] > 0.0;
     if (patches.exists[i]) {
       const Face& face = echoes.faces.table[hits.face[footprints.hit[i]]];
+      const auto& n = footprints.normal;
+      const std::int64_t facing = face.smooth < 0 ? 0 : facing_of(n[0][i], n[1][i], n[2][i]);
       const LatticeOrigin origin = origin_of(echoes.model.key, face.object,
                                              {lattices.normal_axis[i], lattices.along_level[i],
-                                              lattices.across_level[i], lattices.turn[i]});
+                                              lattices.across_level[i], lattices.turn[i], facing});
       patches.key[i] = origin.key;
       lattices.i0[i] = origin.i0;
       lattices.j0[i] = origin.j0;

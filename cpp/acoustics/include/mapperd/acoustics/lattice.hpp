@@ -44,7 +44,18 @@ struct LatticeId {
   std::int64_t normal_axis;
   std::int64_t along_level, across_level;
   std::int64_t turn;
+  std::int64_t facing;  ///< see `facing_of`; 0 where a surface is flat
 };
+
+/// Direction of a normal in coarse steps, more than 0. The planes of a round surface's faces
+/// overlap beyond the faces: with the same nodes there, one echo would be heard twice, in phase.
+inline std::int64_t facing_of(double x, double y, double z) {
+  constexpr double kSteps = 6.0;
+  const auto step = [](double part) {
+    return static_cast<std::int64_t>(kSteps * (part + 1.0) + 0.5);
+  };
+  return 1 + step(x) + 16 * step(y) + 256 * step(z);
+}
 
 constexpr std::int64_t kTurns = 8;
 
@@ -79,8 +90,9 @@ struct LatticeOrigin {
 
 inline LatticeOrigin origin_of(std::uint64_t key, std::uint32_t object, const LatticeId& name) {
   const auto word = [](std::int64_t value) { return static_cast<std::uint64_t>(value) & 0xFFFFU; };
-  const std::uint64_t names = word(name.along_level) << 32 | word(name.across_level) << 16 |
-                              word(name.turn) << 2 | word(name.normal_axis);
+  const std::uint64_t names = word(name.facing) << 48 | word(name.along_level) << 32 |
+                              word(name.across_level) << 16 | word(name.turn) << 2 |
+                              word(name.normal_axis);
   const std::uint64_t own = joined(joined(key, object), names);
   const std::uint64_t origin = mix(own);
   return {own, static_cast<double>(origin & 0xFFFFU) * 0x1p-16,
