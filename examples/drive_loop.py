@@ -48,7 +48,7 @@ class HarbourEnv(Base):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode: equal seeds give equal ones, no seed goes on with another."""
+        """Begin an episode: equal seeds give equal ones; without a seed it is another one."""
         del options
         if Base is not object:
             super().reset(seed=seed)

@@ -460,6 +460,21 @@ def test_bent_rays_meet_what_straight_ones_would_miss() -> None:
     assert bent.ray_range_m.min() == pytest.approx(40.0, abs=0.03)
 
 
+def test_a_thin_bar_is_as_loud_in_layers_of_one_speed() -> None:
+    """It leans: the parts of cells that lie along it do, too."""
+    bar = rectangle((5.0, 0.0, -0.2), (0.0, 0.003, -0.003), (0.0, 0.4, 0.4), CHALK)
+    speed = Water().speed_of_sound_mps
+    layers = SoundSpeedProfile(np.array([0.0, 50.0]), np.array([speed, speed]))
+    pose = pose_at((0.0, 0.0, -2.0))
+    moved = dataclasses.replace(bar, vertices_m=bar.vertices_m - np.array([0.0, 0.0, 2.0]))
+    engine = PingEngine(Scene((moved,)), narrow_sonar(6.0, 0.01))
+    straight, bent = (
+        np.square(engine.ping(pose, dataclasses.replace(MEAN, layers=found)).amplitude).sum()
+        for found in (None, layers)
+    )
+    assert 10.0 * np.log10(bent / straight) == pytest.approx(0.0, abs=0.1)
+
+
 def test_layers_of_one_speed_bend_nothing() -> None:
     scene = Scene((floor(-2.0),), water=Water(profile=((0.0, 1500.0),)))
     layers = SoundSpeedProfile(np.array([0.0, 10.0]), np.array([1500.0, 1500.0]))

@@ -332,6 +332,35 @@ def at(stamp_s: float, x_m: float) -> PoseRecord:
     return PoseRecord(stamp_s, position_m=np.array([x_m, 0.0, -1.0]), rotation=np.eye(3))
 
 
+def test_parts_of_two_sources_are_late_each_for_itself() -> None:
+    """PX4 stamps ODOMETRY with its samples, earlier than ATTITUDE."""
+    live = LivePath(FramePose(np.zeros(3), np.eye(3)))
+    assembler = PoseAssembler(live)
+    for k in range(100):
+        now_s = 0.02 * k
+        assembler.take(PoseRecord(now_s, rotation=np.eye(3)), 5.0 + now_s)
+        assert assembler.take(at(now_s - 0.01, now_s - 0.01), 5.0 + now_s)
+    assert live.pose(5.0 + now_s).position_m[0] == pytest.approx(now_s, abs=0.03)
+
+
+def test_datagrams_in_another_order_do_not_set_the_clock_back() -> None:
+    live = LivePath(FramePose(np.zeros(3), np.eye(3)))
+    assembler = PoseAssembler(live)
+    order = [*range(51), 53, 51, 52, 54, 55]
+    taken = [assembler.take(at(0.02 * k, 0.02 * k), 7.0 + 0.02 * k) for k in order]
+    assert taken[-5:] == [True, False, False, True, True]
+    assert live.velocity_mps(8.1)[0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("step_m", [0.5, 0.9, 30.0])
+def test_no_vehicle_is_faster_than_a_jump(step_m: float) -> None:
+    live = LivePath(FramePose(np.zeros(3), np.eye(3)))
+    assembler = PoseAssembler(live)
+    for k in range(20):
+        assembler.take(at(0.02 * k, 0.0 if k < 19 else step_m), 5.0 + 0.02 * k)
+    assert live.pose(5.0 + 0.38 + 0.5).position_m[0] == pytest.approx(step_m)
+
+
 @pytest.mark.parametrize("gap_s", [0.05, 0.2, 0.5])
 def test_a_jump_between_records_without_velocity_is_no_velocity(gap_s: float) -> None:
     live = LivePath(FramePose(np.zeros(3), np.eye(3)))

@@ -173,6 +173,7 @@ def test_obj_is_read_as_programs_write_it(tmp_path: Path, form: str) -> None:
     assert (second.name, second.material) == ("Cube.001", "Wet Steel")
     for part, x_m in ((first, 0.5), (second, 5.5)):
         assert part.mesh.is_watertight
+        assert len(part.mesh.vertices) == 8  # none of another part
         assert part.mesh.volume == pytest.approx(1.0)
         assert part.mesh.centroid == pytest.approx([x_m, 0.5, 0.5])
 
@@ -198,6 +199,16 @@ def test_concave_polygons_are_cut_inside_their_outline(
     inside = part.mesh.triangles_center[:, np.argsort(lying)]
     in_notch = (abs(inside[:, 0] - 1.5) < 0.5) & (inside[:, 1] > 1.0)
     assert not in_notch.any()
+
+
+def test_a_concave_polygon_of_too_many_corners_is_refused(tmp_path: Path) -> None:
+    teeth = [(k, 2.0 * (k % 2) + 1.0) for k in range(1000)]
+    lines = [f"v {x} {y} 0" for x, y in [(0, -1), (999, -1), *reversed(teeth)]]
+    (tmp_path / "saw.obj").write_text(
+        "\n".join([*lines, "f " + " ".join(map(str, range(1, 1003)))])
+    )
+    with pytest.raises(SceneError, match="a face has 1002 corners"):
+        read_parts(tmp_path / "saw.obj")
 
 
 def test_what_obj_cannot_mean_is_refused_with_its_line(tmp_path: Path) -> None:

@@ -263,6 +263,15 @@ CRANE = """<sdf version="1.9"><model name="crane" placement_frame="foot"><pose>5
 """
 
 
+def test_models_may_be_included_without_a_name(tmp_path: Path) -> None:
+    (tmp_path / "crane.sdf").write_text(CRANE.replace('name="crane" ', ""))
+    include = "<include><uri>crane.sdf</uri><pose>{} 0 0 0 0 0</pose></include>"
+    path = tmp_path / "port.world"
+    world = include.format(10) + include.format(20)
+    path.write_text(f'<sdf version="1.9"><world name="w">{world}</world></sdf>')
+    assert len(read_parts(path)) == 2
+
+
 def test_frames_may_refer_to_an_included_model(tmp_path: Path) -> None:
     (tmp_path / "crane.sdf").write_text(CRANE)
     lamp = (

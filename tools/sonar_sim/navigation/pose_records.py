@@ -6,7 +6,7 @@ The simulator's map is ENU and its base FLU; vehicles send NED and FRD.
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Protocol
 
@@ -31,6 +31,8 @@ JUMP_MPS, JUMP_M = 20.0, 1.0
 """What moves farther than this was put somewhere else."""
 MAX_GAP_S = 1.0
 """Two positions further apart in time tell no velocity."""
+LATES_OF_A_CLOCK = 3
+"""So many late records in order come from a clock that was set back; two if they are far off."""
 DELAY_WINDOW_S = 5.0
 """The smallest delay is looked for in this long, and in as long before."""
 LOCAL_S = 2.0
@@ -293,8 +295,8 @@ class PoseAssembler:
     """Makes a live path of records that state parts of a pose, each at its own time.
 
     Stamps are carried to the path's clock by the smallest delay of the last seconds. A record that
-    is stamped before another of its kind is late. Two late ones in order come from a clock that was
-    set back.
+    is stamped before another of its kind is late. Some late ones in order come from a clock that
+    was set back.
 
     Args:
         path: gets each pose as soon as position and attitude are known.
@@ -309,8 +311,8 @@ class PoseAssembler:
 
     def _begin(self) -> None:
         """Know nothing of the sender's clock."""
-        self._newest_s = {"position": -math.inf, "attitude": -math.inf}
-        self._late_s = math.inf
+        self._newest_s = {"position_m": -math.inf, "rotation": -math.inf}
+        self._lates, self._late_s = 0, -math.inf
         self._window_s = -math.inf
         self._delays_s = math.inf, math.inf
 
@@ -330,10 +332,13 @@ class PoseAssembler:
             False if it is late, and ignored.
         """
         time_s = arrival_s
-        if record.stamp_s is not None:
-            if self._is_late(record, record.stamp_s):
+        stamp_s = record.stamp_s
+        if stamp_s is not None:
+            on_time = self._on_time(record, stamp_s)
+            if on_time is None:
                 return False
-            time_s = record.stamp_s + self._offset(record.stamp_s, arrival_s)
+            record = on_time
+            time_s = stamp_s + self._offset(stamp_s, arrival_s)
         if record.rotation is not None:
             rates = np.zeros(3) if record.rates_rps is None else record.rates_rps
             self._attitude = time_s, record.rotation, rates
@@ -343,17 +348,22 @@ class PoseAssembler:
             self._publish(time_s)
         return True
 
-    def _is_late(self, record: PoseRecord, stamp_s: float) -> bool:
-        parts = {"position": record.position_m, "attitude": record.rotation}
+    def _on_time(self, record: PoseRecord, stamp_s: float) -> PoseRecord | None:
+        """Return what of a record is newer than what is known; None if nothing is."""
+        parts = {"position_m": record.position_m, "rotation": record.rotation}
         stated = [name for name, value in parts.items() if value is not None]
-        if any(stamp_s < self._newest_s[name] for name in stated):
-            if stamp_s <= self._late_s:
-                self._late_s = stamp_s
-                return True
+        late = [name for name in stated if stamp_s < self._newest_s[name]]
+        if stated and late == stated:
+            self._lates = self._lates + 1 if stamp_s > self._late_s else 1
+            self._late_s = stamp_s
+            age_s = max(self._newest_s[name] for name in late) - stamp_s
+            if self._lates < (2 if age_s > MAX_GAP_S else LATES_OF_A_CLOCK):
+                return None
             self._begin()  # its clock was set back
-        self._late_s = math.inf
-        self._newest_s.update(dict.fromkeys(stated, stamp_s))
-        return False
+            late = []
+        self._lates = 0
+        self._newest_s.update({name: stamp_s for name in stated if name not in late})
+        return replace(record, **dict.fromkeys(late)) if late else record
 
     def _offset(self, stamp_s: float, arrival_s: float) -> float:
         """Return what carries the sender's clock to the path's."""
@@ -377,7 +387,7 @@ class PoseAssembler:
         before_s, before_m, _ = self._position
         passed_s = time_s - before_s
         moved_m = record.position_m - before_m
-        if not 0.0 < passed_s < MAX_GAP_S or _is_jump(moved_m, passed_s):
+        if not 0.0 < passed_s < MAX_GAP_S or np.linalg.norm(moved_m) > JUMP_MPS * passed_s:
             return np.zeros(3)
         return np.asarray(moved_m / passed_s)
 

@@ -293,23 +293,24 @@ def _ways(
         way = ((place_m - origin_m) / np.maximum(chord_m, 1e-9)[:, None]).astype(np.float32)
         gain = cloud_gain(here.physics.clouds, origin_m, way, chord_m)
     own = np.arange(len(hit), dtype=np.int32)
+    cell, lean = _stretched(here, fan, start, found)
     return _core.Rays(
         face=found.face[hit],
         seen=own,
         transmit=own,
         receive=own,
-        cell=_stretched(here, fan, start, found)[hit],
+        cell=cell[hit],
         span_m=spans(here.meshes, fan, found.met)[hit],
         gain=gain,
         legs=legs,
-        lean=None if fan.lean is None else fan.lean[hit],
+        lean=None if lean is None else lean[hit],
     )
 
 
 def _stretched(
     here: PingGeometry, fan: RayFan, start: NDArray[np.float64], found: _RefractedHits
-) -> NDArray[np.float32]:
-    """Cells that cover what bent rays stand for, (N, 4).
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    """Cells that cover what bent rays stand for, (N, 4), and how they lean, (N, 2).
 
     Bending spreads neighbours or gathers them. A ray's virtual leg sees the place of its neighbour
     in the column so many times farther off than the neighbour left: so much higher is its cell, and
@@ -328,7 +329,10 @@ def _stretched(
         seen = np.einsum("nj,nj->n", way, up) / np.linalg.norm(way, axis=1)
         times = np.clip((seen - w[ray]) / (w[other] - w[ray]), *STRETCH)
         cell[ray, edge] = w[ray] + times * (fan.cell[ray, edge] - w[ray])
-    return cell
+    if fan.lean is None:
+        return cell, None
+    higher = (cell[:, 3] - cell[:, 2]) / (fan.cell[:, 3] - fan.cell[:, 2])
+    return cell, fan.lean * np.stack([1.0 / higher, higher], axis=1).astype(np.float32)
 
 
 def _table(layers: SoundSpeedProfile) -> NDArray[np.float64]:

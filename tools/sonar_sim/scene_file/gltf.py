@@ -23,8 +23,9 @@ from sonar_sim.errors import SceneError
 from sonar_sim.geometry.pose import rotation_of_quaternion
 
 Floats = NDArray[np.float64]
-MAX_VALUES = 200_000_000
-"""Of one accessor; a file may claim more than a machine holds."""
+MAX_VALUES = 100_000_000
+"""Of all accessors that are read; a file may claim more than a machine holds."""
+POSITION = "POSITION"
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "EXT_lights_")
 """Beginnings of extensions that leave geometry as it is."""
@@ -162,10 +163,15 @@ def read_gltf(path: Path) -> Iterator[tuple[str, str, Floats, NDArray[np.int64]]
         if node.skin is not None or any(node.weights or mesh.weights):
             raise SceneError(f"{where}: its skin or morph targets are not read: apply them first")
         for primitive in mesh.primitives:
-            if primitive.mode not in (TRIANGLES, STRIP, FAN):
-                continue  # points and lines
+            has_positions = POSITION in primitive.attributes
+            if primitive.mode not in (TRIANGLES, STRIP, FAN) or not has_positions:
+                continue  # points and lines, and what the specification says to skip
             vertices = document.positions(primitive, where)
             faces = document.faces(primitive, len(vertices))
+            if not np.all((faces >= 0) & (faces < len(vertices))):
+                raise SceneError(f"{where}: a triangle names a vertex that does not exist")
+            used, corners = np.unique(faces, return_inverse=True)
+            vertices, faces = vertices[used], corners.reshape(-1, 3)
             if np.linalg.det(transform[:3, :3]) < 0.0:
                 faces = faces[:, ::-1]
             named = _Named()
@@ -181,6 +187,7 @@ class _Document:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._buffers: dict[int, bytes] = {}
+        self._values_left = MAX_VALUES
         data = path.read_bytes()
         text, self._chunk = self._chunks(data) if data[:4] == b"glTF" else (data, None)
         try:
@@ -229,11 +236,12 @@ class _Document:
 
     def positions(self, primitive: _Primitive, where: str) -> Floats:
         """Vertices of a primitive, (V, 3)."""
-        index = primitive.attributes.get("POSITION")
-        accessor = self.item(self.root.accessors, index, "accessor")
-        is_given = accessor.buffer_view is not None or accessor.sparse is not None
-        if "KHR_draco_mesh_compression" in primitive.extensions and not is_given:
-            raise SceneError(f"{where}: it is compressed by Draco: export it without")
+        accessor = self.item(self.root.accessors, primitive.attributes[POSITION], "accessor")
+        if accessor.buffer_view is None and accessor.sparse is None:
+            how = f" ({', '.join(primitive.extensions)})" if primitive.extensions else ""
+            raise SceneError(
+                f"{where}: its vertices are compressed or missing{how}: export it plain"
+            )
         return self._values(accessor, "VEC3").astype(np.float64)
 
     def faces(self, primitive: _Primitive, vertices: int) -> NDArray[np.int64]:
@@ -257,8 +265,11 @@ class _Document:
                 f"stands for {kind}"
             )
         dtype, width = np.dtype(COMPONENTS[accessor.component_type]), WIDTHS[kind]
-        if accessor.count * width > MAX_VALUES:
-            raise SceneError(f"{self._path}: an accessor claims {accessor.count} elements")
+        self._values_left -= accessor.count * width
+        if self._values_left < 0:
+            raise SceneError(f"{self._path}: its accessors claim more than {MAX_VALUES} numbers")
+        if accessor.buffer_view is None and accessor.sparse is None:
+            raise SceneError(f"{self._path}: an accessor has no data")
         values = np.zeros((accessor.count, width), dtype)
         if accessor.buffer_view is not None:
             at = _Elements(accessor.buffer_view, accessor.byte_offset)

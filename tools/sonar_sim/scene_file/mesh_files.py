@@ -29,6 +29,8 @@ UP_TURN: Mapping[str, NDArray[np.float64]] = MappingProxyType(
     }
 )
 """Turns a file's axes so that z is up, by the axis that is up in it (COLLADA 1.4.1, `up_axis`)."""
+MAX_CORNERS = 500
+"""Of a concave polygon."""
 MAX_PATH = 300
 """Characters of a path in a message."""
 ROBOTS = (".urdf", ".sdf", ".world")
@@ -83,12 +85,27 @@ def read_parts(path: Path, scale: float = 1.0, up: str | None = None) -> list[Na
         raise SceneError(f"{path}: not a mesh: {error}") from error
     parts = []
     for name, material, vertices, faces in found:
-        mesh = clean_mesh(vertices @ UP_TURN[up].T * scale, faces, str(path))
+        used, corners = used_vertices(vertices, faces, str(path))
+        mesh = clean_mesh(used @ UP_TURN[up].T * scale, corners, str(path))
         if len(mesh.faces):
             parts.append(NamedMesh(name, material, mesh))
     if not parts:
         raise SceneError(f"{path}: no triangle with an area")
     return parts
+
+
+def used_vertices(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], name: str
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Leave out vertices that no triangle has, as those of other parts of a file.
+
+    Raises:
+        SceneError: an index is out of range.
+    """
+    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
+        raise SceneError(f"{name}: a triangle names a vertex that does not exist")
+    used, corners = np.unique(faces, return_inverse=True)
+    return vertices[used], corners.reshape(-1, 3)
 
 
 def clean_mesh(vertices: np.ndarray, faces: np.ndarray, name: str) -> trimesh.Trimesh:
@@ -100,13 +117,11 @@ def clean_mesh(vertices: np.ndarray, faces: np.ndarray, name: str) -> trimesh.Tr
     Raises:
         SceneError: a vertex is not finite, or an index is out of range.
     """
-    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
-        raise SceneError(f"{name}: a triangle names a vertex that does not exist")
-    used = vertices[np.unique(faces)]
-    if not np.isfinite(used).all():
-        raise SceneError(f"{name}: {np.sum(~np.isfinite(used).all(axis=1))} vertices not finite")
+    vertices, faces = used_vertices(vertices, faces, name)
+    broken = np.sum(~np.isfinite(vertices).all(axis=1))
+    if broken:
+        raise SceneError(f"{name}: {broken} vertices not finite")
     mesh = trimesh.Trimesh(vertices, faces, process=False)
-    mesh.remove_unreferenced_vertices()
     mesh.merge_vertices()
     if len(mesh.faces):
         mesh.update_faces(mesh.nondegenerate_faces(height=SLIVER_M))
@@ -188,6 +203,10 @@ def _triangulated(
     normals = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
     outward = normals.sum(axis=1)
     is_concave = np.any(np.einsum("pfi,pi->pf", normals, outward) < 0.0, axis=1)
+    if is_concave.any() and polygons.shape[1] > MAX_CORNERS:
+        raise SceneError(
+            f"{path}: a face has {polygons.shape[1]} corners: triangulate it before the export"
+        )
     cut = [
         one[_ears(points[one], normal)]
         for one, normal in zip(polygons[is_concave], outward[is_concave], strict=True)
@@ -238,6 +257,7 @@ def _collada(path: Path) -> Iterator[_Part]:
         raise SceneError(f"{path}: it shows no scene: its <scene> is missing")
     declared_m = document.assetInfo.unitmeter
     unit_m = 1.0 if declared_m is None else float(declared_m)
+    checked: set[int] = set()
     if not unit_m > 0.0:
         raise SceneError(f"{path}: its unit is {unit_m} m; it must be more than 0")
     for node_name, transform, bound in _collada_geometry(document.scene.nodes, np.eye(4), ""):
@@ -246,9 +266,11 @@ def _collada(path: Path) -> Iterator[_Part]:
             triangles = getattr(primitive, "triangleset", lambda same=primitive: same)()
             if not isinstance(triangles, collada.triangleset.BoundTriangleSet):
                 continue  # lines
-            source = own.sources["VERTEX"][0][4].xmlnode
-            if any("nan" in (one.text or "").lower() for one in source.iterfind("{*}float_array")):
+            source = own.sources["VERTEX"][0][4]
+            texts = (one.text or "" for one in source.xmlnode.iterfind("{*}float_array"))
+            if id(source) not in checked and any("nan" in text.lower() for text in texts):
                 raise SceneError(f"{path}: {node_name!r}: vertices not finite")
+            checked.add(id(source))
             material = primitive.material
             name = "" if material is None else str(material.name or material.id)
             vertices = np.asarray(triangles.vertex, dtype=np.float64) * unit_m

@@ -283,9 +283,9 @@ class _PoseFrames:
             self._own.add("world")
         self._entries: dict[str, _FrameEntry] = {}
         for tag in ("link", "frame", "model", "joint"):
-            named = [one.get("name", "") for one in parent.findall(tag)]
-            for name in named:
-                if named.count(name) > 1:
+            named = Counter(one.get("name", "") for one in parent.findall(tag))
+            for name, count in named.items():
+                if count > 1:
                     raise SceneError(f"{where}: two elements <{tag}> are called {name!r}")
             for one in parent.findall(tag):
                 default = one.get("attached_to", "")
@@ -299,7 +299,8 @@ class _PoseFrames:
         self, name: str, pose: ET.Element | None, model: ET.Element, placement: str | None
     ) -> None:
         """Add a model of another file, where no other frame has its name."""
-        self._entries.setdefault(name, _FrameEntry(pose, "", model, placement))
+        if name:
+            self._entries.setdefault(name, _FrameEntry(pose, "", model, placement))
 
     def pose(self, name: str) -> Transform:
         """Return the frame of an element in that of the parent."""
@@ -400,13 +401,13 @@ def _resolved(uri: str, path: Path, where: str) -> Path:
         SceneError: nothing is there.
     """
     scheme, found, rest = uri.partition("://")
-    looked = "beside the file"
+    looked = ""
     if not found:
-        places = [path.parent / uri]
+        places, looked = [path.parent / uri], " beside the file"
     elif scheme == "file":
         places = [path.parent / rest]
     else:
-        looked = f"in the folders above the file, their models, and ${MODEL_PATHS[0]}"
+        looked = f" in the folders above the file, their models, and ${MODEL_PATHS[0]}"
         named = [part for key in MODEL_PATHS for part in os.environ.get(key, "").split(os.pathsep)]
         above = [*path.resolve().parents]
         folders = [*above, *(one / "models" for one in above), *map(Path, filter(None, named))]
@@ -414,7 +415,7 @@ def _resolved(uri: str, path: Path, where: str) -> Path:
         inside = rest.partition("/")[2]  # of a package whose folder has another name
         places += [folder / inside for folder in folders[:3] if inside]
     if not uri or not any(place.exists() for place in places):
-        raise SceneError(f"{where}: there is no {uri!r} {looked}")
+        raise SceneError(f"{where}: there is no {uri!r}{looked}")
     return next(place for place in places if place.exists())
 
 
