@@ -223,7 +223,9 @@ def decide_multipath(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     picture = view.picture + ghost_picture(view)
     strongest = max((abs(g.mirror.reflection) for g in found), default=0.0)
     reason = f"{len(found)} of {len(view.planes)} planes mirror, reflecting up to {strongest:.2g}"
-    return by_level(view.change_db(picture, tolerance), tolerance, reason)
+    # Of a small mirror the coarse rays find few ghosts.
+    anywhere = replace(tolerance, share=0.0)
+    return by_level(view.change_db(picture, anywhere), tolerance, reason)
 
 
 def ghost_picture(view: PingPreview) -> NDArray[np.float64]:
@@ -250,7 +252,7 @@ MULTIPATH = Effect(
     needs="planes of at least 0.2 m², smooth against the wavelength",
     formula="images at (d + b) / 2, coherent, and b; G exp(-2 k² h² cos² i) a bounce",
     source="Eckart 1953; Lloyd's mirror",
-    rule="the ghosts of a coarse picture change it by more than the tolerance",
+    rule="the ghosts of a coarse picture change any pixel by more than the tolerance",
     cost=Cost.CAST,
     parameters=(
         EffectParameter("sea.rms_height_m", "m", "standard deviation of the surface's height"),
@@ -259,4 +261,5 @@ MULTIPATH = Effect(
     ),
     decide=decide_multipath,
     configure=configure_multipath,
+    anywhere=True,
 )
