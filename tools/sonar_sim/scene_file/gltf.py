@@ -52,7 +52,7 @@ class _Struct(msgspec.Struct, rename="camel"):
     pass
 
 
-class _Node(_Struct):
+class _GltfNode(_Struct):
     name: str = ""
     children: list[_Index] = []
     mesh: _Index | None = None
@@ -83,7 +83,7 @@ class _Primitive(_Struct):
     extensions: dict[str, Any] = {}
 
 
-class _Mesh(_Struct):
+class _GltfMesh(_Struct):
     primitives: list[_Primitive]
     name: str = ""
     weights: list[float] = []
@@ -129,19 +129,19 @@ class _Named(_Struct):
     name: str = ""
 
 
-class _Scene(_Struct):
+class _GltfScene(_Struct):
     nodes: list[_Index] = []
 
 
 class _Gltf(_Struct):
     asset: dict[str, Any]
-    nodes: list[_Node] = []
-    meshes: list[_Mesh] = []
+    nodes: list[_GltfNode] = []
+    meshes: list[_GltfMesh] = []
     accessors: list[_Accessor] = []
     buffer_views: list[_View] = []
     buffers: list[_Buffer] = []
     materials: list[_Named] = []
-    scenes: list[_Scene] = []
+    scenes: list[_GltfScene] = []
     scene: _Index = 0
     extensions_required: list[str] = []
 
@@ -206,7 +206,7 @@ class _Document:
             raise SceneError(f"{self._path}: there is no {what} {index}; it has {len(items)}")
         return items[index]
 
-    def placed_nodes(self) -> Iterator[tuple[_Node, Floats]]:
+    def placed_nodes(self) -> Iterator[tuple[_GltfNode, Floats]]:
         """All nodes of the scene that have a mesh, each with its frame in the scene's."""
         nodes = self.root.nodes
         if self.root.scenes:

@@ -73,7 +73,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "`footprint`, `scatter_*`": (
         "cpp/python/acoustics/scatter.cpp",
-        *_in(ACOUSTICS, "footprint.cpp patches.cpp scatter_field.cpp scatter_power.cpp"),
+        *_in(ACOUSTICS, "bands.cpp footprint.cpp patches.cpp scatter_field.cpp scatter_power.cpp"),
         *_in(HEARD, "footprint.hpp scatter.hpp"),
     ),
     "`nodes`": _in(ACOUSTICS, "nodes.cpp nodes.hpp"),
@@ -135,7 +135,7 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
         *_in(
             SIMULATOR,
             "geometry/matmul.py products/arrays.py products/images.py "
-            "products/point_cloud.py products/sounding.py scanning.py simulator.py",
+            "products/point_cloud.py products/sounding.py scanning.py scene_file/gltf.py simulator.py",
         ),
     ),
     "fitted to images in double precision, whose samples have 8 bits": _in(
