@@ -135,7 +135,8 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
         *_in(
             SIMULATOR,
             "geometry/matmul.py products/arrays.py products/images.py "
-            "products/point_cloud.py products/sounding.py scanning.py scene_file/gltf.py simulator.py",
+            "products/point_cloud.py products/sounding.py scanning.py "
+            "scene_file/gltf.py simulator.py",
         ),
     ),
     "fitted to images in double precision, whose samples have 8 bits": _in(
