@@ -21,15 +21,17 @@ def add_gaussian(
     column_rms: NDArray[np.float32],
     key: int,
     threads: int = 2,
+    more: NDArray[np.float32] | None = None,
 ) -> None:
     """Add to each cell a complex Gaussian number of its own, in place.
 
     Args:
         field: (rows, columns), C-contiguous.
-        row_rms: rms amplitude, (rows,); 0 leaves a row alone.
+        row_rms: rms amplitude, (rows,).
         column_rms: factor to it, (columns,).
         key: 64 bits that choose the numbers.
         threads: that share the rows.
+        more: mean power besides, (rows, columns) or (rows, 1).
     """
 
 def add_gaussian_power(
@@ -155,6 +157,23 @@ def decaying_sum(power: NDArray[_Real], energy: float, kept: float) -> NDArray[_
 
     Raises:
         ValueError: the power is not two-dimensional, or neither float32 nor float64.
+    """
+
+def spread_columns(
+    power: NDArray[_Real], weights: NDArray[_Real], threads: int = 2
+) -> NDArray[_Real]:
+    """The matrix product power @ weights. Zeros at the ends of the weights' rows cost nothing.
+
+    Args:
+        power: (rows, columns).
+        weights: (columns, M).
+        threads: that share the rows.
+
+    Returns:
+        (rows, M).
+
+    Raises:
+        ValueError: the shapes do not match, or the power is neither float32 nor float64.
     """
 
 def box_crossing(

@@ -2,6 +2,7 @@
 
 import copy
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
@@ -13,7 +14,7 @@ from sonar_sim.geometry.pose import FramePose, SonarMotion, require_finite
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.clouds import cloud_power
 from sonar_sim.propagation.ground_truth import Truth, truth_of
-from sonar_sim.propagation.physics import Physics
+from sonar_sim.propagation.physics import Mirror, Physics
 from sonar_sim.propagation.point_targets import add_targets
 from sonar_sim.propagation.propagation_path import (
     PingGeometry,
@@ -49,6 +50,8 @@ Cells = NDArray[np.complex64] | NDArray[np.float32]
 NODES_PER_BEAM = 8.0
 """Scatterers in a row of a beam's -3 dB width, about: the coefficient of variation of an even floor
 is then within 0.002 of Rayleigh's."""
+MIRRORED_NODES = 0.5
+"""Of them where sound came by a mirror: speckle of ghosts alone is within 0.011 of Rayleigh's."""
 CAST_RANGE_FACTOR = 1.3
 """Rays are cast to this multiple of the last row's range: a patch hit beyond it may begin before
 it."""
@@ -170,7 +173,7 @@ class PingEngine:
         here = self._situation(map_T_sonar, physics, time_s, motion)
         rays, ways = self._ways(here)
         clock.lap("casting")
-        cells = self._surfaces(here, ways)
+        cells = self._echoes(here, rays, ways)
         clock.lap("scattering")
         former = self._beam_former(physics)
         self._fill(cells, here, rays, former, ping_id)
@@ -226,41 +229,59 @@ class PingEngine:
                 threads=self._threads,
             )
             ways = direct_paths(here, rays)
-        mirrored = ray_fan(self.sonar, self._elevations, physics.mirrored_elevations_rad)
-        # The same rays lead to the mirrors.
-        known = rays.coarse if mirrored is fan else None
-        for mirror in physics.mirrors:
-            ways += mirror_paths(here, mirrored, mirror, reach_m, known)
         return rays, ways
 
-    def _surfaces(self, here: PingGeometry, ways: list[_core.Rays]) -> Cells:
-        """What surfaces and targets send back, by all ways, (rows, columns)."""
-        physics = here.physics
-        shape = (self.sonar.rows, self._fan.columns)
-        taps = column_taps(self.sonar, physics)
-        setting = self._setting(physics, taps)
-        faces = self._meshes.faces
-        cells: Cells
-        if physics.speckle:
-            cells = field = np.zeros(shape, dtype=np.complex64)
-            for way in ways:
-                _core.scatter_field(field, faces, way, setting, self._threads)
+    def _echoes(self, here: PingGeometry, rays: Trace, ways: list[_core.Rays]) -> Cells:
+        """What surfaces and targets send back, straight and by mirrors, (rows, columns)."""
+        physics, reach_m = here.physics, CAST_RANGE_FACTOR * here.range_m
+        setting = self._setting(physics)
+        if physics.mirrors:
+            fan = ray_fan(self.sonar, self._elevations, physics.mirrored_elevations_rad)
+            straight = ray_fan(self.sonar, self._elevations, physics.elevations_rad)
+            # The same rays lead to the mirrors.
+            known = rays.coarse if fan is straight else None
+            sparse = self._setting(physics, MIRRORED_NODES)
+
+            def echoes(mirror: Mirror | None) -> Cells:
+                if mirror is None:
+                    return self._scattered(ways, physics, setting)
+                bounced = mirror_paths(here, fan, mirror, reach_m, known)
+                return self._scattered(bounced, physics, sparse)
+
+            with ThreadPoolExecutor(self._threads) as pool:
+                cells, *ghosts = pool.map(echoes, (None, *physics.mirrors))
+            for more in ghosts:
+                cells += more
         else:
-            cells = power = np.zeros(shape, dtype=np.float32)
-            for way in ways:
-                _core.scatter_power(power, faces, way, setting, self._threads)
+            cells = self._scattered(ways, physics, setting)
+        loss, taps = self._loss(physics), column_taps(self.sonar, physics)
         turns = self.sonar.frequency_hz / self.scene.water.speed_of_sound_mps
-        loss = self._loss(physics)
         add_targets(
             cells, self.scene.targets, here, self.sonar, loss=loss, taps=taps, turns_per_m=turns
         )
         return cells
 
-    def _setting(self, physics: Physics, taps: NDArray[np.float32]) -> _core.ScatterSetting:
+    def _scattered(
+        self, ways: list[_core.Rays], physics: Physics, setting: _core.ScatterSetting
+    ) -> Cells:
+        """What surfaces send back by some ways, (rows, columns)."""
+        shape = (self.sonar.rows, self._fan.columns)
+        faces = self._meshes.faces
+        if physics.speckle:
+            field = np.zeros(shape, dtype=np.complex64)
+            for way in ways:
+                _core.scatter_field(field, faces, way, setting, self._threads)
+            return field
+        power = np.zeros(shape, dtype=np.float32)
+        for way in ways:
+            _core.scatter_power(power, faces, way, setting, self._threads)
+        return power
+
+    def _setting(self, physics: Physics, nodes: float = 1.0) -> _core.ScatterSetting:
         return _core.ScatterSetting(
             loss=self._loss(physics),
             vertical=_vertical_pattern(physics.vertical_width_rad),
-            taps=taps,
+            taps=column_taps(self.sonar, physics),
             columns=self._fan.columns,
             row_m=self.sonar.range_resolution_m,
             first_sine=self._fan.first_sine,
@@ -270,7 +291,7 @@ class PingEngine:
             specular=physics.specular,
             spreading=physics.spreading,
             turns_per_m=self.sonar.frequency_hz / self.scene.water.speed_of_sound_mps,
-            nodes_per_cell=self._nodes_per_cell,
+            nodes_per_cell=nodes * self._nodes_per_cell,
             key=stream_key(self._seed, "surfaces"),
         )
 
@@ -302,25 +323,19 @@ class PingEngine:
                 shared=cells_share(self.sonar, physics),
                 threads=self._threads,
             )
-        if physics.volume_strength_db is not None:
-            row_rms, column_rms = self._volume_rms(physics)
-            # Plankton drifts on between two pings.
-            add_random(
-                cells, row_rms, column_rms, stream_key(seed, "volume", ping_id), self._threads
-            )
-        key = stream_key(seed, "noise", ping_id)
+        # One draw for noise, water and clouds, as all are new in each ping: plankton drifts on.
         row_rms = noise_rms(self.sonar, physics, former.noise_gain)
+        column_rms = np.ones(self._fan.columns, dtype=np.float32)
+        more = None
         if physics.clouds:
-            # One draw for clouds and noise, as both are new in each ping; no noise is an rms of 0.
-            power = cloud_power(physics, self.sonar, rays, self._loss(physics))
-            power += np.square(row_rms)[:, None]
-            if np.iscomplexobj(cells):
-                _core.add_gaussian_power(cells, power, key, self._threads)  # type: ignore[arg-type]
-            else:
-                cells += power
-        elif physics.noise_level_db is not None:
-            level = np.ones(self._fan.columns, dtype=np.float32)
-            add_random(cells, row_rms, level, key, self._threads)
+            more = cloud_power(physics, self.sonar, rays, self._loss(physics))
+        if physics.volume_strength_db is not None:
+            noise = np.square(row_rms)[:, None]
+            more = noise if more is None else more + noise
+            row_rms, column_rms = self._volume_rms(physics)
+        if more is not None or physics.noise_level_db is not None:
+            key = stream_key(seed, "noise", ping_id)
+            add_random(cells, row_rms, column_rms, key, self._threads, more=more)
         if physics.ring_down_db is not None:
             level_db = ring_down_power_db(self.sonar, physics.ring_down_db, self._assumed_db_per_m)
             rms = (10.0 ** (level_db / 20.0) / former.noise_gain).astype(np.float32)

@@ -19,6 +19,15 @@ MAPPERD_VECTORISED void add_weighted(float* to, const float* from, float weight,
   for (std::size_t i = 0; i < count; ++i) to[i] += weight * from[i];
 }
 
+// A row and its neighbours, weighted.
+MAPPERD_VECTORISED void weigh_three(const float* __restrict from, std::size_t width,
+                                    const float* taps, float* __restrict to) {
+  const float before = taps[0], own = taps[1], after = taps[2];
+  for (std::size_t i = 0; i < width; ++i) {
+    to[i] = before * from[i] + own * from[width + i] + after * from[2 * width + i];
+  }
+}
+
 // sum over k of taps[k] from[i + k * parts], in pieces that stay in registers.
 MAPPERD_VECTORISED void slide(const float* from, const float* taps, std::size_t tap_count,
                               std::size_t parts, std::size_t count, float* to) {
@@ -43,6 +52,10 @@ MAPPERD_VECTORISED void slide(const float* from, const float* taps, std::size_t 
 void spread_row(const CellGrid& grid, const Response& response, std::size_t row, float* to) {
   const std::size_t width = grid.columns * grid.parts;
   const std::size_t reach = response.range_count / 2;
+  if (response.range_count == 3 && row > 0 && row + 1 < grid.rows) {
+    weigh_three(grid.cells + (row - 1) * width, width, response.range_taps, to);
+    return;
+  }
   std::fill(to, to + width, 0.0F);
   for (std::size_t k = 0; k < response.range_count; ++k) {
     if (row + k < reach || row + k - reach >= grid.rows) continue;
@@ -71,10 +84,9 @@ void form_by_transform(const CellGrid& grid, const Response& response, std::size
   const Convolution convolution(response.taps, response.count, grid.columns, first, beams);
   in_row_bands(grid.rows, threads, [&](std::size_t row, std::size_t last) {
     Convolution::Rows rows(convolution, grid.parts);
-    std::vector<float> spread(grid.columns * grid.parts);
     for (; row < last; ++row) {
-      spread_row(grid, response, row, spread.data());
-      rows.take(spread.data(), out + row * beams * grid.parts);
+      spread_row(grid, response, row, rows.next());
+      rows.take(out + row * beams * grid.parts);
     }
     rows.finish();
   });

@@ -20,6 +20,25 @@ MAPPERD_VECTORISED void add_scaled(float* field, const float* unit, const float*
   }
 }
 
+// Of a row's and its columns' amplitudes and powers besides: one a column, or of step 0 one for
+// all.
+MAPPERD_VECTORISED void total_rms(const float* __restrict rms, float row_rms,
+                                  const float* __restrict more, std::size_t step,
+                                  std::size_t columns, float* __restrict total) {
+  if (step == 0) {
+    const float alike = more[0];
+    for (std::size_t i = 0; i < columns; ++i) {
+      const float own = row_rms * rms[i];
+      total[i] = std::sqrt(own * own + alike);
+    }
+    return;
+  }
+  for (std::size_t i = 0; i < columns; ++i) {
+    const float own = row_rms * rms[i];
+    total[i] = std::sqrt(own * own + more[i]);
+  }
+}
+
 // Amplitudes of powers between the coarse columns `below` and the next ones.
 MAPPERD_VECTORISED void roots(const float* __restrict power, const std::int32_t* __restrict below,
                               const float* __restrict part, std::size_t columns,
@@ -28,6 +47,13 @@ MAPPERD_VECTORISED void roots(const float* __restrict power, const std::int32_t*
     const float low = power[below[i]];
     const float between = low + part[i] * (power[below[i] + 1] - low);
     amplitude[i] = std::sqrt(between > 0.0F ? between : 0.0F);
+  }
+}
+
+MAPPERD_VECTORISED void roots(const float* __restrict power, std::size_t columns,
+                              float* __restrict amplitude) {
+  for (std::size_t i = 0; i < columns; ++i) {
+    amplitude[i] = std::sqrt(power[i] > 0.0F ? power[i] : 0.0F);
   }
 }
 
@@ -48,14 +74,24 @@ void begin_at(double row, double weight, std::size_t rows, double* column, std::
 
 }  // namespace
 
-void add_gaussian(float* field, std::size_t rows, std::size_t columns, const float* row_rms,
-                  const float* column_rms, std::uint64_t key, unsigned threads) {
+void add_gaussian(float* field, std::size_t rows, std::size_t columns, const CellLevels& levels,
+                  std::uint64_t key, unsigned threads) {
   in_row_bands(rows, threads, [=](std::size_t first, std::size_t last) {
     std::vector<float> unit(2 * columns);
+    std::vector<float> sum(columns);
     for (std::size_t row = first; row < last; ++row) {
-      if (!(row_rms[row] > 0.0F)) continue;
-      complex_gaussians(key, row * columns, columns, unit.data());
-      add_scaled(field + 2 * row * columns, unit.data(), column_rms, row_rms[row], columns);
+      const float* rms = levels.column_rms;
+      float row_rms = levels.row_rms[row];
+      if (levels.more != nullptr) {
+        const float* more = levels.more + row * levels.more_columns;
+        total_rms(rms, row_rms, more, levels.more_columns > 1 ? 1 : 0, columns, sum.data());
+        rms = sum.data();
+        row_rms = 1.0F;
+      }
+      if (row_rms > 0.0F) {
+        complex_gaussians(key, row * columns, columns, unit.data());
+        add_scaled(field + 2 * row * columns, unit.data(), rms, row_rms, columns);
+      }
     }
   });
 }
@@ -72,16 +108,21 @@ void add_gaussian_power(float* field, std::size_t rows, std::size_t columns, con
     below[i] = static_cast<std::int32_t>(within);
     part[i] = static_cast<float>(within - static_cast<double>(below[i]));
   }
+  const bool coincide = coarse.count == columns && coarse.first == 0.0 && coarse.step == 1.0;
   in_row_bands(rows, threads, [&](std::size_t first, std::size_t end) {
     std::vector<float> unit(2 * columns);
     std::vector<float> rms(columns);
     std::vector<float> of_row(coarse.count + 1);
     for (std::size_t row = first; row < end; ++row) {
       const float* from = power + row * coarse.count;
-      std::copy_n(from, coarse.count, of_row.begin());
-      of_row.back() = of_row[coarse.count - 1];
+      if (coincide) {
+        roots(from, columns, rms.data());
+      } else {
+        std::copy_n(from, coarse.count, of_row.begin());
+        of_row.back() = of_row[coarse.count - 1];
+        roots(of_row.data(), below.data(), part.data(), columns, rms.data());
+      }
       complex_gaussians(key, row * columns, columns, unit.data());
-      roots(of_row.data(), below.data(), part.data(), columns, rms.data());
       add_scaled(field + 2 * row * columns, unit.data(), rms.data(), 1.0F, columns);
     }
   });
@@ -123,7 +164,61 @@ void sum_rows(const Real* power, std::size_t rows, std::size_t columns, double e
   }
 }
 
+// Where a row of weights begins and ends to be other than zero.
+struct Part {
+  std::size_t first, last;
+};
+
+template <typename Real>
+std::vector<Part> parts_of(const Real* weights, std::size_t rows, std::size_t columns) {
+  std::vector<Part> parts(rows, Part{0, columns});
+  for (std::size_t row = 0; row < rows; ++row) {
+    Part& part = parts[row];
+    const Real* of_row = weights + row * columns;
+    while (part.first < part.last && of_row[part.first] == Real{0}) ++part.first;
+    while (part.first < part.last && of_row[part.last - 1] == Real{0}) --part.last;
+  }
+  return parts;
+}
+
+MAPPERD_VECTORISED void add_times(float by, const float* __restrict from, std::size_t count,
+                                  float* __restrict to) {
+  for (std::size_t i = 0; i < count; ++i) to[i] += by * from[i];
+}
+
+MAPPERD_VECTORISED void add_times(double by, const double* __restrict from, std::size_t count,
+                                  double* __restrict to) {
+  for (std::size_t i = 0; i < count; ++i) to[i] += by * from[i];
+}
+
+template <typename Real>
+void multiply(const Real* power, std::size_t rows, std::size_t columns, const Real* weights,
+              std::size_t out_columns, Real* out, unsigned threads) {
+  const std::vector<Part> parts = parts_of(weights, columns, out_columns);
+  in_row_bands(rows, threads, [&, out_columns](std::size_t row, std::size_t last) {
+    for (; row < last; ++row) {
+      Real* to = out + row * out_columns;
+      std::fill_n(to, out_columns, Real{0});
+      for (std::size_t column = 0; column < columns; ++column) {
+        const auto [begin, end] = parts[column];
+        add_times(power[row * columns + column], weights + column * out_columns + begin,
+                  end - begin, to + begin);
+      }
+    }
+  });
+}
+
 }  // namespace
+
+void spread_columns(const float* power, std::size_t rows, std::size_t columns, const float* weights,
+                    std::size_t out_columns, float* out, unsigned threads) {
+  multiply(power, rows, columns, weights, out_columns, out, threads);
+}
+
+void spread_columns(const double* power, std::size_t rows, std::size_t columns,
+                    const double* weights, std::size_t out_columns, double* out, unsigned threads) {
+  multiply(power, rows, columns, weights, out_columns, out, threads);
+}
 
 void decaying_sum(const float* power, std::size_t rows, std::size_t columns, double energy,
                   double kept, float* out) {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 #include "mapperd/common/fast_math.hpp"
 
@@ -92,6 +93,72 @@ MAPPERD_VECTORISED void multiply(Number* data, std::size_t length, const std::co
   for (std::size_t k = 0; k < length; ++k) data[k] = turned(data[k], by[k]);
 }
 
+#if defined(__has_builtin)
+#if __has_builtin(__builtin_shufflevector)
+#define MAPPERD_SHUFFLES
+#endif
+#endif
+
+// Turns eight rows of eight into eight columns.
+MAPPERD_INLINE void turn_block(Lanes (&block)[8]) {
+#ifdef MAPPERD_SHUFFLES
+  Lanes pairs[8], fours[8];
+  for (std::size_t k = 0; k < 8; k += 2) {
+    const Lanes a = block[k], b = block[k + 1];
+    pairs[k] = __builtin_shufflevector(a, b, 0, 8, 1, 9, 4, 12, 5, 13);
+    pairs[k + 1] = __builtin_shufflevector(a, b, 2, 10, 3, 11, 6, 14, 7, 15);
+  }
+  for (std::size_t k = 0; k < 8; k += 4) {
+    for (std::size_t half = 0; half < 2; ++half) {
+      const Lanes a = pairs[k + half], b = pairs[k + half + 2];
+      fours[k + 2 * half] = __builtin_shufflevector(a, b, 0, 1, 8, 9, 4, 5, 12, 13);
+      fours[k + 2 * half + 1] = __builtin_shufflevector(a, b, 2, 3, 10, 11, 6, 7, 14, 15);
+    }
+  }
+  for (std::size_t k = 0; k < 4; ++k) {
+    const Lanes a = fours[k], b = fours[k + 4];
+    block[k] = __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11);
+    block[k + 4] = __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15);
+  }
+#else
+  Lanes turned[8];
+  for (std::size_t i = 0; i < 8; ++i) {
+    for (std::size_t k = 0; k < 8; ++k) turned[k][i] = block[i][k];
+  }
+  std::copy(turned, turned + 8, block);
+#endif
+}
+
+// Rows of `width` numbers, `rows_apart`, into lanes of vectors `vectors_apart`.
+MAPPERD_VECTORISED void into_lanes(const float* rows, std::size_t rows_apart, std::size_t width,
+                                   float* to, std::size_t vectors_apart) {
+  for (std::size_t k = 0; k < width; k += 8) {
+    Lanes block[8];
+    for (std::size_t i = 0; i < 8; ++i) {
+      std::memcpy(&block[i], rows + i * rows_apart + k, sizeof(Lanes));
+    }
+    turn_block(block);
+    for (std::size_t i = 0; i < 8; ++i) {
+      std::memcpy(to + (k + i) * vectors_apart, &block[i], sizeof(Lanes));
+    }
+  }
+}
+
+// The reverse.
+MAPPERD_VECTORISED void from_lanes(const float* from, std::size_t vectors_apart, std::size_t width,
+                                   float* rows, std::size_t rows_apart) {
+  for (std::size_t k = 0; k < width; k += 8) {
+    Lanes block[8];
+    for (std::size_t i = 0; i < 8; ++i) {
+      std::memcpy(&block[i], from + (k + i) * vectors_apart, sizeof(Lanes));
+    }
+    turn_block(block);
+    for (std::size_t i = 0; i < 8; ++i) {
+      std::memcpy(rows + i * rows_apart + k, &block[i], sizeof(Lanes));
+    }
+  }
+}
+
 }  // namespace
 
 Convolution::Convolution(const float* taps, std::size_t count, std::size_t columns,
@@ -128,47 +195,53 @@ void Convolution::apply(Number* data) const {
 }
 
 Convolution::Rows::Rows(const Convolution& convolution, std::size_t parts)
-    : convolution_(convolution), parts_(parts), data_(convolution.length_, Number{}) {}
+    : convolution_(convolution),
+      parts_(parts),
+      width_((std::max(convolution.columns_, convolution.beams_) * parts + kLanes - 1) / kLanes *
+             kLanes),
+      rows_(2 * kLanes / parts * width_, 0.0F),
+      data_(std::max(convolution.length_, convolution.start_ + width_), Number{}) {}
 
-void Convolution::Rows::take(const float* row, float* out) {
-  const std::size_t columns = convolution_.columns_;
-  const std::size_t lane = outs_.size() * parts_ / 2;
-  if (parts_ == 2) {
-    for (std::size_t k = 0; k < columns; ++k) {
-      data_[k].re[lane] = row[2 * k];
-      data_[k].im[lane] = row[2 * k + 1];
-    }
-  } else if (outs_.size() % 2 == 0) {
-    for (std::size_t k = 0; k < columns; ++k) data_[k].re[lane] = row[k];
-  } else {
-    for (std::size_t k = 0; k < columns; ++k) data_[k].im[lane] = row[k];
-  }
+float* Convolution::Rows::row(std::size_t number) { return rows_.data() + number * width_; }
+
+float* Convolution::Rows::next() { return row(outs_.size()); }
+
+void Convolution::Rows::take(float* out) {
   outs_.push_back(out);
   if (outs_.size() == 2 * kLanes / parts_) finish();
 }
 
 void Convolution::Rows::finish() {
   if (outs_.empty()) return;
+  read();
   convolution_.apply(data_.data());
   write();
   outs_.clear();
-  std::fill(data_.begin(), data_.end(), Number{});
 }
 
-void Convolution::Rows::write() const {
-  const Number* from = data_.data() + convolution_.start_;
-  for (std::size_t i = 0; i < outs_.size(); ++i) {
-    const std::size_t lane = i * parts_ / 2;
-    float* out = outs_[i];
-    for (std::size_t b = 0; b < convolution_.beams_; ++b) {
-      if (parts_ == 2) {
-        out[2 * b] = from[b].re[lane];
-        out[2 * b + 1] = from[b].im[lane];
-      } else {
-        out[b] = i % 2 == 0 ? from[b].re[lane] : from[b].im[lane];
-      }
-    }
+void Convolution::Rows::read() {
+  auto* to = reinterpret_cast<float*>(data_.data());
+  if (parts_ == 2) {
+    into_lanes(rows_.data(), width_, width_, to, kLanes);
+  } else {
+    // Even rows are the real parts.
+    into_lanes(rows_.data(), 2 * width_, width_, to, 2 * kLanes);
+    into_lanes(rows_.data() + width_, 2 * width_, width_, to + kLanes, 2 * kLanes);
   }
+  std::fill(data_.begin() + static_cast<std::ptrdiff_t>(convolution_.columns_), data_.end(),
+            Number{});
+}
+
+void Convolution::Rows::write() {
+  const auto* from = reinterpret_cast<const float*>(data_.data() + convolution_.start_);
+  const std::size_t size = convolution_.beams_ * parts_;
+  if (parts_ == 2) {
+    from_lanes(from, kLanes, width_, rows_.data(), width_);
+  } else {
+    from_lanes(from, 2 * kLanes, width_, rows_.data(), 2 * width_);
+    from_lanes(from + kLanes, 2 * kLanes, width_, rows_.data() + width_, 2 * width_);
+  }
+  for (std::size_t i = 0; i < outs_.size(); ++i) std::copy_n(row(i), size, outs_[i]);
 }
 
 }  // namespace mapperd::acoustics

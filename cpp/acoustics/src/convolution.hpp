@@ -22,19 +22,25 @@ class Convolution {
   Convolution(const float* taps, std::size_t count, std::size_t columns, std::size_t first,
               std::size_t beams);
 
-  // Takes rows one by one and transforms them when enough are there.
+  // Collects rows and transforms them when enough are there.
   class Rows {
    public:
     // `parts` 2: a row is complex; 1: it is real, and two of them share a lane.
     Rows(const Convolution& convolution, std::size_t parts);
-    void take(const float* row, float* out);
+    // Where the next row is to be written, columns * parts numbers; then it is taken.
+    float* next();
+    void take(float* out);
     void finish();
 
    private:
-    void write() const;
+    void read();
+    void write();
+    [[nodiscard]] float* row(std::size_t number);
 
     const Convolution& convolution_;
     std::size_t parts_;
+    std::size_t width_;        // of a row, a whole number of vectors
+    std::vector<float> rows_;  // what came in, and what goes out
     std::vector<Number> data_;
     std::vector<float*> outs_;
   };

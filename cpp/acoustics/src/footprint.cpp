@@ -8,7 +8,7 @@ namespace mapperd::acoustics {
 
 namespace {
 
-constexpr double kPi = 3.14159265358979323846;
+constexpr std::size_t kFetchAhead = 16;  // hits
 
 // The seeing legs and the cells of a batch.
 struct SeenCells {
@@ -131,6 +131,9 @@ std::size_t footprints_of(const ScatterInput& echoes, std::size_t first, std::si
   patches.count = 0;
   std::size_t hit = first;
   for (; hit < last && patches.count < kPatches; ++hit) {
+    // Neighbours' faces lie far apart in the table.
+    const std::size_t later = std::min(hit + kFetchAhead, last - 1);
+    __builtin_prefetch(&echoes.faces.table[std::max(echoes.hits.face[later], 0)]);
     if (echoes.hits.face[hit] >= 0) {
       load_hit(echoes, hit, seen, patches);
     }
@@ -142,18 +145,6 @@ std::size_t footprints_of(const ScatterInput& echoes, std::size_t first, std::si
     patches.exists[i] = facing[i] != 0.0;
   }
   return hit;
-}
-
-Strength::Strength(const ScatterModel& model, const Material& material, double step_rad)
-    : mu_(material.mu), lambert_(model.lambert) {
-  if (!model.specular || material.reflection_power <= 0.0) {
-    return;
-  }
-  const double slope2 = material.slope_rad * material.slope_rad + 0.25 * step_rad * step_rad;
-  const double wavenumber = 2.0 * kPi * model.turns_per_m;
-  lobe_ = material.reflection_power / (8.0 * kPi * slope2);
-  steepness_ = 0.5 / slope2;
-  smoothness_ = 4.0 * wavenumber * wavenumber * material.roughness_m * material.roughness_m;
 }
 
 // The Kirchhoff approximation's limit of geometric optics for Gaussian slopes.

@@ -18,15 +18,15 @@ constexpr std::size_t kLanes = 8;
 // Properties that all nodes of a batch share.
 struct SharedTraits {
   const Leg* transmit;
-  const Leg* receive;
   bool round;  // the surface is round
-  bool lobe;   // some of it reflects specularly
+  const Leg* receive;
+  bool lobe;  // some of it reflects specularly
 
   [[nodiscard]] bool same_leg() const { return transmit == receive; }
 };
 
 inline bool operator==(const SharedTraits& a, const SharedTraits& b) {
-  return a.transmit == b.transmit && a.receive == b.receive && a.round == b.round &&
+  return a.transmit == b.transmit && a.round == b.round && a.receive == b.receive &&
          a.lobe == b.lobe;
 }
 

@@ -13,6 +13,7 @@ namespace {
 constexpr double kWholeCell = 0.999;  // columns: a narrower cell is one that an outline has cut
 constexpr double kSmallTurn = 0.3;  // rad, by which the surface of a small object turns in a patch
 constexpr double kMinSmallNodes = 8.0;  // of a patch of a small object
+constexpr std::ptrdiff_t kSlopes = 12;  // numbers of G|g, see `Faces`
 constexpr double kRowsApart = 0.5;      // rows between nodes along the range, at most
 
 // The lattices' properties, before their origins are known.
@@ -250,7 +251,7 @@ MAPPERD_VECTORISED void locate_nodes(const Footprints& f, const Lattices& lattic
 }
 
 // Normals of round surfaces there, of any length. `slopes` are the rows of G|g, see `Faces`.
-MAPPERD_VECTORISED void interpolate_normals(const PerHit<double> (&slopes)[12],
+MAPPERD_VECTORISED void interpolate_normals(const PerHit<double> (&slopes)[kSlopes],
                                             const Traits& traits, Patches& patches) {
   const Linear& place = patches.place;
   Linear& normal = patches.normal;
@@ -314,14 +315,20 @@ void make_patches(const ScatterInput& echoes, const Footprints& footprints, Patc
     const std::size_t hit = footprints.hit[i];
     const float* cell = hits.cell + 4 * hit;
     traits.width_columns[i] = static_cast<double>(cell[1] - cell[0]) / echoes.grid.sine_pitch;
-    traits.turn_per_m[i] = echoes.faces.table[hits.face[hit]].turn_per_m;
+    const Face& face = echoes.faces.table[hits.face[hit]];
+    traits.turn_per_m[i] = face.turn_per_m;
+    if (face.smooth >= 0) {
+      const double* slopes = echoes.faces.curved_normal + kSlopes * face.smooth;
+      __builtin_prefetch(slopes);
+      __builtin_prefetch(slopes + kSlopes - 1);
+    }
     const Leg& transmit = hits.legs[hits.transmit[hit]];
     const Leg& receive = hits.legs[hits.receive[hit]];
     for (std::size_t axis = 0; axis < 3; ++axis) {
       traits.transmit_m[axis][i] = transmit.origin_m[axis];
       traits.receive_m[axis][i] = receive.origin_m[axis];
     }
-    traits.mixed[i] = is_mirrored(transmit) != is_mirrored(receive);
+    traits.mixed[i] = &transmit != &receive && is_mirrored(transmit) != is_mirrored(receive);
     some_mixed |= traits.mixed[i];
   }
   Ranges ranges;
@@ -350,12 +357,15 @@ void make_patches(const ScatterInput& echoes, const Footprints& footprints, Patc
   }
   set_outlines(footprints, lattices, patches.outline, patches);
   locate_nodes(footprints, lattices, traits, patches);
-  PerHit<double> slopes[12]{};
+  PerHit<double> slopes[kSlopes]{};
   bool round = false;
   for (std::size_t i = 0; i < footprints.count; ++i) {
     const std::int32_t smooth = echoes.faces.table[hits.face[footprints.hit[i]]].smooth;
-    for (std::size_t k = 0; k < 12 && smooth >= 0; ++k) {
-      slopes[k][i] = echoes.faces.curved_normal[12 * smooth + static_cast<std::ptrdiff_t>(k)];
+    if (smooth >= 0) {
+      const double* from = echoes.faces.curved_normal + kSlopes * smooth;
+      for (std::ptrdiff_t k = 0; k < kSlopes; ++k) {
+        slopes[k][i] = from[k];
+      }
       round = true;
     }
   }

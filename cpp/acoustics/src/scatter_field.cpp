@@ -49,7 +49,7 @@ class SpeckleKernel {
         Strength(e_.model, e_.faces.materials[face.material], patches_.step_m[patch_] * per_m);
     const Leg& transmit = hits.legs[hits.transmit[hit]];
     const Leg& receive = hits.legs[hits.receive[hit]];
-    const SharedTraits traits{&transmit, &receive, face.smooth >= 0, strength_.has_lobe()};
+    const SharedTraits traits{&transmit, face.smooth >= 0, &receive, strength_.has_lobe()};
     if (!(traits == traits_)) {
       work();
       traits_ = traits;

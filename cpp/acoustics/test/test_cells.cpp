@@ -19,7 +19,7 @@ std::vector<float> noise(unsigned threads, std::uint64_t key = 11) {
   std::vector<float> column(kColumns, 1.0F);
   for (std::size_t i = 0; i < kRows; ++i) row[i] = static_cast<float>(i);
   column[7] = 0.0F;
-  acoustics::add_gaussian(field.data(), kRows, kColumns, row.data(), column.data(), key, threads);
+  acoustics::add_gaussian(field.data(), kRows, kColumns, {row.data(), column.data()}, key, threads);
   return field;
 }
 
@@ -49,11 +49,65 @@ TEST_CASE("noise has its row's level and obeys its column's factor") {
   }
 }
 
+TEST_CASE("powers besides are drawn together with those of rows and columns") {
+  std::vector<float> row(kRows), column(kColumns), of_rows(kRows), power(kRows * kColumns);
+  for (std::size_t i = 0; i < kRows; ++i) row[i] = 0.1F * static_cast<float>(i % 3);
+  for (std::size_t i = 0; i < kColumns; ++i) column[i] = static_cast<float>(i % 5);
+  for (std::size_t i = 0; i < kRows; ++i) of_rows[i] = static_cast<float>(i);
+  for (std::size_t i = 0; i < power.size(); ++i) power[i] = static_cast<float>(i % 7);
+  std::vector<float> unit(2 * kRows * kColumns);
+  acoustics::complex_gaussians(3, 0, kRows * kColumns, unit.data());
+  for (const bool alike : {false, true}) {
+    std::vector<float> field(unit.size(), 0.0F);
+    acoustics::add_gaussian(field.data(), kRows, kColumns,
+                            {row.data(), column.data(), alike ? of_rows.data() : power.data(),
+                             alike ? std::size_t{1} : kColumns},
+                            3, 2);
+    for (std::size_t i = 0; i < field.size() / 2; ++i) {
+      const double own = static_cast<double>(row[i / kColumns] * column[i % kColumns]);
+      const double more = static_cast<double>(alike ? of_rows[i / kColumns] : power[i]);
+      const double rms = std::sqrt(own * own + more);
+      CHECK(static_cast<double>(field[2 * i + 1]) ==
+            near(rms * static_cast<double>(unit[2 * i + 1]), 1e-5));
+    }
+  }
+}
+
+TEST_CASE("a product with weights that begin and end with zeros is the whole one") {
+  constexpr std::size_t kOut = 23;
+  std::vector<double> power(kRows * 5), weights(5 * kOut, 0.0);
+  for (std::size_t i = 0; i < power.size(); ++i) power[i] = std::sin(static_cast<double>(i));
+  // The last row is empty, the one before has a zero in the middle.
+  for (std::size_t i = 0; i < 4 * kOut; ++i) {
+    if (i % 7 > 1) weights[i] = std::cos(static_cast<double>(i));
+  }
+  const std::vector<float> narrow_power(power.begin(), power.end());
+  const std::vector<float> narrow_weights(weights.begin(), weights.end());
+  std::vector<double> product(kRows * kOut, 9.0);
+  std::vector<float> narrow(kRows * kOut, 9.0F);
+  for (const unsigned threads : {1U, 3U}) {
+    acoustics::spread_columns(power.data(), kRows, 5, weights.data(), kOut, product.data(),
+                              threads);
+    acoustics::spread_columns(narrow_power.data(), kRows, 5, narrow_weights.data(), kOut,
+                              narrow.data(), threads);
+    for (std::size_t row = 0; row < kRows; ++row) {
+      for (std::size_t column = 0; column < kOut; ++column) {
+        double expected = 0.0;
+        for (std::size_t k = 0; k < 5; ++k) {
+          expected += power[row * 5 + k] * weights[k * kOut + column];
+        }
+        CHECK(product[row * kOut + column] == doctest::Approx(expected));
+        CHECK(static_cast<double>(narrow[row * kOut + column]) == near(expected, 1e-5));
+      }
+    }
+  }
+}
+
 TEST_CASE("noise is added to what is there") {
   std::vector<float> field(2 * kRows * kColumns, 5.0F);
   const std::vector<float> row(kRows, 2.0F);
   const std::vector<float> column(kColumns, 0.5F);
-  acoustics::add_gaussian(field.data(), kRows, kColumns, row.data(), column.data(), 3, 2);
+  acoustics::add_gaussian(field.data(), kRows, kColumns, {row.data(), column.data()}, 3, 2);
   std::vector<float> unit(2 * kRows * kColumns);
   acoustics::complex_gaussians(3, 0, kRows * kColumns, unit.data());
   for (std::size_t i = 0; i < field.size(); ++i) CHECK(field[i] == 5.0F + unit[i]);

@@ -2,10 +2,12 @@
 #include "receiving.hpp"
 
 #include <pybind11/numpy.h>
+#include <pybind11/stl.h>
 
 #include <cmath>
 #include <complex>
 #include <cstdint>
+#include <optional>
 #include <stdexcept>
 #include <vector>
 
@@ -50,16 +52,22 @@ float* writable(py::array_t<Complex>& field) {
 }
 
 void add_gaussian(py::array_t<Complex>& field, const Floats& row_rms, const Floats& column_rms,
-                  std::uint64_t key, unsigned threads) {
+                  std::uint64_t key, unsigned threads, const std::optional<Floats>& more) {
   float* cells = writable(field);
   const std::size_t rows = size_of(field, 0);
   const std::size_t columns = size_of(field, 1);
   demand(row_rms.ndim() == 1 && size_of(row_rms, 0) == rows, "one row_rms a row");
   demand(column_rms.ndim() == 1 && size_of(column_rms, 0) == columns, "one column_rms a column");
-  const float* of_row = row_rms.data();
-  const float* of_column = column_rms.data();
+  acoustics::CellLevels levels{row_rms.data(), column_rms.data()};
+  if (more) {
+    demand(more->ndim() == 2 && size_of(*more, 0) == rows &&
+               (size_of(*more, 1) == 1 || size_of(*more, 1) == columns),
+           "more is (rows, columns) or (rows, 1)");
+    levels.more = more->data();
+    levels.more_columns = size_of(*more, 1);
+  }
   const py::gil_scoped_release unlocked;
-  acoustics::add_gaussian(cells, rows, columns, of_row, of_column, key, threads);
+  acoustics::add_gaussian(cells, rows, columns, levels, key, threads);
 }
 
 void add_gaussian_power(py::array_t<Complex>& field, const Floats& power, std::uint64_t key,
@@ -130,6 +138,30 @@ py::array decaying_sum(const py::array& power, double energy, double kept) {
   if (power.dtype().is(py::dtype::of<float>())) return sum_of<float>(power, energy, kept);
   demand(power.dtype().is(py::dtype::of<double>()), "power is float32 or float64");
   return sum_of<double>(power, energy, kept);
+}
+
+template <typename Real>
+py::array product_of(const py::array_t<Real, py::array::c_style>& power,
+                     const py::array_t<Real, py::array::c_style | py::array::forcecast>& weights,
+                     unsigned threads) {
+  const std::size_t rows = size_of(power, 0);
+  const std::size_t columns = size_of(power, 1);
+  const std::size_t out_columns = size_of(weights, 1);
+  py::array_t<Real> product(std::vector<std::size_t>{rows, out_columns});
+  Real* out = product.mutable_data();
+  const Real* from = power.data();
+  const Real* by = weights.data();
+  const py::gil_scoped_release unlocked;
+  acoustics::spread_columns(from, rows, columns, by, out_columns, out, threads);
+  return product;
+}
+
+py::array spread_columns(const py::array& power, const py::array& weights, unsigned threads) {
+  demand(power.ndim() == 2 && weights.ndim() == 2 && power.shape(1) == weights.shape(0),
+         "weights have a row for each column of the power");
+  if (power.dtype().is(py::dtype::of<float>())) return product_of<float>(power, weights, threads);
+  demand(power.dtype().is(py::dtype::of<double>()), "power is float32 or float64");
+  return product_of<double>(power, weights, threads);
 }
 
 void add_cloud(py::array_t<float>& power, const Doubles& enter_row, const Doubles& leave_row,
@@ -268,11 +300,12 @@ void bind_receiving(py::module_& module) {
   using py::arg;
   module.def("complex_gaussian", &complex_gaussian, arg("key"), arg("count"));
   module.def("add_gaussian", &add_gaussian, arg("field").noconvert(), arg("row_rms"),
-             arg("column_rms"), arg("key"), arg("threads") = 2);
+             arg("column_rms"), arg("key"), arg("threads") = 2, arg("more") = py::none());
   module.def("add_gaussian_power", &add_gaussian_power, arg("field").noconvert(), arg("power"),
              arg("key"), arg("threads") = 2, arg("first") = 0.0, arg("step") = 1.0);
   module.def("block_powers", &block_powers, arg("cells"), arg("width"), arg("threads") = 2);
   module.def("decaying_sum", &decaying_sum, arg("power"), arg("energy"), arg("kept"));
+  module.def("spread_columns", &spread_columns, arg("power"), arg("weights"), arg("threads") = 2);
   module.def("box_crossing", &box_crossing, arg("box_m"), arg("origin_m"), arg("direction"),
              arg("reach_m"));
   module.def("add_cloud", &add_cloud, arg("power").noconvert(), arg("enter_row"), arg("leave_row"),

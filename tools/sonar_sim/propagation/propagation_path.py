@@ -48,6 +48,8 @@ def leg_in_frame(
 
 
 OBJECT_STEP_S = 1e-3
+REACH_MARGIN = 1.1
+"""Of what is followed behind a mirror over what may be heard: planes of hits reach farther."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -288,12 +290,15 @@ def _seen_in_mirror(
 ) -> Trace:
     """What rays meet after the mirror, from the image."""
     height = float(np.dot(mirror.normal, here.pose.position_m - mirror.point_m))
+    # What lies farther from the image is too far for a path by way of the sonar as well, which is
+    # at most twice the height nearer.
+    far_m = min(REACH_MARGIN * (here.range_m + height), 2.0 * here.range_m)
     reflector = _reflector(mirror).astype(np.float32)
-    part, kept = mirrored_fan(fan, mirror, image, height, 2.0 * here.range_m)
+    part, kept = mirrored_fan(fan, mirror, image, height, far_m)
 
     def cast(onward: NDArray[np.float32], own: Hits | None = None) -> Hits:
         crossing = height / np.maximum(rows_dot(onward, mirror.normal), 1e-9)
-        ray = np.flatnonzero(crossing < 2.0 * here.range_m)
+        ray = np.flatnonzero(crossing < far_m)
         going, crossing = onward.take(ray, axis=0), crossing.take(ray)
         if own is None:
             # The sonar's own ray is the mirror image of the image's.
@@ -312,7 +317,7 @@ def _seen_in_mirror(
             image.position_m,
             going,
             here.time_s,
-            2.0 * here.range_m,
+            far_m,
             here.threads,
             near_m=behind.astype(np.float32),
         )
@@ -326,7 +331,7 @@ def _seen_in_mirror(
         part,
         image,
         here.time_s,
-        2.0 * here.range_m,
+        far_m,
         threads=here.threads,
         cast=cast,
         first_cast=lambda onward: cast(onward, None if known is None else known.take(kept)),
@@ -339,11 +344,14 @@ def _in_sight(
 ) -> NDArray[np.bool_]:
     """Which points the sonar sees directly, no farther than their reach."""
     way = point_m - here.pose.position_m
-    range_m = np.maximum(np.linalg.norm(way, axis=1), 1e-9)
+    range_m = np.maximum(np.sqrt(rows_dot(np.square(way), np.ones(3))), 1e-9)
+    sight = range_m < reach_m
+    near = np.flatnonzero(sight)
+    way, range_m = way.take(near, axis=0), range_m.take(near)
     direction = (way / range_m[:, None]).astype(np.float32)
     met = here.meshes.cast(
         here.pose.position_m, direction, here.time_s, 2.0 * here.range_m, here.threads
     )
     clear = (met.face < 0) | (met.range_m > range_m * (1.0 - RELATIVE_GAP) - MIRROR_GAP_M)
-    sight: NDArray[np.bool_] = clear & (range_m < reach_m)
+    sight[near[~clear]] = False
     return sight

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
-from sonar_sim.geometry.matmul import Real, chunked_matmul
+from sonar_sim.geometry.matmul import Real
 from sonar_sim.geometry.pose import FramePose
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.physics import InterferencePulse, Physics, Reverberation
@@ -22,6 +22,8 @@ Cells = NDArray[np.complex64] | NDArray[np.float32]
 
 TAIL_SPREAD_SINE = 0.06
 """Standard deviation over which a tail spreads in the sine of the bearing."""
+TAIL_REACH = 4.0
+"""Standard deviations beyond which nothing of a tail is heard: all but 6e-5 of it is within."""
 TAIL_STEP_SINE = 0.03
 """Width of the blocks of columns whose mean power is taken together."""
 TURN_STEPS = 400
@@ -49,6 +51,8 @@ def add_random(
     column_rms: NDArray[np.float32],
     key: int,
     threads: int = 2,
+    *,
+    more: NDArray[np.float32] | None = None,
 ) -> None:
     """Add an independent complex Gaussian number, or its mean power, to every cell, in place.
 
@@ -58,11 +62,14 @@ def add_random(
         column_rms: factor to it, (columns,).
         key: of the numbers; mean powers need none.
         threads: that share the work.
+        more: mean power besides, (rows, columns) or (rows, 1).
     """
     if np.iscomplexobj(cells):
-        _core.add_gaussian(cells, row_rms, column_rms, key, threads)  # type: ignore[arg-type]
+        _core.add_gaussian(cells, row_rms, column_rms, key, threads, more)  # type: ignore[arg-type]
     else:
         cells += np.outer(np.square(row_rms), np.square(column_rms))
+        if more is not None:
+            cells += more
 
 
 def noise_rms(sonar: SonarSettings, physics: Physics, noise_gain: float) -> NDArray[np.float32]:
@@ -120,6 +127,8 @@ def tail_power(
     row_m: float,
     tail: Reverberation,
     heard: NDArray[np.float64] | None = None,
+    *,
+    threads: int = 1,
 ) -> NDArray[Real]:
     """Mean power of the reverberant tail behind echoes, (rows, M).
 
@@ -132,18 +141,19 @@ def tail_power(
         row_m: spacing of these rows, which may be coarser than the sonar's.
         tail: its energy and decay.
         heard: sines of the bearings of the tail, (M,); without them those of the echoes.
+        threads: that share the rows.
     """
     kept = 10.0 ** (-tail.decay_db_per_m * row_m / 10.0)
     filled = _core.decaying_sum(power, kept * tail.energy_per_m * row_m, kept)
     spread = _tail_spread(sines.tobytes(), (sines if heard is None else heard).tobytes())
-    return chunked_matmul(filled, spread.astype(power.dtype))
+    return _core.spread_columns(filled, spread.astype(power.dtype), threads)
 
 
 @lru_cache(maxsize=8)
 def _tail_spread(sines: bytes, heard: bytes) -> NDArray[np.float64]:
     """Part of the tail at the first bearings (float64, as bytes) that is heard at the second."""
     away = (np.frombuffer(sines)[:, None] - np.frombuffer(heard)) / TAIL_SPREAD_SINE
-    spread = np.exp(-0.5 * np.square(away))
+    spread = np.where(np.abs(away) < TAIL_REACH, np.exp(-0.5 * np.square(away)), 0.0)
     spread /= spread.sum(axis=0)
     spread.setflags(write=False)
     return spread
@@ -194,7 +204,7 @@ def add_tail(
     # The tail is smooth: half a block is fine enough to be linear between.
     step = max(1.0, width / 2.0)
     heard = sines if step == 1.0 else sines[0] + np.arange(0.0, columns, step) * sonar.sine_pitch
-    power = tail_power(blocks, middles, sonar.range_resolution_m, tail, heard)
+    power = tail_power(blocks, middles, sonar.range_resolution_m, tail, heard, threads=threads)
     if np.iscomplexobj(cells):
         _core.add_gaussian_power(cells, power, key, threads, step=step)  # type: ignore[arg-type]
     else:

@@ -11,10 +11,17 @@
 
 namespace mapperd::acoustics {
 
-/// Adds an independent complex Gaussian number to each cell, of rms amplitude row_rms[row] times
-/// column_rms[column].
-void add_gaussian(float* field, std::size_t rows, std::size_t columns, const float* row_rms,
-                  const float* column_rms, std::uint64_t key, unsigned threads);
+/// Mean powers of cells: the square of row_rms[row] times column_rms[column], and more.
+struct CellLevels {
+  const float* row_rms;
+  const float* column_rms;
+  const float* more = nullptr;   ///< powers besides, (rows, more_columns)
+  std::size_t more_columns = 0;  ///< as many as the field has, or 1 for the whole row
+};
+
+/// Adds an independent complex Gaussian number to each cell.
+void add_gaussian(float* field, std::size_t rows, std::size_t columns, const CellLevels& levels,
+                  std::uint64_t key, unsigned threads);
 
 /// Evenly spaced columns of a coarse grid, on the columns of the field.
 struct CoarseColumns {
@@ -39,6 +46,13 @@ void decaying_sum(const float* power, std::size_t rows, std::size_t columns, dou
                   double kept, float* out);
 void decaying_sum(const double* power, std::size_t rows, std::size_t columns, double energy,
                   double kept, double* out);
+
+/// The product of powers (rows, columns) with weights (columns, out_columns), (rows, out_columns).
+/// Zeros at the ends of the weights' rows cost nothing.
+void spread_columns(const float* power, std::size_t rows, std::size_t columns, const float* weights,
+                    std::size_t out_columns, float* out, unsigned threads);
+void spread_columns(const double* power, std::size_t rows, std::size_t columns,
+                    const double* weights, std::size_t out_columns, double* out, unsigned threads);
 
 /// Ranges between which rays of one origin are inside a box; equal where they miss it.
 ///

@@ -74,7 +74,18 @@ constexpr double kFaintest = 25.0;
 class Strength {
  public:
   /// `step_rad`: spacing of the queried directions.
-  Strength(const ScatterModel& model, const Material& material, double step_rad);
+  Strength(const ScatterModel& model, const Material& material, double step_rad)
+      : mu_(material.mu), lambert_(model.lambert) {
+    if (!model.specular || material.reflection_power <= 0.0) {
+      return;
+    }
+    constexpr double kPi = 3.14159265358979323846;
+    const double slope2 = material.slope_rad * material.slope_rad + 0.25 * step_rad * step_rad;
+    const double wavenumber = 2.0 * kPi * model.turns_per_m;
+    lobe_ = material.reflection_power / (8.0 * kPi * slope2);
+    steepness_ = 0.5 / slope2;
+    smoothness_ = 4.0 * wavenumber * wavenumber * material.roughness_m * material.roughness_m;
+  }
   [[nodiscard]] bool has_lobe() const { return lobe_ > 0.0; }
 
   /// By the cosines to the transmitter, to the receiver, and of the half-way direction.
