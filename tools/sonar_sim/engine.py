@@ -248,8 +248,11 @@ class PingEngine:
                 bounced = mirror_paths(here, fan, mirror, reach_m, known)
                 return self._scattered(bounced, physics, sparse)
 
-            with ThreadPoolExecutor(self._threads) as pool:
-                cells, *ghosts = pool.map(echoes, (None, *physics.mirrors))
+            if self._threads == 1:
+                cells, *ghosts = map(echoes, (None, *physics.mirrors))
+            else:
+                with ThreadPoolExecutor(self._threads) as pool:
+                    cells, *ghosts = pool.map(echoes, (None, *physics.mirrors))
             for more in ghosts:
                 cells += more
         else:

@@ -211,38 +211,39 @@ def mirror_paths(
         leg_in_frame(f, image.position_m, image.rotation, gain=mirror.reflection) for f in frames
     ]
     legs = np.array([*direct, *bounced]).reshape(-1, LEG_SIZE)
-    range_m = met.range_m[hit]
-    away_m = range_m[:, None].astype(np.float64) * seen.direction.take(hit, axis=0)
-    group = met.group[hit]
+    range_m = met.range_m.take(hit)
+    point_m = range_m[:, None].astype(np.float64) * seen.direction.take(hit, axis=0)
+    point_m += image.position_m
     span = spans(here.meshes, seen.fan, met)
-    twice = group + np.int32(len(frames))
-    once = _in_sight(here, image.position_m + away_m, 2.0 * here.range_m - range_m)
+    twice = met.group + np.int32(len(frames))
 
     def way(
-        which: NDArray[np.bool_],
-        there: NDArray[np.int32],
+        its: NDArray[np.int64],
         back: NDArray[np.int32],
         gain: NDArray[np.float64] | float = 1.0,
         *,
         both_ways: bool = False,
     ) -> _core.Rays:
-        its, lean = hit[which], seen.fan.lean
+        face = np.full(len(met.face), NOTHING, dtype=np.int32)
+        gains = np.zeros(len(met.face), dtype=np.float32)
+        face[its], gains[its] = met.face.take(its), gain
         return _core.Rays(
-            face=met.face[its],
-            seen=twice[which],
-            transmit=there[which],
-            receive=back[which],
-            cell=seen.fan.cell.take(its, axis=0),
-            span_m=span.take(its, axis=0),
-            gain=np.full(len(its), gain, dtype=np.float32),
+            face=face,
+            seen=twice,
+            transmit=twice,
+            receive=back,
+            cell=seen.fan.cell,
+            span_m=span,
+            gain=gains,
             legs=legs,
             both_ways=both_ways,
-            lean=None if lean is None else lean.take(its, axis=0),
+            lean=seen.fan.lean,
         )
 
-    both = range_m < here.range_m
-    pair = single_bounce_gain(here, image, (image.position_m + away_m)[once])
-    return [way(once, twice, group, pair, both_ways=True), way(both, twice, twice)]
+    once = _in_sight(here, point_m, 2.0 * here.range_m - range_m)
+    pair = single_bounce_gain(here, image, point_m.take(once, axis=0))
+    both = hit[range_m < here.range_m]
+    return [way(hit.take(once), met.group, pair, both_ways=True), way(both, twice)]
 
 
 def single_bounce_gain(
@@ -341,17 +342,15 @@ def _seen_in_mirror(
 
 def _in_sight(
     here: PingGeometry, point_m: NDArray[np.float64], reach_m: NDArray[np.float32]
-) -> NDArray[np.bool_]:
-    """Which points the sonar sees directly, no farther than their reach."""
+) -> NDArray[np.int64]:
+    """Indices of the points that the sonar sees directly, no farther than their reach."""
     way = point_m - here.pose.position_m
     range_m = np.maximum(np.sqrt(rows_dot(np.square(way), np.ones(3))), 1e-9)
-    sight = range_m < reach_m
-    near = np.flatnonzero(sight)
+    near = np.flatnonzero(range_m < reach_m)
     way, range_m = way.take(near, axis=0), range_m.take(near)
     direction = (way / range_m[:, None]).astype(np.float32)
     met = here.meshes.cast(
         here.pose.position_m, direction, here.time_s, 2.0 * here.range_m, here.threads
     )
     clear = (met.face < 0) | (met.range_m > range_m * (1.0 - RELATIVE_GAP) - MIRROR_GAP_M)
-    sight[near[~clear]] = False
-    return sight
+    return near[clear]
