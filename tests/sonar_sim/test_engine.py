@@ -553,3 +553,20 @@ def test_the_ring_lights_the_first_rows_alike_in_each_ping(gain_percent: float) 
     expected = -31.0 - 1300.0 * sonar.row_centres_m[:4] + 0.96 * (gain_percent - 50.0)
     assert level_db == pytest.approx(expected, abs=1.0)
     assert np.array_equal(shown[0], shown[1])
+
+
+@pytest.mark.parametrize("physics", [MEAN, SPECKLED], ids=["mean", "speckled"])
+def test_water_clouds_and_noise_add_their_powers(physics: Physics) -> None:
+    cloud = Cloud(np.array([1.0, -5.0, -5.0]), np.array([5.0, 5.0, 5.0]), 0.0, -55.0)
+    parts: list[dict[str, Any]] = [
+        {"clouds": (cloud,)},
+        {"noise_level_db": 93.0},
+        {"volume_strength_db": -60.0},
+    ]
+    heard = [
+        float(np.mean(np.square(picture(Scene(()), dataclasses.replace(physics, **part))[300:400])))
+        for part in (*parts, parts[1] | parts[2], parts[0] | parts[1] | parts[2])
+    ]
+    assert min(heard[:3]) > 0.1 * max(heard[:3])
+    assert decibel(heard[3] / (heard[1] + heard[2])) == pytest.approx(0.0, abs=0.1)
+    assert decibel(heard[4] / sum(heard[:3])) == pytest.approx(0.0, abs=0.1)

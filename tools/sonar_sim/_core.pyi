@@ -31,7 +31,7 @@ def add_gaussian(
         column_rms: factor to it, (columns,).
         key: 64 bits that choose the numbers.
         threads: that share the rows.
-        more: mean power besides, (rows, columns) or (rows, 1).
+        more: mean power besides, (rows, columns) or (rows, 1); below 0 it counts as 0.
     """
 
 def add_gaussian_power(

@@ -3,8 +3,8 @@
 import copy
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +50,9 @@ Cells = NDArray[np.complex64] | NDArray[np.float32]
 NODES_PER_BEAM = 8.0
 """Scatterers in a row of a beam's -3 dB width, about: the coefficient of variation of an even floor
 is then within 0.002 of Rayleigh's."""
-MIRRORED_NODES = 0.5
-"""Of them where sound came by a mirror: speckle of ghosts alone is within 0.011 of Rayleigh's."""
+GHOST_DENSITY = 0.6
+"""Scatterers of an area that is heard by way of a mirror, over those of one heard straight: the
+coefficient of variation is within 0.011 of Rayleigh's."""
 CAST_RANGE_FACTOR = 1.3
 """Rays are cast to this multiple of the last row's range: a patch hit beyond it may begin before
 it."""
@@ -118,7 +119,7 @@ class PingEngine:
         self.scene = scene
         self.sonar = sonar
         self._seed = seed
-        self._threads = threads
+        self._threads = max(threads, 1)
         self._nodes_per_cell = nodes_per_beam / max(sonar.beam_width_rad / sonar.sine_pitch, 1.0)
         # The sonar compensates the water's absorption, even if it is not simulated.
         self._assumed_db_per_m = scene.water.absorption_db_per_m(sonar.frequency_hz)
@@ -173,7 +174,7 @@ class PingEngine:
         here = self._situation(map_T_sonar, physics, time_s, motion)
         rays, ways = self._ways(here)
         clock.lap("casting")
-        cells = self._echoes(here, rays, ways)
+        cells = self._surfaces(here, rays, ways)
         clock.lap("scattering")
         former = self._beam_former(physics)
         self._fill(cells, here, rays, former, ping_id)
@@ -231,32 +232,20 @@ class PingEngine:
             ways = direct_paths(here, rays)
         return rays, ways
 
-    def _echoes(self, here: PingGeometry, rays: Trace, ways: list[_core.Rays]) -> Cells:
+    def _surfaces(self, here: PingGeometry, rays: Trace, ways: list[_core.Rays]) -> Cells:
         """What surfaces and targets send back, straight and by mirrors, (rows, columns)."""
-        physics, reach_m = here.physics, CAST_RANGE_FACTOR * here.range_m
-        setting = self._setting(physics)
+        physics = here.physics
+        cells = self._scattered(ways, physics, self._setting(physics), self._threads)
         if physics.mirrors:
-            fan = ray_fan(self.sonar, self._elevations, physics.mirrored_elevations_rad)
-            straight = ray_fan(self.sonar, self._elevations, physics.elevations_rad)
-            # The same rays lead to the mirrors.
-            known = rays.coarse if fan is straight else None
-            sparse = self._setting(physics, MIRRORED_NODES)
-
-            def echoes(mirror: Mirror | None) -> Cells:
-                if mirror is None:
-                    return self._scattered(ways, physics, setting)
-                bounced = mirror_paths(here, fan, mirror, reach_m, known)
-                return self._scattered(bounced, physics, sparse)
-
-            if self._threads == 1:
-                cells, *ghosts = map(echoes, (None, *physics.mirrors))
+            workers = min(self._threads, len(physics.mirrors))
+            share = replace(here, threads=self._threads // workers)
+            if workers == 1:
+                for mirror in physics.mirrors:
+                    cells += self._ghosts(share, rays, mirror)
             else:
-                with ThreadPoolExecutor(self._threads) as pool:
-                    cells, *ghosts = pool.map(echoes, (None, *physics.mirrors))
-            for more in ghosts:
-                cells += more
-        else:
-            cells = self._scattered(ways, physics, setting)
+                with ThreadPoolExecutor(workers) as pool:
+                    for ghosts in pool.map(partial(self._ghosts, share, rays), physics.mirrors):
+                        cells += ghosts
         loss, taps = self._loss(physics), column_taps(self.sonar, physics)
         turns = self.sonar.frequency_hz / self.scene.water.speed_of_sound_mps
         add_targets(
@@ -264,8 +253,22 @@ class PingEngine:
         )
         return cells
 
+    def _ghosts(self, here: PingGeometry, rays: Trace, mirror: Mirror) -> Cells:
+        """What surfaces send back by way of a mirror, (rows, columns)."""
+        physics, reach_m = here.physics, CAST_RANGE_FACTOR * here.range_m
+        fan = ray_fan(self.sonar, self._elevations, physics.mirrored_elevations_rad)
+        # The same rays lead to the mirror.
+        same = fan is ray_fan(self.sonar, self._elevations, physics.elevations_rad)
+        ways = mirror_paths(here, fan, mirror, reach_m, rays.coarse if same else None)
+        setting = self._setting(physics, GHOST_DENSITY)
+        return self._scattered(ways, physics, setting, here.threads)
+
     def _scattered(
-        self, ways: list[_core.Rays], physics: Physics, setting: _core.ScatterSetting
+        self,
+        ways: list[_core.Rays],
+        physics: Physics,
+        setting: _core.ScatterSetting,
+        threads: int,
     ) -> Cells:
         """What surfaces send back by some ways, (rows, columns)."""
         shape = (self.sonar.rows, self._fan.columns)
@@ -273,14 +276,14 @@ class PingEngine:
         if physics.speckle:
             field = np.zeros(shape, dtype=np.complex64)
             for way in ways:
-                _core.scatter_field(field, faces, way, setting, self._threads)
+                _core.scatter_field(field, faces, way, setting, threads)
             return field
         power = np.zeros(shape, dtype=np.float32)
         for way in ways:
-            _core.scatter_power(power, faces, way, setting, self._threads)
+            _core.scatter_power(power, faces, way, setting, threads)
         return power
 
-    def _setting(self, physics: Physics, nodes: float = 1.0) -> _core.ScatterSetting:
+    def _setting(self, physics: Physics, density: float = 1.0) -> _core.ScatterSetting:
         return _core.ScatterSetting(
             loss=self._loss(physics),
             vertical=_vertical_pattern(physics.vertical_width_rad),
@@ -294,7 +297,7 @@ class PingEngine:
             specular=physics.specular,
             spreading=physics.spreading,
             turns_per_m=self.sonar.frequency_hz / self.scene.water.speed_of_sound_mps,
-            nodes_per_cell=nodes * self._nodes_per_cell,
+            nodes_per_cell=density * self._nodes_per_cell,
             key=stream_key(self._seed, "surfaces"),
         )
 

@@ -59,8 +59,8 @@ class Simulator:
         threads: at most; the bytes do not depend on it.
         elevations: rays of a beam's column: fewer are faster and miss more.
         nodes_per_beam: scatterers in a row of a beam's -3 dB width, about: fewer are faster and
-            make the speckle coarser than Rayleigh's. None: 8, or what the tolerance of texture
-            allows if the effects are `auto`.
+            make the speckle coarser than Rayleigh's. Ghosts have 0.6 times as many. None: 8, or
+            what the tolerance of texture allows if the effects are `auto`.
 
     Raises:
         EffectError: `effects` names one that does not exist.

@@ -29,13 +29,15 @@ MAPPERD_VECTORISED void total_rms(const float* __restrict rms, float row_rms,
     const float alike = more[0];
     for (std::size_t i = 0; i < columns; ++i) {
       const float own = row_rms * rms[i];
-      total[i] = std::sqrt(own * own + alike);
+      const float sum = own * own + alike;
+      total[i] = std::sqrt(sum > 0.0F ? sum : 0.0F);
     }
     return;
   }
   for (std::size_t i = 0; i < columns; ++i) {
     const float own = row_rms * rms[i];
-    total[i] = std::sqrt(own * own + more[i]);
+    const float sum = own * own + more[i];
+    total[i] = std::sqrt(sum > 0.0F ? sum : 0.0F);
   }
 }
 
@@ -164,7 +166,7 @@ void sum_rows(const Real* power, std::size_t rows, std::size_t columns, double e
   }
 }
 
-// Where a row of weights begins and ends to be other than zero.
+// Columns between the first and the last weight of a row that is not zero.
 struct Part {
   std::size_t first, last;
 };

@@ -121,11 +121,11 @@ MAPPERD_INLINE void turn_block(Lanes (&block)[8]) {
     block[k + 4] = __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15);
   }
 #else
-  Lanes turned[8];
+  Lanes columns[8];
   for (std::size_t i = 0; i < 8; ++i) {
-    for (std::size_t k = 0; k < 8; ++k) turned[k][i] = block[i][k];
+    for (std::size_t k = 0; k < 8; ++k) columns[k][i] = block[i][k];
   }
-  std::copy(turned, turned + 8, block);
+  std::copy(columns, columns + 8, block);
 #endif
 }
 
@@ -213,6 +213,8 @@ void Convolution::Rows::take(float* out) {
 
 void Convolution::Rows::finish() {
   if (outs_.empty()) return;
+  // Two real rows share a lane: nothing of an earlier batch may stand beside the last row.
+  std::fill(rows_.begin() + static_cast<std::ptrdiff_t>(outs_.size() * width_), rows_.end(), 0.0F);
   read();
   convolution_.apply(data_.data());
   write();

@@ -15,7 +15,8 @@ namespace mapperd::acoustics {
 constexpr std::size_t kNodes = 512;
 constexpr std::size_t kLanes = 8;
 
-// Properties that all nodes of a batch share.
+// Properties that all nodes of a batch share. Were the two bools neighbours, they would be compared
+// as one number, which waits until both have been written.
 struct SharedTraits {
   const Leg* transmit;
   bool round;  // the surface is round

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
@@ -91,17 +92,36 @@ TEST_CASE("beams beyond the last column hear silence") {
 }
 
 TEST_CASE("beams are the same for any number of threads") {
-  const std::vector<float> cells = random_numbers(50 * 80 * 2, 1);
   const std::vector<float> range{0.25F, 1.0F, 0.25F};
-  for (const std::size_t count : {9UL, 81UL}) {
-    const std::vector<float> taps = random_numbers(count, 2);
-    const Response response{taps.data(), count, range.data(), 3};
-    std::vector<float> alone(50 * 60 * 2);
-    acoustics::form_beams({cells.data(), 50, 80, 2}, response, 10, 60, alone.data(), 1);
-    for (const unsigned threads : {2U, 3U, 7U}) {
-      std::vector<float> out(50 * 60 * 2);
-      acoustics::form_beams({cells.data(), 50, 80, 2}, response, 10, 60, out.data(), threads);
-      CHECK(out == alone);
+  for (const std::size_t parts : {1UL, 2UL}) {
+    const std::vector<float> cells = random_numbers(51 * 80 * parts, 1);
+    for (const std::size_t count : {9UL, 81UL}) {
+      const std::vector<float> taps = random_numbers(count, 2);
+      const Response response{taps.data(), count, range.data(), 3};
+      std::vector<float> alone(51 * 60 * parts);
+      acoustics::form_beams({cells.data(), 51, 80, parts}, response, 10, 60, alone.data(), 1);
+      for (const unsigned threads : {2U, 3U, 7U}) {
+        std::vector<float> out(51 * 60 * parts);
+        acoustics::form_beams({cells.data(), 51, 80, parts}, response, 10, 60, out.data(), threads);
+        CHECK(out == alone);
+      }
+    }
+  }
+}
+
+TEST_CASE("a loud row leaves nothing in rows far from it") {
+  const std::vector<float> taps(81, 1.0F), range{1.0F};
+  for (const std::size_t parts : {1UL, 2UL}) {
+    std::vector<float> cells(33 * 80 * parts, 1.0F);
+    const auto loud = cells.begin() + static_cast<std::ptrdiff_t>(17 * 80 * parts);
+    std::fill(loud, loud + static_cast<std::ptrdiff_t>(80 * parts), 1e12F);
+    std::vector<float> out(33 * 2 * parts);
+    acoustics::form_beams({cells.data(), 33, 80, parts}, {taps.data(), 81, range.data(), 1}, 39, 2,
+                          out.data(), 1);
+    for (std::size_t i = 0; i < out.size(); ++i) {
+      const std::size_t row = i / (2 * parts);
+      CAPTURE(row);
+      if (row != 16 && row != 17) CHECK(static_cast<double>(out[i]) == near(80.0, 1e-3));
     }
   }
 }

@@ -15,6 +15,7 @@ from sonar_sim.propagation.physics import Mirror, SoundSpeedProfile
 from sonar_sim.raycast.meshes import SEA, Hits, Meshes
 from sonar_sim.scene.material import MATERIALS, Material
 from sonar_sim.scene.scene import Scene, Sea, Surface
+from sonar_sim.simulator import SPARSE_NODES_PER_BEAM
 from sonar_sim.validation.setups import (
     CHALK,
     MEAN,
@@ -246,3 +247,48 @@ def test_ways_there_and_back_add_up_where_one_beam_hears_both(roll_deg: float) -
     once = np.square(beams[0] + beams[1]).sum() / np.square(beams[0]).sum()
     expected = once * (BOUNCED_M / AWAY_M) ** 2 / MIRROR.reflection**2
     assert 10.0 * np.log10(heard / expected) == pytest.approx(0.0, abs=0.1)
+
+
+FACING = rectangle((2.0, 0.0, 0.0), (0.0, 4.0, 0.0), (0.0, 0.0, 4.0), CHALK)
+"""Seen straight, and in mirrors below, above and beside it."""
+AROUND = tuple(
+    Mirror(np.array(point), np.array(normal), 0.9)
+    for point, normal in (
+        ((0.0, 0.0, -1.0), (0.0, 0.0, 1.0)),
+        ((0.0, 0.0, 1.5), (0.0, 0.0, -1.0)),
+        ((0.0, 1.0, 0.0), (0.0, -1.0, 0.0)),
+    )
+)
+
+
+@pytest.mark.parametrize("speckle", [False, True])
+def test_bytes_do_not_depend_on_the_threads_that_share_mirrors(*, speckle: bool) -> None:
+    physics = dataclasses.replace(MEAN, mirrors=AROUND, speckle=speckle)
+    engines = [PingEngine(Scene((FACING,)), narrow_sonar(4.0), 1, n) for n in (0, 1, 2, 3, 8)]
+    assert len({engine.ping(HERE, physics).amplitude.tobytes() for engine in engines}) == 1
+
+
+def test_speckle_of_ghosts_alone_is_rayleighs() -> None:
+    """A plate behind the sonar, whose front a mirror before the sonar shows it."""
+    mirror = Mirror(np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.9)
+    behind = rectangle((-2.0, 0.0, 0.0), (0.0, 40.0, 0.0), (0.0, 0.0, 40.0), CHALK)
+    sonar = narrow_sonar(9.0, 0.01, beams=256)
+    mean = dataclasses.replace(
+        MEAN,
+        mirrors=(mirror,),
+        lambert=False,
+        beam_width_rad=sonar.beam_width_rad,
+        side_lobe_db=sonar.side_lobe_db,
+        range_spread=True,
+    )
+    speckled, heard = dataclasses.replace(mean, speckle=True), []
+    for seed in range(4):
+        engine = PingEngine(Scene((behind,)), sonar, seed, nodes_per_beam=SPARSE_NODES_PER_BEAM)
+        level, shown = (
+            engine.ping(HERE, physics).amplitude[310:515, 40:-40].astype(np.float64)
+            for physics in (mean, speckled)
+        )
+        heard.append(shown / level)
+    found = np.stack(heard)
+    assert np.mean(np.square(found)) == pytest.approx(1.0, abs=0.03)
+    assert found.std() / found.mean() == pytest.approx(0.5227, abs=0.01)

@@ -48,8 +48,9 @@ def leg_in_frame(
 
 
 OBJECT_STEP_S = 1e-3
-REACH_MARGIN = 1.1
-"""Of what is followed behind a mirror over what may be heard: planes of hits reach farther."""
+REACH_MARGIN = 1.3
+"""Rays from a mirror's image are cast to this multiple of the farthest audible range: a hit stands
+for its surface as far as the hits of its neighbours tell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,7 +216,7 @@ def mirror_paths(
     point_m = range_m[:, None].astype(np.float64) * seen.direction.take(hit, axis=0)
     point_m += image.position_m
     span = spans(here.meshes, seen.fan, met)
-    twice = met.group + np.int32(len(frames))
+    by_mirror = met.group + np.int32(len(frames))
 
     def way(
         its: NDArray[np.int64],
@@ -229,8 +230,8 @@ def mirror_paths(
         face[its], gains[its] = met.face.take(its), gain
         return _core.Rays(
             face=face,
-            seen=twice,
-            transmit=twice,
+            seen=by_mirror,
+            transmit=by_mirror,
             receive=back,
             cell=seen.fan.cell,
             span_m=span,
@@ -243,7 +244,7 @@ def mirror_paths(
     once = _in_sight(here, point_m, 2.0 * here.range_m - range_m)
     pair = single_bounce_gain(here, image, point_m.take(once, axis=0))
     both = hit[range_m < here.range_m]
-    return [way(hit.take(once), met.group, pair, both_ways=True), way(both, twice)]
+    return [way(hit.take(once), met.group, pair, both_ways=True), way(both, by_mirror)]
 
 
 def single_bounce_gain(
@@ -291,8 +292,8 @@ def _seen_in_mirror(
 ) -> Trace:
     """What rays meet after the mirror, from the image."""
     height = float(np.dot(mirror.normal, here.pose.position_m - mirror.point_m))
-    # What lies farther from the image is too far for a path by way of the sonar as well, which is
-    # at most twice the height nearer.
+    # From a point P, |P - image| <= |P - sonar| + 2 height: of a path that is not longer than
+    # 2 range the first is at most range + height.
     far_m = min(REACH_MARGIN * (here.range_m + height), 2.0 * here.range_m)
     reflector = _reflector(mirror).astype(np.float32)
     part, kept = mirrored_fan(fan, mirror, image, height, far_m)

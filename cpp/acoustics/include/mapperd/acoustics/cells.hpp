@@ -11,11 +11,11 @@
 
 namespace mapperd::acoustics {
 
-/// Mean powers of cells: the square of row_rms[row] times column_rms[column], and more.
+/// Mean powers of cells: (row_rms[row] column_rms[column])² + more[row, column].
 struct CellLevels {
   const float* row_rms;
   const float* column_rms;
-  const float* more = nullptr;   ///< powers besides, (rows, more_columns)
+  const float* more = nullptr;   ///< powers, (rows, more_columns); none is 0
   std::size_t more_columns = 0;  ///< as many as the field has, or 1 for the whole row
 };
 
