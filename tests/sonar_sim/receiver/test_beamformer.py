@@ -148,11 +148,13 @@ def test_field_of_another_shape_or_kind_is_refused() -> None:
     with pytest.raises(ValueError, match="contiguous"):
         _core.add_gaussian(np.zeros((5, 10), dtype=np.complex64)[:, ::2], ones, ones, 1)
     with pytest.raises(ValueError, match="more is"):
-        _core.add_gaussian(np.zeros((5, 5), dtype=np.complex64), ones, ones, 1, 2, np.ones((5, 2)))
+        _core.add_gaussian(
+            np.zeros((5, 5), dtype=np.complex64), ones, ones, 1, 2, ones[:, None] * ones[:2]
+        )
     with pytest.raises(ValueError, match="weights"):
         _core.spread_columns(np.ones((5, 3)), np.ones((4, 2)))
     with pytest.raises(ValueError, match="float32 or float64"):
-        _core.spread_columns(np.ones((5, 3), dtype=np.int32), np.ones((3, 2)))
+        _core.spread_columns(np.ones((5, 3), dtype=np.int32), np.ones((3, 2)))  # type: ignore[type-var]
 
 
 FOCUS_M = SONAR.focus_m(1500.0)
