@@ -21,7 +21,7 @@ def add_gaussian(
     column_rms: NDArray[np.float32],
     key: int,
     threads: int = 2,
-    more: NDArray[np.float32] | None = None,
+    extra_power: NDArray[np.float32] | None = None,
 ) -> None:
     """Add to each cell a complex Gaussian number of its own, in place.
 
@@ -31,7 +31,7 @@ def add_gaussian(
         column_rms: factor to it, (columns,).
         key: 64 bits that choose the numbers.
         threads: that share the rows.
-        more: mean power besides, (rows, columns) or (rows, 1); below 0 it counts as 0.
+        extra_power: added to the mean power, (rows, columns) or (rows, 1), at least 0.
     """
 
 def add_gaussian_power(

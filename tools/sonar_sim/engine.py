@@ -332,16 +332,16 @@ class PingEngine:
         # One draw for noise, water and clouds, as all are new in each ping: plankton drifts on.
         row_rms = noise_rms(self.sonar, physics, former.noise_gain)
         column_rms = np.ones(self._fan.columns, dtype=np.float32)
-        more = None
+        extra_power = None
         if physics.clouds:
-            more = cloud_power(physics, self.sonar, rays, self._loss(physics))
+            extra_power = cloud_power(physics, self.sonar, rays, self._loss(physics))
         if physics.volume_strength_db is not None:
             noise = np.square(row_rms)[:, None]
-            more = noise if more is None else more + noise
+            extra_power = noise if extra_power is None else extra_power + noise
             row_rms, column_rms = self._volume_rms(physics)
-        if more is not None or physics.noise_level_db is not None:
+        if extra_power is not None or physics.noise_level_db is not None:
             key = stream_key(seed, "noise", ping_id)
-            add_random(cells, row_rms, column_rms, key, self._threads, more=more)
+            add_random(cells, row_rms, column_rms, key, self._threads, extra_power=extra_power)
         if physics.ring_down_db is not None:
             level_db = ring_down_power_db(self.sonar, physics.ring_down_db, self._assumed_db_per_m)
             rms = (10.0 ** (level_db / 20.0) / former.noise_gain).astype(np.float32)

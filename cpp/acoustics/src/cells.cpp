@@ -20,13 +20,13 @@ MAPPERD_VECTORISED void add_scaled(float* field, const float* unit, const float*
   }
 }
 
-// Of a row's and its columns' amplitudes and powers besides: one a column, or of step 0 one for
-// all.
+// Amplitudes of cells whose power is the square of row_rms times rms, and `extra_power`: that of
+// each column or, of step 0, the first one for all.
 MAPPERD_VECTORISED void total_rms(const float* __restrict rms, float row_rms,
-                                  const float* __restrict more, std::size_t step,
+                                  const float* __restrict extra_power, std::size_t step,
                                   std::size_t columns, float* __restrict total) {
   if (step == 0) {
-    const float alike = more[0];
+    const float alike = extra_power[0];
     for (std::size_t i = 0; i < columns; ++i) {
       const float own = row_rms * rms[i];
       const float sum = own * own + alike;
@@ -36,7 +36,7 @@ MAPPERD_VECTORISED void total_rms(const float* __restrict rms, float row_rms,
   }
   for (std::size_t i = 0; i < columns; ++i) {
     const float own = row_rms * rms[i];
-    const float sum = own * own + more[i];
+    const float sum = own * own + extra_power[i];
     total[i] = std::sqrt(sum > 0.0F ? sum : 0.0F);
   }
 }
@@ -84,9 +84,9 @@ void add_gaussian(float* field, std::size_t rows, std::size_t columns, const Cel
     for (std::size_t row = first; row < last; ++row) {
       const float* rms = levels.column_rms;
       float row_rms = levels.row_rms[row];
-      if (levels.more != nullptr) {
-        const float* more = levels.more + row * levels.more_columns;
-        total_rms(rms, row_rms, more, levels.more_columns > 1 ? 1 : 0, columns, sum.data());
+      if (levels.extra_power != nullptr) {
+        const float* extra = levels.extra_power + row * levels.extra_columns;
+        total_rms(rms, row_rms, extra, levels.extra_columns > 1 ? 1 : 0, columns, sum.data());
         rms = sum.data();
         row_rms = 1.0F;
       }

@@ -49,7 +49,7 @@ TEST_CASE("noise has its row's level and obeys its column's factor") {
   }
 }
 
-TEST_CASE("powers besides are drawn together with those of rows and columns") {
+TEST_CASE("extra power is drawn together with that of rows and columns") {
   std::vector<float> row(kRows), column(kColumns), of_rows(kRows), power(kRows * kColumns);
   for (std::size_t i = 0; i < kRows; ++i) row[i] = 0.1F * static_cast<float>(i % 3);
   for (std::size_t i = 0; i < kColumns; ++i) column[i] = static_cast<float>(i % 5);
@@ -65,8 +65,8 @@ TEST_CASE("powers besides are drawn together with those of rows and columns") {
                             3, 2);
     for (std::size_t i = 0; i < field.size() / 2; ++i) {
       const double own = static_cast<double>(row[i / kColumns] * column[i % kColumns]);
-      const double more = static_cast<double>(alike ? of_rows[i / kColumns] : power[i]);
-      const double rms = std::sqrt(own * own + more);
+      const double extra = static_cast<double>(alike ? of_rows[i / kColumns] : power[i]);
+      const double rms = std::sqrt(own * own + extra);
       CHECK(static_cast<double>(field[2 * i + 1]) ==
             near(rms * static_cast<double>(unit[2 * i + 1]), 1e-5));
     }

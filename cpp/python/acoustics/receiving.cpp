@@ -52,19 +52,19 @@ float* writable(py::array_t<Complex>& field) {
 }
 
 void add_gaussian(py::array_t<Complex>& field, const Floats& row_rms, const Floats& column_rms,
-                  std::uint64_t key, unsigned threads, const std::optional<Floats>& more) {
+                  std::uint64_t key, unsigned threads, const std::optional<Floats>& extra_power) {
   float* cells = writable(field);
   const std::size_t rows = size_of(field, 0);
   const std::size_t columns = size_of(field, 1);
   demand(row_rms.ndim() == 1 && size_of(row_rms, 0) == rows, "one row_rms a row");
   demand(column_rms.ndim() == 1 && size_of(column_rms, 0) == columns, "one column_rms a column");
   acoustics::CellLevels levels{row_rms.data(), column_rms.data()};
-  if (more) {
-    demand(more->ndim() == 2 && size_of(*more, 0) == rows &&
-               (size_of(*more, 1) == 1 || size_of(*more, 1) == columns),
-           "more is (rows, columns) or (rows, 1)");
-    levels.more = more->data();
-    levels.more_columns = size_of(*more, 1);
+  if (extra_power) {
+    demand(extra_power->ndim() == 2 && size_of(*extra_power, 0) == rows &&
+               (size_of(*extra_power, 1) == 1 || size_of(*extra_power, 1) == columns),
+           "extra_power is (rows, columns) or (rows, 1)");
+    levels.extra_power = extra_power->data();
+    levels.extra_columns = size_of(*extra_power, 1);
   }
   const py::gil_scoped_release unlocked;
   acoustics::add_gaussian(cells, rows, columns, levels, key, threads);
@@ -300,7 +300,7 @@ void bind_receiving(py::module_& module) {
   using py::arg;
   module.def("complex_gaussian", &complex_gaussian, arg("key"), arg("count"));
   module.def("add_gaussian", &add_gaussian, arg("field").noconvert(), arg("row_rms"),
-             arg("column_rms"), arg("key"), arg("threads") = 2, arg("more") = py::none());
+             arg("column_rms"), arg("key"), arg("threads") = 2, arg("extra_power") = py::none());
   module.def("add_gaussian_power", &add_gaussian_power, arg("field").noconvert(), arg("power"),
              arg("key"), arg("threads") = 2, arg("first") = 0.0, arg("step") = 1.0);
   module.def("block_powers", &block_powers, arg("cells"), arg("width"), arg("threads") = 2);

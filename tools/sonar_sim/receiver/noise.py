@@ -52,7 +52,7 @@ def add_random(
     key: int,
     threads: int = 2,
     *,
-    more: NDArray[np.float32] | None = None,
+    extra_power: NDArray[np.float32] | None = None,
 ) -> None:
     """Add an independent complex Gaussian number, or its mean power, to every cell, in place.
 
@@ -62,14 +62,15 @@ def add_random(
         column_rms: factor to it, (columns,).
         key: of the numbers; mean powers need none.
         threads: that share the work.
-        more: mean power besides, (rows, columns) or (rows, 1).
+        extra_power: added to the mean power, (rows, columns) or (rows, 1).
     """
     if np.iscomplexobj(cells):
-        _core.add_gaussian(cells, row_rms, column_rms, key, threads, more)  # type: ignore[arg-type]
+        field: NDArray[np.complex64] = cells  # type: ignore[assignment]
+        _core.add_gaussian(field, row_rms, column_rms, key, threads, extra_power)
     else:
         cells += np.outer(np.square(row_rms), np.square(column_rms))
-        if more is not None:
-            cells += more
+        if extra_power is not None:
+            cells += extra_power
 
 
 def noise_rms(sonar: SonarSettings, physics: Physics, noise_gain: float) -> NDArray[np.float32]:

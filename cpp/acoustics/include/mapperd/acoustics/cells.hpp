@@ -11,12 +11,12 @@
 
 namespace mapperd::acoustics {
 
-/// Mean powers of cells: (row_rms[row] column_rms[column])² + more[row, column].
+/// Mean powers of cells: (row_rms[row] column_rms[column])² + extra_power[row, column].
 struct CellLevels {
   const float* row_rms;
   const float* column_rms;
-  const float* more = nullptr;   ///< powers, (rows, more_columns); none is 0
-  std::size_t more_columns = 0;  ///< as many as the field has, or 1 for the whole row
+  const float* extra_power = nullptr;  ///< (rows, extra_columns), or null for 0
+  std::size_t extra_columns = 0;       ///< as many as the field has, or 1 for the whole row
 };
 
 /// Adds an independent complex Gaussian number to each cell.
